@@ -1,0 +1,1 @@
+"""The harvester's equations, and how they become .fmu files."""

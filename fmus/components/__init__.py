@@ -1,0 +1,1 @@
+"""Physics of single parts: no numbers, no FMI, no files."""

@@ -1,0 +1,54 @@
+"""Single-ended hydraulic cylinder: areas, chamber capacitances, force, holding pressures, end stops.
+
+Signs: piston position x from the closed end, positive velocity and force extend the rod.
+Rigid walls, no piston leakage (paper section 3(d)).
+"""
+
+from __future__ import annotations
+
+import math
+
+from fmus.components.smooth import positive, ramp
+from fmus.contract import Scalar
+
+
+def areas(bore: Scalar, rod: Scalar) -> tuple[Scalar, Scalar]:
+    """Head area and rod-side area [m2]."""
+    head = math.pi / 4 * bore**2
+    return head, head - math.pi / 4 * rod**2
+
+
+def volumes(
+    x: Scalar, stroke: Scalar, head: Scalar, rod: Scalar, dead_volume: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Volumes [m3] of the head and rod chambers at piston position x [m] (correction E8)."""
+    return dead_volume + head * x, dead_volume + rod * (stroke - x)
+
+
+def force(head: Scalar, rod: Scalar, pressure_head: Scalar, pressure_rod: Scalar) -> Scalar:
+    """Hydraulic force [N], eq. (6a): F = A_head P_head - A_rod P_rod."""
+    return head * pressure_head - rod * pressure_rod
+
+
+def holding_pressures(load: Scalar, head: Scalar, rod: Scalar, preload: Scalar) -> tuple[Scalar, Scalar]:
+    """Pressures [Pa] of a standing piston under a load [N], head and rod side.
+
+    The unloaded side stays near `preload` [Pa] and never below it; the balance
+    A_head P_head - A_rod P_rod = load is exact.
+    """
+    width = 0.1 * preload * rod  # rounds the change of sides over loads of 10 % of the preload
+    p_rod = preload + positive(-load, width) / rod
+    return (load + rod * p_rod) / head, p_rod
+
+
+def stop_force(
+    x: Scalar, v: Scalar, stroke: Scalar, stiffness: Scalar, damping: Scalar, rounding: Scalar
+) -> Scalar:
+    """Force [N] of the end stops on the piston: elastic with contact damping, zero inside the stroke.
+
+    F = k d (1 + c d') on each end with penetration d, rounded over `rounding` [m] (Hunt and
+    Crossley, J. Appl. Mech. 42 (1975) 440); never pulls, so 1 + c d' is rounded at zero.
+    """
+    low = stiffness * ramp(-x, rounding) * positive(1 - damping * v, 0.01)
+    high = stiffness * ramp(x - stroke, rounding) * positive(1 + damping * v, 0.01)
+    return low - high

@@ -1,0 +1,52 @@
+"""Fixed-displacement hydraulic motor with laminar internal and external leakage.
+
+    line A --R1--> (1)      (2) <--R2-- line B
+                    |--R_in--|
+                  R_ex      R_ex      to the case drain at tank pressure
+
+Signs: flow is positive into port 1; D = D_m N [m3/rad]; speed w of the gear's output shaft.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fmus.contract import Scalar
+
+
+@dataclass(frozen=True)
+class MotorNodes:
+    """Pressures [Pa] at the two motor ports, flows into them from the lines and case drain flow [m3/s]."""
+
+    pressure_1: Scalar
+    pressure_2: Scalar
+    flow_1: Scalar
+    flow_2: Scalar
+    drain: Scalar
+
+
+def nodes(
+    line_1: Scalar,
+    line_2: Scalar,
+    tank: Scalar,
+    displaced_flow: Scalar,
+    line_resistance_1: Scalar,
+    line_resistance_2: Scalar,
+    internal_resistance: Scalar,
+    external_resistance: Scalar,
+) -> MotorNodes:
+    """Solve the port nodes of eq. (9a) (corrections E1, E2), G = 1/R:
+
+    [G1 + G_in + G_ex   -G_in           ] [P1]   [G1 P_c1 + G_ex P_t - D w]
+    [-G_in              G2 + G_in + G_ex] [P2] = [G2 P_c2 + G_ex P_t + D w]
+    """
+    g1, g2 = 1 / line_resistance_1, 1 / line_resistance_2
+    g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
+    a, d = g1 + g_in + g_ex, g2 + g_in + g_ex
+    b1 = g1 * line_1 + g_ex * tank - displaced_flow
+    b2 = g2 * line_2 + g_ex * tank + displaced_flow
+    determinant = a * d - g_in**2
+    p1 = (d * b1 + g_in * b2) / determinant
+    p2 = (a * b2 + g_in * b1) / determinant
+    drain = g_ex * (p1 - tank) + g_ex * (p2 - tank)
+    return MotorNodes(p1, p2, g1 * (line_1 - p1), g2 * (line_2 - p2), drain)

@@ -1,0 +1,111 @@
+"""Four-way spool valve without dynamics: four sharp metering edges and two port nodes.
+
+    P --edge--> A <--edge-- T        command > 0 opens P-A and B-T
+    P --edge--> B <--edge-- T        command < 0 opens P-B and A-T, closed between
+
+Signs: line flow is positive out of a port towards the actuator.
+References: paper eqs. (1), (2); corrections E3, E7 in docs/equations.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from fmus.components.smooth import ramp
+from fmus.contract import Scalar
+
+
+@dataclass(frozen=True)
+class PortFlow:
+    """One port node: its pressure [Pa], flow from supply and flow to tank [m3/s]."""
+
+    pressure: Scalar
+    supply: Scalar
+    tank: Scalar
+
+
+def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: Scalar) -> Scalar:
+    """Share of the full area [1] of the edges that a positive command [V] opens.
+
+    Zero up to the dead band, then a straight line to 1 at full command (the form of the
+    PVG32 valve of Khadim et al. 2022), its foot rounded over `rounding` volts; 1 above.
+    """
+    effective = ca.fmin(command, full_command)
+    return ramp(effective - dead_band, rounding) / ramp(full_command - dead_band, rounding)
+
+
+def flow_gain(area: Scalar, discharge_coefficient: Scalar, density: Scalar) -> Scalar:
+    """C_R^(-1/2) [m3/s/Pa^(1/2)], paper eq. (2): C_R = rho / (2 C_d^2 A^2)."""
+    return discharge_coefficient * area * ca.sqrt(2 / density)
+
+
+def turbulent_drop(flow: Scalar, resistance: Scalar, transition_flow: Scalar) -> Scalar:
+    """Pressure drop [Pa] over C_R [Pa.s2/m6], paper eq. (1): dp = C_R Q |Q|.
+
+    |Q| is rounded to sqrt(Q^2 + Q_t^2), so that the slope at Q = 0 is C_R Q_t instead of
+    zero: laminar there. The drop exceeds eq. (1) by less than 0.5 % for |Q| > 10 Q_t.
+    """
+    return resistance * flow * ca.sqrt(flow**2 + transition_flow**2)
+
+
+def port(
+    line_flow: Scalar,
+    gain_supply: Scalar,
+    gain_tank: Scalar,
+    leakage: Scalar,
+    transition_flow: Scalar,
+    supply_pressure: Scalar,
+    tank_pressure: Scalar,
+) -> PortFlow:
+    """Port node between a supply edge and a tank edge that carries the line flow Q away.
+
+    Each edge has the conductance G = G_leak + K / sqrt(C_R (Q^2 + Q_t^2)) with K^2 = 1 / C_R,
+
+        (P_s - P) G_s = Q + (P - P_t) G_t
+
+    so an open edge obeys eq. (1) (rounded as in `turbulent_drop`) and a closed one passes
+    exactly G_leak times its pressure difference. At most one of the two is open; taking the
+    line flow for the edge flow neglects the leakage of the closed one, below 0.1 % in use.
+    """
+    speed = ca.sqrt(line_flow**2 + transition_flow**2)
+    g_supply = leakage + gain_supply**2 / speed
+    g_tank = leakage + gain_tank**2 / speed
+    pressure = (g_supply * supply_pressure + g_tank * tank_pressure - line_flow) / (g_supply + g_tank)
+    return PortFlow(pressure, g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure))
+
+
+@dataclass(frozen=True)
+class Valve:
+    """A symmetrical spool valve: its numbers, named as in parameters.toml."""
+
+    area: Scalar
+    discharge_coefficient: Scalar
+    dead_band: Scalar
+    full_command: Scalar
+    command_rounding: Scalar
+    leakage: Scalar
+    transition_flow: Scalar
+
+
+def ports(
+    valve: Valve,
+    command: Scalar,
+    flow_a: Scalar,
+    flow_b: Scalar,
+    supply_pressure: Scalar,
+    tank_pressure: Scalar,
+    density: Scalar,
+) -> tuple[PortFlow, PortFlow]:
+    """Both port nodes at a command [V] and the line flows [m3/s] out of A and B."""
+    full = flow_gain(valve.area, valve.discharge_coefficient, density)
+    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
+    forward, backward = full * opening(command, *shape), full * opening(-command, *shape)
+    rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    return port(flow_a, forward, backward, *rest), port(flow_b, backward, forward, *rest)
+
+
+def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
+    """Power [W] turned into heat by the two edges of a port; never negative."""
+    return node.supply * (supply_pressure - node.pressure) + node.tank * (node.pressure - tank_pressure)

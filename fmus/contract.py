@@ -1,0 +1,144 @@
+"""The one declaration from which everything else is derived: a subsystem.
+
+A subsystem is data plus two pure functions of it,
+
+    dx/dt = dynamics(x, u, p)        y = observe(x, u, p)
+
+over four frozen dataclasses: states x, inputs u, parameters p and outputs y.
+Each field is a scalar annotated with a `Quantity` (unit, text, magnitude).
+A name that stands both in the states and in the outputs is one variable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar, get_type_hints
+
+import casadi as ca
+
+Scalar: TypeAlias = Any  # float | ca.SX; CasADi ships no types
+G = TypeVar("G")
+
+
+class ModelError(ValueError):
+    """A mistake in a model's declaration, parameters or build, told in one line."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Meaning of one scalar.
+
+    unit, text   SI unit and one line of description
+    nominal      magnitude in that unit, for scaling and error control
+    minimum, maximum   bounds that an importer and the FMU check
+    tunable      parameters only: may be changed while the simulation runs
+    rate         inputs only: name of the input that carries this one's exact time derivative
+    warn_above   outputs only: |value| above which the FMU logs a warning, once per excursion
+    """
+
+    unit: str
+    text: str
+    nominal: float = 1.0
+    minimum: float | None = None
+    maximum: float | None = None
+    tunable: bool = False
+    rate: str | None = None
+    warn_above: float | None = None
+
+
+def _none(*_: Any) -> dict[str, Scalar]:
+    return {}
+
+
+@dataclass(frozen=True)
+class Subsystem:
+    """One FMU-to-be.
+
+    name       identifier: model identifier and file name of the FMU
+    values     the parameters.toml with the numbers of parameters and start values
+    initial    (u, p) -> {state: value}: states computed at initialisation; the
+               others start at their start value
+    require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
+               at the start and after every step, else the FMU reports an error
+    """
+
+    name: str
+    text: str
+    parameters: type[Any]
+    states: type[Any]
+    inputs: type[Any]
+    outputs: type[Any]
+    dynamics: Callable[[Any, Any, Any], Any]
+    observe: Callable[[Any, Any, Any], Any]
+    values: Path
+    initial: Callable[[Any, Any], Mapping[str, Scalar]] = _none
+    require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
+
+
+def quantities(group: type[Any]) -> dict[str, Quantity]:
+    """The declared quantities of a variable group, in field order."""
+    hints = get_type_hints(group, include_extras=True)
+    return {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
+
+
+def symbols(group: type[G]) -> G:
+    """A group of fresh scalar symbols named like its fields."""
+    return group(**{f.name: ca.SX.sym(f.name) for f in fields(group)})  # type: ignore[arg-type]
+
+
+def column(*values: Scalar) -> Any:
+    """Scalars and columns under each other, shape (n, 1); the one place that hides CasADi's types."""
+    return ca.vertcat(*values) if values else ca.SX(0, 1)
+
+
+def stack(values: Any) -> Any:
+    """The fields of a group as one column, shape (n, 1), in field order."""
+    return column(*[getattr(values, f.name) for f in fields(values)])
+
+
+def unstack(group: type[G], values: Any) -> G:
+    """A group from a column, the inverse of `stack`; also for NumPy arrays of shape (n,)."""
+    return group(**{f.name: values[i] for i, f in enumerate(fields(group))})  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Symbolic:
+    """A subsystem written out: symbols x, u, p (columns) and the expressions of them."""
+
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    dx: ca.SX
+    y: ca.SX
+    start: ca.SX  # x at the start: of the start values (the symbols x), u and p
+    calculated: tuple[str, ...]  # states that `initial` computes
+    require: ca.SX
+    statements: tuple[str, ...]
+
+    def function(self, name: str = "model") -> ca.Function:
+        """(x, u, p) -> (dx, y)."""
+        return ca.Function(name, [self.x, self.u, self.p], [self.dx, self.y], ["x", "u", "p"], ["dx", "y"])
+
+
+def symbolic(sub: Subsystem) -> Symbolic:
+    """Evaluate the subsystem's functions once on symbols."""
+    x, u, p = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
+    computed = dict(sub.initial(u, p))
+    unknown = set(computed) - set(quantities(sub.states))
+    if unknown:
+        raise ModelError(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
+    start = [computed.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
+    require = dict(sub.require(x, u, p))
+    return Symbolic(
+        x=stack(x),
+        u=stack(u),
+        p=stack(p),
+        dx=stack(sub.dynamics(x, u, p)),
+        y=stack(sub.observe(x, u, p)),
+        start=column(*start),
+        calculated=tuple(computed),
+        require=column(*require.values()),
+        statements=tuple(require),
+    )

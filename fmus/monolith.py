@@ -1,0 +1,151 @@
+"""The subsystems joined into one ODE and integrated tightly: the truth for co-simulation.
+
+No signal is held or extrapolated here: every coupling is substituted symbolically, so that
+
+    dX/dt = F(X, U, P)      X, P stacked over the subsystems, U the machine's inputs
+
+Between the breakpoints of a piecewise linear scenario CVODES (BDF) integrates with the exact
+Jacobian; at each breakpoint it starts anew, because the input has a kink there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError, Subsystem, column, quantities, symbolic
+from fmus.parameters import Values, values
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Monolith:
+    """One ODE. Names are `component.variable`; `inputs` are the machine's inputs.
+
+    right_hand_side   (X, U, P) -> dX/dt
+    outputs           (X, U, P) -> Y, all outputs of all subsystems
+    start             (X_start, U, P) -> X at the start, consistent with the pose
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    output_names: tuple[str, ...]
+    right_hand_side: ca.Function
+    outputs: ca.Function
+    start: ca.Function
+    x: Array
+    u: Array
+    p: Array
+    nominal: Array
+
+
+def join(
+    subsystems: Mapping[str, Subsystem],
+    connections: Sequence[tuple[str, str]],
+    inputs: Mapping[str, Sequence[str]],
+    numbers: Mapping[str, Values] | None = None,
+) -> Monolith:
+    """Join subsystems by (source output, target input) pairs; `inputs` feeds the machine's inputs.
+
+    Inputs that nobody feeds keep their start value. Raises ModelError on an algebraic loop.
+    """
+    numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
+    parts = {name: symbolic(sub) for name, sub in subsystems.items()}
+    u = {
+        f"{name}.{v}": parts[name].u[i]
+        for name, sub in subsystems.items()
+        for i, v in enumerate(quantities(sub.inputs))
+    }
+    y = {
+        f"{name}.{v}": parts[name].y[i]
+        for name, sub in subsystems.items()
+        for i, v in enumerate(quantities(sub.outputs))
+    }
+    external = {name: ca.SX.sym(name) for name in inputs}
+    feed = {t: external[name] for name, targets in inputs.items() for t in targets}
+    feed |= {target: y[source] for source, target in connections}
+    constant = {f"{n}.{v}": value for n, nums in numbers.items() for v, value in nums.u.items()}
+    symbols, expressions = list(u.values()), [feed.get(name, ca.SX(constant[name])) for name in u]
+
+    def resolve(terms: list[ca.SX]) -> list[ca.SX]:
+        for _ in range(len(symbols) + 1):
+            if not any(ca.depends_on(t, column(*symbols)) for t in terms):
+                return terms
+            terms = list(ca.substitute(terms, symbols, expressions))
+        raise ModelError("the connections form an algebraic loop")
+
+    x, p, big_u = (
+        column(*(s.x for s in parts.values())),
+        column(*(s.p for s in parts.values())),
+        column(*external.values()),
+    )
+    dx, outputs = resolve([column(*(s.dx for s in parts.values())), column(*y.values())])
+    (start,) = resolve([column(*(s.start for s in parts.values()))])
+
+    def named(group: str) -> tuple[str, ...]:
+        return tuple(f"{n}.{v}" for n, s in subsystems.items() for v in quantities(getattr(s, group)))
+
+    return Monolith(
+        states=named("states"),
+        inputs=tuple(external),
+        parameters=named("parameters"),
+        output_names=named("outputs"),
+        right_hand_side=ca.Function("F", [x, big_u, p], [ca.cse(dx)], ["x", "u", "p"], ["dx"]),
+        outputs=ca.Function("Y", [x, big_u, p], [ca.cse(outputs)], ["x", "u", "p"], ["y"]),
+        start=ca.Function("X0", [x, big_u, p], [start], ["x", "u", "p"], ["x0"]),
+        x=np.concatenate([list(n.x.values()) for n in numbers.values()]),
+        u=np.array([constant[next(iter(targets))] for targets in inputs.values()]),
+        p=np.concatenate([list(n.p.values()) for n in numbers.values()]),
+        nominal=np.array([q.nominal for s in subsystems.values() for q in quantities(s.states).values()]),
+    )
+
+
+def breakpoints(samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
+    """Indices of samples, shape (n, m), where a piecewise linear signal changes slope; with both ends."""
+    bend = np.abs(np.diff(samples, 2, axis=0)).max(axis=1) > tolerance
+    return np.concatenate([[0], 1 + np.nonzero(bend)[0], [len(samples) - 1]])
+
+
+def simulate(
+    model: Monolith,
+    time: Array,
+    inputs: Array,
+    x_start: Array | None = None,
+    tolerance: float = 1e-10,
+) -> tuple[Array, Array]:
+    """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
+
+    `tolerance` is relative, and absolute times each state's nominal value. `x_start` are start values
+    (default: of the parameter files); computed start values are consistent with them.
+    """
+    scale = ca.DM(model.nominal)
+    t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.states))
+    at, slope, p = (
+        ca.SX.sym(n, k) for n, k in (("at", inputs.shape[1]), ("slope", inputs.shape[1]), ("p", model.p.size))
+    )
+    rate = model.right_hand_side(z * scale, at + slope * t, p) / scale
+    ode = {"t": t, "x": z, "p": column(at, slope, p), "ode": rate}
+    options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
+    x = model.start(model.x if x_start is None else x_start, inputs[0], model.p).full()[:, 0]
+    states = [x]
+    corners = breakpoints(inputs)
+    for first, last in pairwise(corners):
+        grid = time[first : last + 1] - time[first]
+        slopes = (inputs[last] - inputs[first]) / grid[-1]
+        solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
+        result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, model.p]))
+        piece = result["xf"].full().T * model.nominal
+        states.extend(piece)
+        x = piece[-1]
+    history = np.array(states)
+    outputs = (
+        model.outputs.map(len(time))(history.T, inputs.T, ca.repmat(ca.DM(model.p), 1, len(time))).full().T
+    )
+    return history, outputs

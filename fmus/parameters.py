@@ -1,0 +1,133 @@
+"""Numbers of a subsystem: read, check and write its `parameters.toml`.
+
+The file holds one table per scalar, under `[parameters.NAME]` for every parameter and
+`[start.NAME]` for start values of inputs and states (zero where the file is silent):
+
+    [parameters.bulk_modulus]
+    value = 1.6e9
+    unit = "Pa"
+    source = "paper"          # paper | derived | literature | assumed | identified
+    note = "section 3(c)"     # where the number comes from, plausible range
+    sd = 1e8                  # optional: one standard deviation
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fmus.contract import ModelError, Quantity, Subsystem, quantities
+
+SOURCES = ("paper", "derived", "literature", "assumed", "identified")
+KEYS = {"value": (int, float), "unit": str, "source": str, "note": str, "sd": (int, float)}
+
+
+@dataclass(frozen=True)
+class Number:
+    """One value with its unit and provenance; `sd` is one standard deviation, if known."""
+
+    value: float
+    unit: str
+    source: str
+    note: str
+    sd: float | None = None
+
+
+@dataclass(frozen=True)
+class Values:
+    """Numbers of a subsystem by name: parameters p, start values of inputs u and of states x."""
+
+    p: Mapping[str, float]
+    u: Mapping[str, float]
+    x: Mapping[str, float]
+
+
+def read(path: Path) -> dict[str, dict[str, Number]]:
+    """The tables `parameters` and `start` of a file, each entry checked for its keys and types."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
+    unknown = set(document) - {"parameters", "start"}
+    if unknown:
+        raise ModelError(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
+    return {
+        section: {
+            name: _number(path, section, name, entry) for name, entry in document.get(section, {}).items()
+        }
+        for section in ("parameters", "start")
+    }
+
+
+def _number(path: Path, section: str, name: str, entry: Any) -> Number:
+    where = f"{path}: [{section}.{name}]"
+    if not isinstance(entry, dict):
+        raise ModelError(f"{where} is {entry!r}, expected a table with value, unit, source, note")
+    for key, value in entry.items():
+        if key not in KEYS:
+            raise ModelError(f"{where} has unknown key {key!r}, expected {', '.join(KEYS)}")
+        if not isinstance(value, KEYS[key]) or isinstance(value, bool):  # type: ignore[arg-type]
+            raise ModelError(
+                f"{where} {key} is {value!r}, expected {'a number' if key in ('value', 'sd') else 'text'}"
+            )
+    missing = [key for key in ("value", "unit", "source", "note") if key not in entry]
+    if missing:
+        raise ModelError(f"{where} lacks {', '.join(missing)}")
+    if entry["source"] not in SOURCES:
+        raise ModelError(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
+    if not math.isfinite(entry["value"]):
+        raise ModelError(f"{where} value is {entry['value']}, expected a finite number")
+    return Number(float(entry["value"]), entry["unit"], entry["source"], entry["note"], entry.get("sd"))
+
+
+def numbers(sub: Subsystem, path: Path | None = None) -> dict[str, dict[str, Number]]:
+    """The file of a subsystem, checked against its declaration: no name, unit or bound may differ."""
+    path = path or sub.values
+    found = read(path)
+    parameters = quantities(sub.parameters)
+    startable = quantities(sub.inputs) | quantities(sub.states)
+    missing = set(parameters) - set(found["parameters"])
+    if missing:
+        raise ModelError(f"{path}: parameter {min(missing)} of {sub.name} is missing")
+    for section, declared in (("parameters", parameters), ("start", startable)):
+        for name, number in found[section].items():
+            if name not in declared:
+                raise ModelError(f"{path}: [{section}.{name}] is not declared by {sub.name}")
+            _check(path, f"[{section}.{name}]", declared[name], number)
+    return found
+
+
+def _check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
+    if number.unit != quantity.unit:
+        raise ModelError(f"{path}: {where} is in {number.unit}, declared {quantity.unit}")
+    low, high = quantity.minimum, quantity.maximum
+    if (low is not None and number.value < low) or (high is not None and number.value > high):
+        raise ModelError(f"{path}: {where} is {number.value:g} {number.unit}, expected {low} to {high}")
+
+
+def values(sub: Subsystem, path: Path | None = None) -> Values:
+    """Plain numbers for a subsystem; start values not in the file are zero."""
+    found = numbers(sub, path)
+    start = found["start"]
+    return Values(
+        p={name: found["parameters"][name].value for name in quantities(sub.parameters)},
+        u={name: start[name].value if name in start else 0.0 for name in quantities(sub.inputs)},
+        x={name: start[name].value if name in start else 0.0 for name in quantities(sub.states)},
+    )
+
+
+def write(path: Path, found: Mapping[str, Mapping[str, Number]]) -> None:
+    """Write tables `parameters` and `start` so that `read` returns the same numbers."""
+    lines: list[str] = []
+    for section, entries in found.items():
+        for name, n in entries.items():
+            lines += [f"[{section}.{name}]", f"value = {n.value!r}", f"unit = {json.dumps(n.unit)}"]
+            lines += [f"source = {json.dumps(n.source)}", f"note = {json.dumps(n.note, ensure_ascii=False)}"]
+            lines += [f"sd = {n.sd!r}"] if n.sd is not None else []
+            lines.append("")
+    path.write_text("\n".join(lines), encoding="utf-8")
