@@ -1,0 +1,172 @@
+"""A run against its reference: aligned, measured, judged.
+
+Both are brought to the samples of the coarser of the two inside the window they share, by linear
+interpolation; the reference is converted to the unit of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.errors import Problem
+from orchestrator.trace import Trace
+from orchestrator.validation.metrics import Metrics, measure
+from orchestrator.validation.reference import Reference, Signal
+from orchestrator.validation.tolerance import Tolerance
+from orchestrator.validation.units import linear
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One compared signal: samples of shape (n,) and numbers, all in `unit`; passed None: not judged."""
+
+    signal: str
+    label: str
+    group: str
+    unit: str
+    time: Array
+    simulation: Array
+    reference: Array
+    metrics: Metrics
+    tolerance: Tolerance | None
+    passed: bool | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The label, else the signal's name."""
+        return self.label or self.signal
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The outcome for all signals over the window (start, stop) [s]."""
+
+    rows: tuple[Row, ...]
+    window: tuple[float, float]
+    title: str
+    source: str
+    about: Mapping[str, str | float]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def groups(self) -> dict[str, list[Row]]:
+        """The rows by group, in the order of the reference."""
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row.group, []).append(row)
+        return found
+
+    @property
+    def judged(self) -> tuple[Row, ...]:
+        """The rows that have a limit."""
+        return tuple(row for row in self.rows if row.passed is not None)
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The rows that miss their limit."""
+        return tuple(row for row in self.rows if row.passed is False)
+
+    @property
+    def passed(self) -> bool:
+        """No signal misses its limit."""
+        return not self.failed
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in a few words."""
+        if not self.judged:
+            return "not judged: the reference states no limits"
+        inside = len(self.judged) - len(self.failed)
+        return (
+            f"{'pass' if self.passed else 'fail'}: {inside} of {len(self.judged)} signals within their limits"
+        )
+
+    def __getitem__(self, signal: str) -> Row:
+        return next(row for row in self.rows if row.signal == signal)
+
+
+def compare(trace: Trace, reference: Reference, *, rate: bool = True) -> Validation:
+    """Compare every signal of the reference with the run; rate=False leaves the ISO rating out."""
+    grid, notes = common_grid(trace.time, reference)
+    return Validation(
+        rows=tuple(_row(signal, trace, reference, grid, rate) for signal in reference.signals.values()),
+        window=(float(grid[0]), float(grid[-1])),
+        title=reference.title,
+        source=reference.source,
+        about=reference.about,
+        notes=notes,
+    )
+
+
+def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...]]:
+    """The samples [s] to compare on, those of the coarser side in the common window, and what was cut off."""
+    sides = {"run": run, "reference": reference.time}
+    start = max(run[0], reference.time[0], -np.inf if reference.start is None else reference.start)
+    stop = min(run[-1], reference.time[-1], np.inf if reference.stop is None else reference.stop)
+    spans = "; ".join(f"the {name} covers {t[0]:g} to {t[-1]:g} s" for name, t in sides.items())
+    slack = 1e-9 * max(1.0, abs(start), abs(stop))  # rounding of times in a text file
+    inside = {name: t[(t >= start - slack) & (t <= stop + slack)] for name, t in sides.items()}
+    coarse = min(inside, key=lambda name: len(inside[name]))
+    if len(inside[coarse]) < 2:
+        asked = [f"{b:g}" for b in (reference.start, reference.stop) if b is not None]
+        wanted = f"; the window asked for ends at {' and '.join(asked)} s" if asked else ""
+        raise Problem(
+            f"{reference.source}: expected two or more samples in a common window, "
+            f"got {len(inside[coarse])}; {spans}{wanted}"
+        )
+    grid = inside[coarse]
+    notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
+    if (
+        grid[0] > min(t[0] for t in sides.values()) + slack
+        or grid[-1] < max(t[-1] for t in sides.values()) - slack
+    ):
+        notes.append(f"the window was cut: {spans}")
+    return grid, tuple(notes)
+
+
+def _row(signal: Signal, trace: Trace, reference: Reference, grid: Array, rate: bool) -> Row:
+    """One signal on the common samples, measured and judged."""
+    where = f"{reference.source}: {signal.name}"
+    if signal.name not in trace.signals:
+        near = get_close_matches(signal.name, trace.signals, 3) or sorted(trace.signals)[:8]
+        raise Problem(f"{where}: expected among the signals of the run, got {', '.join(near)}")
+    unit = trace.units.get(signal.name, "")
+    notes: tuple[str, ...] = ()
+    if not unit:
+        unit, notes = signal.unit, (f"the run states no unit, {signal.unit!r} of the reference assumed",)
+    factor, offset = linear(signal.unit, unit, where)
+    tolerance = signal.tolerance
+    if tolerance is not None and tolerance.in_unit:
+        tolerance = replace(tolerance, limit=tolerance.limit * factor)
+    _finite(trace.time, trace[signal.name], f"run: {signal.name}")
+    simulated = np.interp(grid, trace.time, trace[signal.name])
+    truth = np.interp(grid, reference.time, factor * signal.values + offset)
+    span = None if signal.span is None else signal.span * factor
+    metrics = measure(grid, simulated, truth, span=span, rate=rate, where=where)
+    return Row(
+        signal=signal.name,
+        label=signal.label,
+        group=signal.group,
+        unit=unit,
+        time=grid,
+        simulation=simulated,
+        reference=truth,
+        metrics=metrics,
+        tolerance=tolerance,
+        passed=None if tolerance is None else tolerance.holds(metrics),
+        notes=notes + metrics.notes,
+    )
+
+
+def _finite(time: Array, values: Array, where: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise Problem(f"{where}: expected finite numbers, got {values[bad[0]]} at {time[bad[0]]:g} s")

@@ -1,0 +1,76 @@
+"""Numbers of a validation as a reader sees them: display units, few digits, named limits."""
+
+from __future__ import annotations
+
+import math
+
+from orchestrator.validation.compare import Row
+from orchestrator.validation.tolerance import METRICS
+from orchestrator.validation.units import linear, shown
+
+NAMES = {
+    "nrmse": "NRMSE",
+    "rmse": "RMSE",
+    "maximum": "max. error",
+    "maximum_relative": "max. relative error",
+    "fit": "fit",
+    "vaf": "VAF",
+    "iso": "ISO rating",
+}
+NONE = "-"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with a few significant digits; a dash where there is none."""
+    if value is None:
+        return NONE
+    if value == 0:
+        return "0"
+    text = f"{value:.{digits}g}"
+    return text if "e" not in text or abs(value) < 1e-4 or abs(value) >= 1e6 else f"{value:.0f}"
+
+
+def share(value: float | None) -> str:
+    """A pure number as percent."""
+    return NONE if value is None else f"{number(100 * value)} %"
+
+
+def percent(value: float | None) -> str:
+    """Fit or VAF [%], rounded down: only a perfect one shows 100 %."""
+    return NONE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
+
+
+def difference(value: float, unit: str) -> str:
+    """An error in the display unit, such as `0.12 bar`; an offset of the unit does not count."""
+    to = shown(unit)
+    return f"{number(value * linear(unit, to, 'display')[0])} {to}".rstrip()
+
+
+def judged(row: Row, value: float | None) -> str:
+    """A value or limit of the row's tolerance in the words of its metric."""
+    if row.tolerance is None or value is None:
+        return NONE
+    if row.tolerance.in_unit:
+        return difference(value, row.unit)
+    if row.tolerance.metric in ("nrmse", "maximum_relative"):
+        return share(value)
+    return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
+
+
+def limit(row: Row) -> str:
+    """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
+    if row.tolerance is None:
+        return NONE
+    sign = "≤" if METRICS[row.tolerance.metric] else "≥"
+    return f"{NAMES[row.tolerance.metric]} {sign} {judged(row, row.tolerance.limit)}"
+
+
+def outcome(row: Row) -> str:
+    """`pass`, `fail` or a dash."""
+    return {True: "pass", False: "fail", None: NONE}[row.passed]
+
+
+def rating(row: Row) -> str:
+    """The ISO/TS 18571 rating with the standard's word for it."""
+    iso = row.metrics.iso
+    return f"{iso.overall:.3f} {iso.grade}" if iso.overall is not None else "not rated"
