@@ -1,0 +1,265 @@
+#include "core.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+void core_message(Core *core, Severity severity, const char *format, ...) {
+    char text[768];
+    const int used = snprintf(text, sizeof text, "%s: ", core->call);
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text + used, sizeof text - (size_t)used, format, arguments);
+    va_end(arguments);
+    core->report(core->owner, severity, text);
+}
+
+void core_changed(Core *core) {
+    core->c_valid = core->start_valid = core->dx_valid = core->y_valid = 0;
+}
+
+void core_reset(Core *core) {
+    State *s = &core->s;
+    memset(s, 0, sizeof *s);
+    s->stop_time = INFINITY;
+    s->tolerance = DEFAULT_TOLERANCE;
+    for (int i = 0; i < NP; i++) s->p[i] = model_variables[FIRST_PARAMETER + i].start;
+    for (int i = 0; i < NU; i++) s->u[i] = s->set[i] = model_variables[FIRST_INPUT + i].start;
+    for (int i = 0; i < NX; i++) s->x[i] = model_variables[FIRST_STATE + i].start;
+    s->initial = 1;
+    core_changed(core);
+}
+
+static void prepare(Core *core) {
+    if (!core->c_valid) model_prepare(core->s.p, core->c);
+    core->c_valid = 1;
+}
+
+void core_start(Core *core) {
+    prepare(core);
+    if (core->s.initial && !core->start_valid) {
+        double start[ROOM(NX)];
+        model_start(core->s.x, core->s.u, core->s.p, core->c, start);
+        memcpy(core->s.x, start, NX * sizeof *start);
+        core->start_valid = 1;
+    }
+}
+
+void core_derivatives(Core *core) {
+    core_start(core);
+    if (!core->dx_valid) model_dynamics(core->s.x, core->s.u, core->s.p, core->c, core->dx);
+    core->dx_valid = 1;
+}
+
+void core_outputs(Core *core) {
+    core_start(core);
+    if (!core->y_valid) model_observe(core->s.x, core->s.u, core->s.p, core->c, core->y, core->require);
+    core->y_valid = 1;
+}
+
+void core_forward(Core *core) {
+    core_start(core);
+    if (core->s.initial) {
+        double start[ROOM(NX)];
+        model_start_forward(core->s.x, core->s.u, core->s.p, core->c, core->vx, core->vu, start);
+        memcpy(core->vx, start, NX * sizeof *start);
+    }
+    model_forward(core->s.x, core->s.u, core->s.p, core->c, core->vx, core->vu, core->vdx, core->vy);
+}
+
+/* ---- values ---------------------------------------------------------------------------------- */
+
+static double value_of(Core *core, int r) {
+    if (r < FIRST_INPUT) return core->s.p[r - FIRST_PARAMETER];
+    if (r < FIRST_STATE) return core->s.u[r - FIRST_INPUT];
+    if (r < FIRST_DERIVATIVE) {
+        core_start(core);
+        return core->s.x[r - FIRST_STATE];
+    }
+    if (r < FIRST_OUTPUT) {
+        core_derivatives(core);
+        return core->dx[r - FIRST_DERIVATIVE];
+    }
+    core_outputs(core);
+    return core->y[r - FIRST_OUTPUT];
+}
+
+int core_get(Core *core, unsigned reference, double *value) {
+    if (reference >= NUMBER_OF_VARIABLES) {
+        core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
+                     NUMBER_OF_VARIABLES - 1);
+        return 0;
+    }
+    *value = value_of(core, (int)reference);
+    if (isfinite(*value)) return 1;
+    core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
+                 model_variables[reference].name, *value, core->s.time);
+    return 0;
+}
+
+/* May a variable of this kind be set now? */
+static int settable(const Core *core, Kind kind) {
+    if (kind == INPUT || kind == TUNABLE) return 1;
+    return core->s.initial && (kind == FIXED || kind == STATE);
+}
+
+static const char *reason(Kind kind) {
+    switch (kind) {
+    case FIXED: return "a fixed parameter can be set only before the initialisation is over";
+    case STATE: return "a state can be set only before the initialisation is over";
+    case CALCULATED_STATE: return "its start value is calculated";
+    case DERIVATIVE: return "it is a derivative";
+    default: return "it is an output";
+    }
+}
+
+int core_check(Core *core, unsigned reference, double value) {
+    if (reference >= NUMBER_OF_VARIABLES) {
+        core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
+                     NUMBER_OF_VARIABLES - 1);
+        return 0;
+    }
+    const Variable *v = &model_variables[reference];
+    if (!settable(core, v->kind)) {
+        core_message(core, ERROR, "%s cannot be set to %g at t = %.9g s: %s", v->name, value, core->s.time,
+                     reason(v->kind));
+        return 0;
+    }
+    if (!isfinite(value)) {
+        core_message(core, ERROR, "%s cannot be set to %g at t = %.9g s, expected a finite number", v->name,
+                     value, core->s.time);
+        return 0;
+    }
+    if (value < v->minimum || value > v->maximum) {
+        core_message(core, ERROR, "%s cannot be set to %.9g %s at t = %.9g s, expected %g to %g", v->name,
+                     value, v->unit, core->s.time, v->minimum, v->maximum);
+        return 0;
+    }
+    return 1;
+}
+
+void core_set(Core *core, unsigned reference, double value) {
+    const int r = (int)reference;
+    if (r < FIRST_INPUT) {
+        core->s.p[r - FIRST_PARAMETER] = value;
+        core->c_valid = 0;
+    } else if (r < FIRST_STATE) {
+        core->s.u[r - FIRST_INPUT] = core->s.set[r - FIRST_INPUT] = value;
+    } else {
+        core->s.x[r - FIRST_STATE] = value;
+    }
+    core->start_valid = core->dx_valid = core->y_valid = 0;
+}
+
+/* ---- inputs over a step ---------------------------------------------------------------------- */
+
+void core_set_input_derivative(Core *core, int input, int order, double value) {
+    State *s = &core->s;
+    if (!s->is_given[input]) memset(s->given[input], 0, sizeof s->given[input]);
+    s->is_given[input] = 1;
+    s->given[input][order - 1] = value;
+}
+
+/* Derivative of an input at the start of the next step: as set, else from the input that carries it. */
+static double derivative(const State *s, int input, int order) {
+    if (s->is_given[input]) return s->given[input][order - 1];
+    const int rate = model_variables[FIRST_INPUT + input].rate;
+    if (rate < 0) return 0.0;
+    return order == 1 ? s->set[rate] : derivative(s, rate, order - 1);
+}
+
+double core_input_slope(const Core *core, int input) {
+    const State *s = &core->s;
+    if (s->is_given[input]) return s->given[input][0];
+    const int rate = model_variables[FIRST_INPUT + input].rate;
+    return rate < 0 ? s->slope[input] : s->u[rate];
+}
+
+/* Taylor polynomials of the inputs over the next step. */
+static void plan_motion(const State *s, Motion *motion) {
+    motion->moving = 0;
+    for (int i = 0; i < NU; i++) {
+        double *m = motion->coefficient[i];
+        m[0] = s->set[i];
+        m[1] = derivative(s, i, 1);
+        m[2] = derivative(s, i, 2) / 2;
+        m[3] = derivative(s, i, 3) / 6;
+        if (m[1] != 0.0 || m[2] != 0.0 || m[3] != 0.0) motion->moving = 1;
+    }
+}
+
+/* ---- checks and steps ------------------------------------------------------------------------ */
+
+/* One warning per excursion of a watched output. */
+static void watch(Core *core) {
+    for (int i = 0; i < NY; i++) {
+        const Variable *v = &model_variables[FIRST_OUTPUT + i];
+        const int above = fabs(core->y[i]) > v->warn_above;
+        if (above && !core->s.warned[i])
+            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, core->y[i],
+                         v->unit, core->s.time, v->warn_above, v->unit);
+        core->s.warned[i] = above;
+    }
+}
+
+int core_sound(Core *core) {
+    double value;
+    core_outputs(core);
+    for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
+        if (!core_get(core, r, &value)) return 0;
+    for (int i = 0; i < NREQUIRE; i++)
+        if (!(core->require[i] > 0.0)) {
+            core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
+                         model_statements[i], core->s.time, core->require[i]);
+            return 0;
+        }
+    for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
+        if (!core_get(core, r, &value)) return 0;
+    watch(core);
+    return 1;
+}
+
+static void tell_failure(Core *core, const Report *report) {
+    const double time = core->s.time + report->tau;
+    const Variable *state = &model_variables[FIRST_STATE + report->worst];
+    const double value = core->s.x[report->worst];
+    switch (report->outcome) {
+    case NOT_FINITE:
+        core_message(core, ERROR, "the derivative of %s is %g at t = %.9g s (%s = %.6g %s)", state->name,
+                     core->work.f0[report->worst], time, state->name, value, state->unit);
+        break;
+    case TOO_MANY_STEPS:
+        core_message(core, ERROR, "more inner steps than allowed at t = %.9g s; worst is %s = %.6g %s", time,
+                     state->name, value, state->unit);
+        break;
+    default:
+        core_message(core, ERROR,
+                     "tolerance %g not reached with an inner step of %.3g s at t = %.9g s; worst is %s = %.6g %s",
+                     core->s.tolerance, report->step, time, state->name, value, state->unit);
+    }
+}
+
+int core_step(Core *core, double length) {
+    State *s = &core->s;
+    const double begin = s->time;
+    const double smallest = 1e-15 * fmax(fabs(s->time) + length, 1e3 * length);
+    prepare(core);
+    plan_motion(s, &core->motion);
+    core->start_valid = core->dx_valid = core->y_valid = 0;
+    if (NX > 0) {
+        const Report report = rosenbrock(s->x, s->p, core->c, &core->motion, length, s->tolerance, smallest,
+                                         &s->step, &core->work);
+        if (report.outcome != SOLVED) {
+            tell_failure(core, &report);
+            return 0;
+        }
+    }
+    s->time += length;
+    motion_value(&core->motion, length, s->u);
+    motion_slope(&core->motion, length, s->slope);
+    memset(s->is_given, 0, sizeof s->is_given);
+    if (core_sound(core)) return 1;
+    s->time = begin;
+    return 0;
+}

@@ -1,0 +1,84 @@
+/* One instance of the model, whatever the FMI version: values, inputs over a step, integration, checks.
+   No function here allocates memory, and nothing is shared between instances. */
+
+#ifndef CORE_H
+#define CORE_H
+
+#include <stddef.h>
+
+#include "model.h"
+#include "rosenbrock.h"
+
+typedef enum { EVENT, WARNING, DISCARD, ERROR } Severity;
+
+/* Everything that the future of an instance depends on: what a saved state holds. */
+typedef struct {
+    double time, start_time, stop_time; /* stop_time is infinite when not given */
+    double tolerance;
+    double step;              /* the solver's proposal for its next inner step, 0 if none */
+    double x[ROOM(NX)];       /* states */
+    double p[ROOM(NP)];       /* parameters */
+    double u[ROOM(NU)];       /* inputs at the current time */
+    double set[ROOM(NU)];     /* inputs as last set: where the next step starts */
+    double slope[ROOM(NU)];   /* time derivative of the inputs at the end of the last step */
+    double given[ROOM(NU)][3]; /* input derivatives of order 1 to 3 set for the next step */
+    int is_given[ROOM(NU)];
+    int warned[ROOM(NY)]; /* 1 while an output is above its limit */
+    int initial;          /* 1 until the initialisation is over: states follow from the start values */
+    int phase, type;      /* of the FMI state machine, see fmi2_instance.h */
+} State;
+
+typedef struct Core {
+    State s;
+    /* What follows from `s`; computed when needed. */
+    int c_valid, start_valid, dx_valid, y_valid;
+    double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
+    double vx[ROOM(NX)], vu[ROOM(NU)], vdx[ROOM(NX)], vy[ROOM(NY)]; /* directions */
+    Motion motion;
+    Work work;
+    const char *call; /* name of the interface function at work, for messages */
+    void (*report)(void *owner, Severity severity, const char *text);
+    void *owner;
+} Core;
+
+/* A message "call: text" to the owner. */
+void core_message(Core *core, Severity severity, const char *format, ...);
+
+/* Default values of all variables. */
+void core_reset(Core *core);
+
+/* Forgets everything computed: after the saved part `s` was replaced from outside. */
+void core_changed(Core *core);
+
+/* Value of a variable; 0 if the computation gives no finite number (a message tells). */
+int core_get(Core *core, unsigned reference, double *value);
+
+/* Would this value be accepted? Not for NaN, values out of bounds, or a variable that cannot be set. */
+int core_check(Core *core, unsigned reference, double value);
+void core_set(Core *core, unsigned reference, double value);
+
+/* Derivative of order 1 to 3 of an input, valid for the next step. */
+void core_set_input_derivative(Core *core, int input, int order, double value);
+
+/* Time derivative of the inputs at the current time. */
+double core_input_slope(const Core *core, int input);
+
+void core_start(Core *core);       /* computes the states that follow from others at the start */
+void core_derivatives(Core *core); /* makes dx valid */
+void core_outputs(Core *core);     /* makes y and require valid */
+
+/* Requirements hold and everything is finite; else a message and 0. */
+int core_sound(Core *core);
+
+/* Along directions vx and vu: vdx and vy. At the start vx is first carried through the start equations. */
+void core_forward(Core *core);
+
+/* From the current time over `length` seconds; 0 and a message when it fails. */
+int core_step(Core *core, double length);
+
+/* Saved states as bytes: a header that identifies the model, then the state. */
+size_t snapshot_size(void);
+void snapshot_write(const State *state, char *bytes);
+int snapshot_read(Core *core, State *state, const char *bytes, size_t size);
+
+#endif

@@ -1,0 +1,67 @@
+/* What a generated model provides: its sizes, its variables and its equations
+
+       dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
+
+   sizes.h and model.c are generated; everything else is the same for every model.
+   Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
+
+#ifndef MODEL_H
+#define MODEL_H
+
+#include "sizes.h"
+
+/* Length of an array for n numbers: C99 has no arrays of length zero. */
+#define ROOM(n) ((n) > 0 ? (n) : 1)
+
+/* Value references are consecutive: parameters, inputs, states, derivatives, outputs. */
+enum {
+    FIRST_PARAMETER = 0,
+    FIRST_INPUT = FIRST_PARAMETER + NP,
+    FIRST_STATE = FIRST_INPUT + NU,
+    FIRST_DERIVATIVE = FIRST_STATE + NX,
+    FIRST_OUTPUT = FIRST_DERIVATIVE + NX,
+    NUMBER_OF_VARIABLES = FIRST_OUTPUT + NY
+};
+
+typedef enum { FIXED, TUNABLE, INPUT, STATE, CALCULATED_STATE, DERIVATIVE, OUTPUT } Kind;
+
+typedef struct {
+    const char *name;
+    const char *unit;
+    Kind kind;
+    double start;
+    double minimum, maximum; /* infinite where there is no bound */
+    double nominal;          /* magnitude, for scaling and error control */
+    double warn_above;       /* infinite where nothing is watched */
+    int rate;                /* inputs: index of the input with the time derivative, or -1 */
+} Variable;
+
+extern const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)];
+
+/* What must stay positive, in words; values come from model_observe. */
+extern const char *const model_statements[ROOM(NREQUIRE)];
+
+/* c from p */
+void model_prepare(const double *p, double *c);
+
+/* x0: states at the start from their start values x */
+void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
+
+/* dx = f(x, u, p) */
+void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
+
+/* dx as above, jac = df/dx by rows, ft = df/du du */
+void model_jacobian(const double *x, const double *u, const double *p, const double *c, const double *du,
+                    double *dx, double *jac, double *ft);
+
+/* y = g(x, u, p) and the values that must be positive */
+void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
+                   double *require);
+
+/* directional derivatives of f, g and s along (vx, vu) */
+void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
+                   const double *vu, double *vdx, double *vy);
+void model_start_forward(const double *x, const double *u, const double *p, const double *c,
+                         const double *vx, const double *vu, double *vx0);
+
+#endif

@@ -1,0 +1,44 @@
+/* Integrates the states of the model over one communication step. */
+
+#ifndef ROSENBROCK_H
+#define ROSENBROCK_H
+
+#include "model.h"
+
+/* Inputs over the step: u[i] = sum over k of motion[i][k] tau^k, tau [s] since its start. */
+typedef struct {
+    double coefficient[ROOM(NU)][4];
+    int moving; /* 0 when all inputs are constant */
+} Motion;
+
+/* Scratch memory of the solver: nothing in it outlives a call. */
+typedef struct {
+    double jac[ROOM(NX) * ROOM(NX)]; /* df/dx by rows */
+    double lu[ROOM(NX) * ROOM(NX)];  /* factors of I / (gamma h) - df/dx */
+    int pivot[ROOM(NX)];
+    double f0[ROOM(NX)], ft[ROOM(NX)];
+    double x[ROOM(NX)]; /* states at a stage */
+    double u[ROOM(NU)], du[ROOM(NU)];
+    double k[6][ROOM(NX)];
+} Work;
+
+typedef enum { SOLVED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS } Outcome;
+
+typedef struct {
+    Outcome outcome;
+    double tau;   /* how far it came [s] */
+    double step;  /* last step tried [s] */
+    int worst;    /* index of the state with the largest error, or of the derivative that is not finite */
+    double error; /* its error over the tolerance */
+} Report;
+
+/* Value and slope of the inputs at tau. */
+void motion_value(const Motion *motion, double tau, double *u);
+void motion_slope(const Motion *motion, double tau, double *du);
+
+/* Advances x by `length` [s]. `step` holds the proposal for the first inner step and
+   returns the one for the next call; `smallest` is where the solver gives up. */
+Report rosenbrock(double *x, const double *p, const double *c, const Motion *motion, double length,
+                  double tolerance, double smallest, double *step, Work *work);
+
+#endif

@@ -1,0 +1,52 @@
+/* Saved states as bytes, to be restored in this or another process by the same model. */
+
+#include <stdio.h>
+#include <string.h>
+
+#include "core.h"
+
+enum { VERSION = 1 };
+
+typedef struct {
+    char magic[8];
+    char guid[48];
+    unsigned version, size;
+    double one; /* tells another byte order */
+} Header;
+
+static Header header(void) {
+    Header h;
+    memset(&h, 0, sizeof h);
+    memcpy(h.magic, "FMUstate", sizeof h.magic);
+    memcpy(h.guid, MODEL_GUID, sizeof MODEL_GUID);
+    h.version = VERSION;
+    h.size = (unsigned)sizeof(State);
+    h.one = 1.0;
+    return h;
+}
+
+size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
+
+void snapshot_write(const State *state, char *bytes) {
+    const Header h = header();
+    memcpy(bytes, &h, sizeof h);
+    memcpy(bytes + sizeof h, state, sizeof *state);
+}
+
+int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
+    const Header expected = header();
+    Header found;
+    if (size != snapshot_size()) {
+        core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
+        return 0;
+    }
+    memcpy(&found, bytes, sizeof found);
+    if (memcmp(&found, &expected, sizeof found) != 0) {
+        found.guid[sizeof found.guid - 1] = '\0';
+        core_message(core, ERROR, "the saved state is of GUID \"%s\" version %u, expected \"%s\" version %u",
+                     found.guid, found.version, expected.guid, expected.version);
+        return 0;
+    }
+    memcpy(state, bytes + sizeof found, sizeof *state);
+    return 1;
+}
