@@ -1,0 +1,210 @@
+"""Physics of single parts against closed forms and properties."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.components import chamber, cylinder, hose, motor, smooth, spool_valve
+from fmus.components.spool_valve import Valve
+
+PS = 20.684e6  # Pa
+RHO = 970.0  # kg/m3
+VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
+
+pressures = st.floats(-2e5, 4e7)
+flows = st.floats(-5e-3, 5e-3)
+commands = st.floats(-12.0, 12.0)
+
+
+def number(value: object) -> float:
+    return float(ca.DM(value))
+
+
+@given(st.floats(-10.0, 10.0), st.floats(1e-3, 2.0))
+def test_ramp_is_zero_below_and_a_straight_line_above_its_rounding(z: float, width: float) -> None:
+    """ramp(z) = 0 for z <= 0, z - width/2 for z >= width, between its tangents elsewhere."""
+    r = number(smooth.ramp(z, width))
+    if z <= 0:
+        assert r == 0
+    elif z >= width:
+        # exact identity, rounding only
+        assert r == pytest.approx(z - width / 2, rel=1e-12, abs=1e-12)
+    else:
+        assert max(0, z - width / 2) - 1e-12 <= r <= z
+
+
+def test_ramp_has_continuous_first_and_second_derivative() -> None:
+    """No jump in slope or curvature at either end of the rounding: integrators of order 3 keep it."""
+    z = ca.SX.sym("z")
+    slope = ca.jacobian(smooth.ramp(z, 0.4), z)
+    curvature = ca.Function("d", [z], [slope, ca.jacobian(slope, z)])
+    for corner, expected in ((0.0, 0.0), (0.4, 1.0)):
+        for side in (-1e-9, 1e-9):
+            d1, d2 = (float(v) for v in curvature(corner + side))
+            # 1e-9 from the corner: slope off by curvature 1e-9, curvature by 6/width^2 1e-9
+            assert d1 == pytest.approx(expected, abs=1e-7)
+            assert d2 == pytest.approx(0.0, abs=1e-6)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3))
+def test_positive_parts_differ_by_the_argument(z: float, width: float) -> None:
+    """positive(z) - positive(-z) = z and both are positive: the identity behind the holding pressures."""
+    up, down = number(smooth.positive(z, width)), number(smooth.positive(-z, width))
+    assert up >= 0
+    assert down >= 0
+    # exact identity; rounding of the square root of z^2
+    assert up - down == pytest.approx(z, rel=1e-12, abs=1e-9)
+
+
+@given(flows, pressures, pressures, commands)
+def test_metering_edges_never_create_power(flow: float, supply: float, tank: float, command: float) -> None:
+    """Heat of the four edges is not negative for any command, flow and pressures."""
+    a, b = spool_valve.ports(VALVE, command, flow, -flow, supply, tank, RHO)
+    for node in (a, b):
+        # rounding of products of 1e-3 m3/s and 1e7 Pa
+        assert number(spool_valve.throttling_loss(node, supply, tank)) >= -1e-6
+
+
+@given(flows, pressures, commands)
+def test_port_node_conserves_oil(flow: float, tank: float, command: float) -> None:
+    """What comes from the supply goes to the tank or into the line."""
+    for node, q in zip(
+        spool_valve.ports(VALVE, command, flow, -flow, PS, tank, RHO), (flow, -flow), strict=True
+    ):
+        # exact identity; both terms are products of 1e-10 conductances and up to 1e14 Pa trial pressures
+        assert number(node.supply - node.tank) == pytest.approx(q, rel=1e-6, abs=1e-9)
+
+
+@given(st.floats(0.0, 12.0), flows)
+def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> None:
+    """The spool is symmetrical: command -V with exchanged line flows is command V with exchanged ports."""
+    a, b = spool_valve.ports(VALVE, command, flow, -flow, PS, 0.0, RHO)
+    d, c = spool_valve.ports(VALVE, -command, -flow, flow, PS, 0.0, RHO)
+    # the same operations in the same order
+    assert number(a.pressure) == number(c.pressure)
+    assert number(b.pressure) == number(d.pressure)
+
+
+@pytest.mark.parametrize("command", [0.0, 0.3, 0.6, -0.6])
+def test_closed_valve_passes_exactly_the_stated_leakage(command: float) -> None:
+    """Inside the dead band each edge is the leakage conductance and nothing else."""
+    target = 5e6
+    # the line flow at which the node stands at the target pressure
+    flow = VALVE.leakage * ((PS - target) - target)
+    a, _ = spool_valve.ports(VALVE, command, flow, 0.0, PS, 0.0, RHO)
+    # exact identity, rounding only
+    assert number(a.supply) == pytest.approx(VALVE.leakage * (PS - target), rel=1e-9)
+    assert number(a.tank) == pytest.approx(VALVE.leakage * target, rel=1e-9)
+
+
+@pytest.mark.parametrize(("command", "flow"), [(2.0, 3e-4), (5.0, 5e-4), (5.0, 2e-3), (10.0, 4e-3)])
+def test_open_edge_obeys_the_orifice_equation(command: float, flow: float) -> None:
+    """P_s - P_A = C_R Q |Q| with C_R = rho / (2 C_d^2 A^2), eqs. (1), (2)."""
+    share = number(spool_valve.opening(command, VALVE.dead_band, VALVE.full_command, VALVE.command_rounding))
+    c_r = RHO / (2 * VALVE.discharge_coefficient**2 * (VALVE.area * share) ** 2)
+    a, b = spool_valve.ports(VALVE, command, flow, -flow, PS, 0.0, RHO)
+    # rounding of |Q| at Q_t: (Q_t/Q)^2 / 2 = 2e-4; leakage of the closed edge 3e-7/3e-4
+    assert number(PS - a.pressure) == pytest.approx(c_r * flow**2, rel=2e-3)
+    assert number(b.pressure) == pytest.approx(c_r * flow**2, rel=2e-3)
+
+
+def test_opening_is_monotone_and_reaches_one() -> None:
+    """The opening rises from the dead band to full command and stays at 1 above it."""
+    v = np.linspace(-12, 12, 2401)
+    share = np.array([number(spool_valve.opening(x, 0.6, 10.0, 0.4)) for x in v])
+    assert np.all(np.diff(share) >= 0)
+    assert np.all(share[v <= 0.6] == 0)
+    assert np.all(share[v >= 10.0] == 1)
+
+
+def test_hose_formulas_of_the_longest_hose() -> None:
+    """4 m of 3/4 in: inertance, capacitance and the 51 Hz of section 3(c)."""
+    diameter = 0.75 * 0.0254
+    i, c = hose.inertance(4.0, diameter, RHO), hose.capacitance(4.0, diameter, 1.6e9)
+    # printed with three to four digits
+    assert i == pytest.approx(1.361e7, rel=1e-3)
+    assert c == pytest.approx(7.13e-13, rel=1e-3)
+    limit = number(hose.frequency_limit(4.0, RHO, 1.6e9))
+    assert round(limit) == 51
+    # identity: the bound is the natural frequency of one lump
+    assert 1 / (2 * math.pi * math.sqrt(i * c)) == pytest.approx(limit, rel=1e-12)
+    assert hose.scaled_resistance(1.0, 1.0, 2 / 3) == pytest.approx(1.5**4.75, rel=1e-12)
+
+
+def test_oil_column_starts_as_hyperbolic_tangent() -> None:
+    """Under a constant pressure Q = Q_s tanh(t/tau), tau = I / sqrt(dp C_R): momentum of a turbulent line."""
+    inertance, resistance, dp = 1.361e7, 3.2e10, 1e6
+    q, t = ca.SX.sym("q"), ca.SX.sym("t")
+    scale = 1e-3
+    rate = hose.flow_rate(dp, 0.0, q * scale, inertance, resistance, 1e-9) / scale
+    tau = inertance / math.sqrt(dp * resistance)
+    solver = ca.integrator(
+        "s", "cvodes", {"x": q, "t": t, "ode": rate}, 0, tau, {"reltol": 1e-10, "abstol": 1e-12}
+    )
+    final = float(solver(x0=0)["xf"]) * scale
+    # integrator error at 1e-10 per step
+    assert final == pytest.approx(math.sqrt(dp / resistance) * math.tanh(1), rel=1e-7)
+
+
+def test_void_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
+    """1 L drawn from a closed chamber leaves it above -0.1 MPa; given back, the pressure is restored."""
+    p, t = ca.SX.sym("p"), ca.SX.sym("t")
+    capacitance, flow = 5e-12, 1e-3
+    out = {"x": p, "t": t, "ode": chamber.pressure_rate(p * 1e5, -flow, capacitance) / 1e5}
+    back = {"x": p, "t": t, "ode": chamber.pressure_rate(p * 1e5, flow, capacitance) / 1e5}
+    tight = {"reltol": 1e-11, "abstol": 1e-11, "max_num_steps": 100000}
+    low = ca.integrator("o", "cvodes", out, 0, 1, tight)(x0=10)["xf"]
+    assert -1.0e5 < float(low) * 1e5 < chamber.VOID_PRESSURE
+    # volume drawn = compression (C times 1 MPa and a little) plus void
+    assert number(chamber.void_volume(float(low) * 1e5)) == pytest.approx(1e-3, rel=0.01)
+    again = ca.integrator("b", "cvodes", back, 0, 1, tight)(x0=low)["xf"]
+    # integrator error 1e-11 per step, amplified 1e5 times by the stiffening chamber
+    assert float(again) == pytest.approx(10, rel=1e-4)
+
+
+def test_void_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
+    """At tank pressure the void adds 2 % of a hose, from 0.1 MPa up less than 1e-10."""
+    assert number(chamber.void_capacitance(0.0)) / 7e-13 < 0.03
+    assert number(chamber.void_capacitance(1e5)) / 7e-13 < 1e-10
+
+
+@given(st.floats(-3e5, 3e5), st.floats(1e5, 5e6))
+def test_holding_pressures_balance_the_load(load: float, preload: float) -> None:
+    """A_h P_h - A_r P_r = load, and no side falls below the preload times the area ratio."""
+    head, rod = cylinder.areas(0.12, 0.07)
+    p_head, p_rod = cylinder.holding_pressures(load, head, rod, preload)
+    # exact identity; rounding of 1e5 N
+    assert number(cylinder.force(head, rod, p_head, p_rod)) == pytest.approx(load, rel=1e-9, abs=1e-6)
+    assert number(p_rod) >= preload
+    assert number(p_head) >= preload * rod / head - 1
+
+
+@given(st.floats(-0.02, 0.63), st.floats(-2.0, 2.0))
+def test_end_stops_push_inwards_only(x: float, v: float) -> None:
+    """Zero inside the stroke; at an end the force points inwards whatever the speed."""
+    f = number(cylinder.stop_force(x, v, 0.61, 1e8, 5.0, 1e-3))
+    if 0 <= x <= 0.61:
+        assert f == 0
+    elif x < 0:
+        assert f >= 0
+    else:
+        assert f <= 0
+
+
+@given(pressures, pressures, st.floats(-2.0, 2.0))
+def test_motor_conserves_oil_and_turns_pressure_into_torque(p_a: float, p_b: float, speed: float) -> None:
+    """Line inflow = displaced flow + leakage at each node, eqs. (11), (12)."""
+    d, r_in, r_ex, r_line, tank = 1.5e-3, 2e12, 1.1e12, 6.2e6, 0.0
+    n = motor.nodes(p_a, p_b, tank, d * speed, r_line, r_line, r_in, r_ex)
+    cross = (n.pressure_1 - n.pressure_2) / r_in
+    # exact identity; flows are differences of pressures over 6e6, so 1e-8 Pa / 6e6 of rounding and more
+    tolerance = 1e-7 * (abs(d * speed) + 1e-6)
+    assert n.flow_1 == pytest.approx(d * speed + cross + n.pressure_1 / r_ex, abs=tolerance)
+    assert n.flow_2 == pytest.approx(-d * speed - cross + n.pressure_2 / r_ex, abs=tolerance)
+    assert n.drain == pytest.approx((n.pressure_1 + n.pressure_2) / r_ex, rel=1e-9, abs=1e-12)

@@ -1,0 +1,129 @@
+"""Numbers: files are complete, consistent, sourced, and mistakes are told in one line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from fmus.components import hose
+from fmus.contract import ModelError, quantities
+from fmus.machine import SUBSYSTEMS
+from fmus.parameters import Number, numbers, read, values, write
+
+BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))
+
+
+@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+def test_every_number_has_provenance(sub):
+    """All parameters are there, each with unit, source and a note that says something."""
+    found = numbers(sub)
+    assert set(found["parameters"]) == set(quantities(sub.parameters))
+    for section in found.values():
+        for name, n in section.items():
+            assert len(n.note) > 8, name
+            if n.source == "paper":
+                assert any(word in n.note for word in ("section", "eq.", "printed", "hose")), name
+
+
+@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+def test_write_then_read_gives_the_same_numbers(sub, tmp_path):
+    """The writer is the inverse of the reader, to the last bit."""
+    found = numbers(sub)
+    write(tmp_path / "p.toml", found)
+    assert read(tmp_path / "p.toml") == found
+
+
+def test_numbers_that_stand_in_two_files_are_the_same():
+    """The identical valves of section 3(b), the oil, the strokes and the supply agree between subsystems."""
+    swing, boom_stick, manipulator = (values(s) for s in (SWING, BOOM_STICK, MANIPULATOR))
+    for name in set(swing.p) & set(boom_stick.p) - {"initial_preload"}:
+        assert swing.p[name] == boom_stick.p[name], name
+    for name in ("boom_stroke", "stick_stroke"):
+        assert manipulator.p[name] == boom_stick.p[name]
+    assert swing.u["supply_pressure"] == boom_stick.u["supply_pressure"]
+
+
+def test_derived_numbers_follow_from_their_formulas():
+    """Hose inertance, capacitance and resistance are what length, bore and oil give."""
+    p, diameter = values(BOOM_STICK).p, 0.75 * 0.0254
+    for name, length in (("boom", 3.0), ("stick", 4.0)):
+        # stated with four digits
+        assert p[f"{name}_hose_inertance"] == pytest.approx(hose.inertance(length, diameter, 970.0), rel=5e-4)
+        assert p[f"{name}_hose_capacitance"] == pytest.approx(
+            hose.capacitance(length, diameter, 1.6e9), rel=5e-4
+        )
+        assert p[f"{name}_hose_resistance"] == pytest.approx(
+            hose.scaled_resistance(3.2e10, length / 4, 1), rel=5e-4
+        )
+    s = values(SWING).p
+    assert s["line_resistance"] == pytest.approx(hose.laminar_resistance(1.0, diameter, 0.02), rel=0.01)
+    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-4)
+
+
+def test_printed_hose_resistance_is_read_as_a_reciprocal_near_blasius():
+    """3.2e10 lies inside the Blasius band of eq. (10), 3.1e11 does not (docs/equations.md, section 1)."""
+    diameter, rho = 0.75 * 0.0254, 970.0
+    alpha = 0.3164 / 2 * (4 / math.pi) ** 1.75
+
+    def blasius(flow, viscosity):
+        return alpha * viscosity**0.25 * rho**0.75 * 4 / diameter**4.75 * flow**-0.25
+
+    low, high = blasius(300 / 6e4, 0.008), blasius(60 / 6e4, 0.030)
+    assert low < values(BOOM_STICK).p["stick_hose_resistance"] < high < 3.125e11 / 5
+
+
+GOOD = '[parameters.{name}]\nvalue = {value}\nunit = "{unit}"\nsource = "assumed"\nnote = "a test"\n'
+
+
+def _file(tmp_path: Path, **changes: tuple[float, str]) -> Path:
+    """The swing's file with some entries replaced by (value, unit), or dropped when None."""
+    found = {section: dict(entries) for section, entries in numbers(SWING).items()}
+    for name, change in changes.items():
+        if change is None:
+            del found["parameters"][name]
+        else:
+            found["parameters"][name] = Number(*change, "assumed", "a test")
+    write(tmp_path / "p.toml", found)
+    return tmp_path / "p.toml"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"density": (9.7, "kg/L")}, r"p\.toml: \[parameters\.density\] is in kg/L, declared kg/m3"),
+        ({"density": None}, r"p\.toml: parameter density of swing is missing"),
+        ({"colour": (1.0, "1")}, r"\[parameters\.colour\] is not declared by swing"),
+        ({"density": (-1.0, "kg/m3")}, r"\[parameters\.density\] is -1 kg/m3, expected 100\.0 to None"),
+        ({"density": (math.nan, "kg/m3")}, r"\[parameters\.density\] value is nan, expected a finite number"),
+    ],
+)
+def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes, message):
+    """A wrong unit, a missing, unknown, impossible or non-finite number is refused by name."""
+    with pytest.raises(ModelError, match=message):
+        numbers(SWING, _file(tmp_path, **changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("value = ", "cannot be read as TOML"),
+        ("[swing.x]\nvalue = 1\n", r"unknown table \[swing\]"),
+        ("[parameters]\nx = 3\n", r"\[parameters\.x\] is 3, expected a table"),
+        ("[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'paper'\n", "lacks note"),
+        (
+            "[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'guess'\nnote = ''\n",
+            "source is 'guess', expected one of",
+        ),
+        ("[parameters.x]\nvalue = '1'\n", "value is '1', expected a number"),
+        ("[parameters.x]\nvalu = 1\n", "unknown key 'valu'"),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_line(tmp_path, text, message):
+    """Syntax, tables and keys are checked before any number is used."""
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=message) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
