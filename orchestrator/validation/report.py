@@ -6,9 +6,7 @@ handed in by the caller; this module knows no system.
 
 from __future__ import annotations
 
-import base64
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,17 +14,15 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from orchestrator.trace import Trace
 from orchestrator.validation import wording
 from orchestrator.validation.compare import Row, Validation
-from orchestrator.validation.figures import PALETTE, FigureSpec, draw, png, svg
+from orchestrator.validation.embed import embed
+from orchestrator.validation.figures import FigureSpec, draw
 from orchestrator.validation.motion import Motion, frames, strobe
 
 TEMPLATES = Path(__file__).with_name("templates")
-# An SVG above this size [characters] is embedded as PNG instead.
-SVG_LIMIT = 700_000
 
 
 @dataclass(frozen=True)
@@ -105,7 +101,7 @@ def numbers(report: Report) -> dict[str, Any]:
         "facts": _plain(report.facts),
         "accuracy": _plain(report.card),
         "components": [asdict(component) for component in report.components],
-        "parameters": [asdict(parameter) for parameter in report.parameters],
+        "parameters": [_plain(asdict(parameter)) for parameter in report.parameters],
         "notes": list(checked.notes),
         "warnings": list(report.warnings),
     }
@@ -130,11 +126,11 @@ def render(report: Report) -> str:
         tiles=[_tile(name, rows) for name, rows in checked.groups.items()],
         words=wording,
         figures=[
-            (spec, _embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
+            (spec, embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
             for k, spec in enumerate(report.figures)
         ],
         motion=None if movement is None else _script(movement),
-        still=None if report.motion is None else _embed(strobe(report.motion), "m-", "motion"),
+        still=None if report.motion is None else embed(strobe(report.motion), "m-", "motion"),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )
@@ -211,40 +207,3 @@ def _number(value: Any) -> str:
 def _script(data: Any) -> Markup:
     """Data for a script element; `<` could otherwise end it."""
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
-
-
-def _embed(figure: Figure, prefix: str, title: str) -> Markup:
-    """The figure for HTML: SVG whose colours follow the page's theme, or PNG if that would be too large."""
-    text = svg(figure)
-    if len(text) > SVG_LIMIT:
-        data = base64.b64encode(png(figure)).decode()
-        return Markup('<img class="paper" alt="{}" src="data:image/png;base64,{}">').format(
-            title, Markup(data)
-        )
-    return Markup(_inline(text, prefix))
-
-
-def _inline(text: str, prefix: str) -> str:
-    """An SVG file as an HTML element: no prologue, no metadata, own ids, colours as CSS variables."""
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
-    text = re.sub(r'(<svg [^>]*?)width="[^"]*"', r'\1width="100%"', text, count=1)
-    text = re.sub(r'(<svg [^>]*?)height="[^"]*"', r'\1role="img"', text, count=1)
-    text = re.sub(r'\bid="|href="#|url\(#', lambda match: match[0] + prefix, text)
-    text = re.sub(r"(\d\.\d\d)\d+", r"\1", text)
-    for name, colour in _theme().items():
-        text = text.replace(colour, f"var(--{name}, {colour})")
-    return re.sub(r"\s*\n\s*", "\n", text)
-
-
-def _theme() -> dict[str, str]:
-    """CSS variable -> the colour it stands for in the light theme."""
-    pairs = {
-        f"{part}{k}": c for k, pair in enumerate(PALETTE.pairs) for part, c in zip("rs", pair, strict=True)
-    }
-    words = ("ink", "faint", "grid", "good", "bad")
-    return {
-        **{f"fig-{word}": getattr(PALETTE, word) for word in words},
-        **{f"fig-{k}": v for k, v in pairs.items()},
-    }

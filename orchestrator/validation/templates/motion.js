@@ -31,6 +31,7 @@ function view(name) {
   const trail = line(svg, "trail");
   const kinds = ["machine", "ghost"].slice(0, data.views[name].length);
   const bodies = kinds.map((kind, m) => [m, data.lines.map(labels => [labels, line(svg, kind)])]).reverse();
+  bodies[bodies.length - 1][1].forEach(([, polyline]) => svg.appendChild(polyline));
   const joints = data.labels.map(() => dot(svg, "joint"));
   return now => {
     const path = [];
