@@ -29,7 +29,7 @@ TARGETS = {
     "darwin64": ("x86_64-macos", ".dylib"),
 }
 FLAGS = (
-    *("-std=c99", "-O3", "-Wall", "-Wextra", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-std=c99", "-O3", "-Wall", "-Wextra", "-Werror", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
 )
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"

@@ -89,12 +89,10 @@ def _statements(
         elif operation == ca.OP_CONST:
             place[o[0]] = _number(function.instruction_constant(k))
         else:
+            named = operation == ca.OP_INPUT and inputs[i[0]] in names
+            meaning = f" /* {names[inputs[i[0]]][i[1]]} */" if named else ""
+            yield f"const double v{k} = {_expression(operation, i, inputs, place)};{meaning}"
             place[o[0]] = f"v{k}"
-            yield f"const double v{k} = {_expression(operation, i, inputs, place)};" + (
-                f" /* {names[inputs[i[0]]][i[1]]} */"
-                if operation == ca.OP_INPUT and inputs[i[0]] in names
-                else ""
-            )
     for n, name in enumerate(outputs):
         for j in range(function.numel_out(n)):
             if (n, j) not in written:
