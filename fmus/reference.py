@@ -1,0 +1,82 @@
+"""Makes the shipped work cycle and its reference trace: `python -m fmus.reference DATA_FOLDER`.
+
+The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with the FMUs.
+Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.monolith import join, simulate
+from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
+
+TOLERANCE = 1e-11  # relative, of CVODES
+EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (12 Hz)
+SIGNALS = (
+    *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
+    *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),
+    *("manipulator.boom_position", "manipulator.stick_position"),
+    *(
+        "manipulator.elbow_radius",
+        "manipulator.elbow_height",
+        "manipulator.tip_radius",
+        "manipulator.tip_height",
+    ),
+    *("swing.swing_pressure_a", "swing.swing_pressure_b", "swing.swing_flow_a", "swing.swing_flow_b"),
+    *(
+        f"boom_stick.{a}_{side}_{kind}"
+        for kind in ("pressure", "flow")
+        for a in ("boom", "stick")
+        for side in ("head", "rod")
+    ),
+    *("swing.swing_torque", "boom_stick.boom_force", "boom_stick.stick_force"),
+)
+
+
+def write_csv(path: Path, names: Sequence[str], rows: NDArray[np.float64], digits: int) -> None:
+    """Columns (n, m) with a header; `digits` significant digits."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    body = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
+    path.write_text("\n".join([",".join(names), *body, ""]), encoding="utf-8", newline="\n")
+
+
+def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time (n,) and the commands (n, 3) of the work cycle, cleaned of rounding so that ten digits hold them."""
+    time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
+    return time, np.round(commands, 9)
+
+
+def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time (n,) and SIGNALS (n, m) of the monolithic model over the work cycle, at 200 Hz."""
+    time, commands = work_cycle()
+    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    inputs = np.tile(model.u, (time.size, 1))
+    inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
+    _, outputs = simulate(model, time, inputs, tolerance=TOLERANCE)
+    driven = {
+        target: inputs[:, model.inputs.index(name)] for name, targets in INPUTS.items() for target in targets
+    }
+    known = driven | dict(zip(model.output_names, outputs.T, strict=True))
+    return time, np.column_stack([known[name] for name in SIGNALS])
+
+
+def main(folder: Path) -> None:
+    """Write scenario and trace below `folder`."""
+    time, commands = work_cycle()
+    write_csv(
+        folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10
+    )
+    time, signals = trace()
+    kept = np.column_stack([time, signals])[::EVERY]
+    write_csv(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
