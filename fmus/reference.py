@@ -1,6 +1,6 @@
 """Makes the shipped work cycle and its reference trace: `python -m fmus.reference DATA_FOLDER`.
 
-The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with the FMUs.
+The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
 Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
 """
 
@@ -48,7 +48,7 @@ def write_csv(path: Path, names: Sequence[str], rows: NDArray[np.float64], digit
 
 
 def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time (n,) and the commands (n, 3) of the work cycle, cleaned of rounding so that ten digits hold them."""
+    """Time (n,) and commands (n, 3) of the work cycle, rounded so that ten digits hold them."""
     time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
     return time, np.round(commands, 9)
 

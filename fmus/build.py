@@ -1,0 +1,38 @@
+"""Builds the machine: its three FMUs and the system that connects them, `harvester.ssp`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmus.contract import ModelError
+from fmus.export import build_all, write_ssp
+from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.scenarios import WORK_CYCLE_STOP
+
+STEP = 1e-3  # default communication step [s]
+DATA = ("scenarios/work_cycle.csv", "reference/work_cycle.csv", "reference/work_cycle.toml")
+
+
+def data(name: str) -> Path:
+    """A file of the project's data: beside the packages in a checkout, inside the package when installed."""
+    package = Path(__file__).parent
+    for folder in (package.parent / "data", package / "data"):
+        if (folder / name).is_file():
+            return folder / name
+    raise ModelError(f"data/{name} is missing, expected beside or inside the package fmus")
+
+
+def build_machine(folder: Path) -> list[Path]:
+    """Write swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp; returns the four paths."""
+    fmus = build_all(list(SUBSYSTEMS.values()), folder, STEP, WORK_CYCLE_STOP)
+    system = write_ssp(
+        Path(folder) / "harvester.ssp",
+        "harvester",
+        dict(zip(SUBSYSTEMS, fmus, strict=True)),
+        CONNECTIONS,
+        inputs=INPUTS,
+        step=STEP,
+        stop=WORK_CYCLE_STOP,
+        resources={name: data(name) for name in DATA},
+    )
+    return [*fmus, system]

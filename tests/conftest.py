@@ -1,0 +1,17 @@
+"""Fixtures shared by all tests: the machine's FMUs, built once per test process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def fmu_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
+    from fmus.build import build_machine
+
+    folder = tmp_path_factory.mktemp("fmus")
+    build_machine(folder)
+    return folder
