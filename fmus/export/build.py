@@ -65,7 +65,9 @@ def host() -> str:
     names[("Darwin", "arm64")] = "darwin64"
     machine = (platform.system(), platform.machine())
     if machine not in names:
-        raise ModelError(f"no FMI 2.0 platform for {' '.join(machine)}, expected x86-64 Linux, Windows or macOS")
+        raise ModelError(
+            f"no FMI 2.0 platform for {' '.join(machine)}, expected x86-64 Linux, Windows or macOS"
+        )
     return names[machine]
 
 

@@ -82,7 +82,11 @@ def _statements(
     place: dict[int, str] = {}  # work index of CasADi -> the C expression it holds now
     written: set[tuple[int, int]] = set()
     for k in range(function.n_instructions()):
-        operation, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        operation, o, i = (
+            function.instruction_id(k),
+            function.instruction_output(k),
+            function.instruction_input(k),
+        )
         if operation == ca.OP_OUTPUT:
             written.add((o[0], o[1]))
             yield f"{outputs[o[0]]}[{o[1]}] = {place[i[0]]};"
@@ -103,9 +107,9 @@ def _expression(operation: int, i: Sequence[int], inputs: list[str], place: Mapp
     if operation == ca.OP_INPUT:
         return f"{inputs[i[0]]}[{i[1]}]"
     if operation in _UNARY:
-        return _UNARY[operation].format(place[i[0]])
+        return str(_UNARY[operation].format(place[i[0]]))
     if operation in _BINARY:
-        return _BINARY[operation].format(place[i[0]], place[i[1]])
+        return str(_BINARY[operation].format(place[i[0]], place[i[1]]))
     raise ModelError(f"operation {operation} of CasADi has no C here, expected elementary functions")
 
 

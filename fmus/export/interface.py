@@ -69,7 +69,8 @@ def interface(sub: Subsystem, values: Values) -> Interface:
         [Variable(name, "OUTPUT", q, None, output=True) for name, q in outputs.items() if name not in states],
     ]
     keep = [i for i, name in enumerate(outputs) if name not in states]
-    result = Interface(sub.name, sub.text, *_numbered(groups), equations=sym, y=sym.y[keep])
+    parameters, inputs, x, dx, y = _numbered(groups)
+    result = Interface(sub.name, sub.text, parameters, inputs, x, dx, y, sym, sym.y[keep])
     _check_names(result)
     return result
 
@@ -97,14 +98,18 @@ def _check_states_as_outputs(sub: Subsystem, sym: Symbolic, merged: Sequence[str
     states, outputs = list(quantities(sub.states)), list(quantities(sub.outputs))
     for name in merged:
         if not ca.is_equal(sym.y[outputs.index(name)], sym.x[states.index(name)]):
-            raise ModelError(f"{sub.name}: output {name} is also a state, expected observe() to return that state")
+            raise ModelError(
+                f"{sub.name}: output {name} is also a state, expected observe() to return that state"
+            )
 
 
 def _check_names(face: Interface) -> None:
     seen: set[str] = set()
     for v in face.variables:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", v.name):
-            raise ModelError(f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _')
+            raise ModelError(
+                f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _'
+            )
         if v.name in seen:
             raise ModelError(f"{face.name}: variable {v.name} is declared twice")
         seen.add(v.name)
@@ -132,7 +137,7 @@ def dependencies(face: Interface) -> Dependencies:
 
 
 def initial_dependencies(face: Interface) -> Dependencies:
-    """Parameters, inputs and start values on which calculated start values, derivatives and outputs depend."""
+    """Parameters, inputs and start values on which states, derivatives and outputs depend at the start."""
     sym = face.equations
     known = ca.vertcat(sym.p, sym.u, sym.x)
     variables = [*face.parameters, *face.inputs, *face.states]
@@ -141,7 +146,11 @@ def initial_dependencies(face: Interface) -> Dependencies:
 
 
 def _table(
-    rows: Sequence[Variable], unknown: ca.SX, known: ca.SX, columns: Sequence[Variable], face: Interface | None
+    rows: Sequence[Variable],
+    unknown: ca.SX,
+    known: ca.SX,
+    columns: Sequence[Variable],
+    face: Interface | None,
 ) -> dict[str, list[tuple[Variable, str]]]:
     jacobian = ca.jacobian(unknown, known)
     kinds = _kinds(jacobian, face) if face else ["dependent"] * jacobian.nnz()
@@ -160,7 +169,7 @@ def _places(matrix: ca.SX) -> list[tuple[int, int]]:
 def _kinds(jacobian: ca.SX, face: Interface) -> list[str]:
     """constant, fixed, tunable or dependent: what the factor of each dependency itself depends on."""
     sym = face.equations
-    entries = ca.vertcat(*jacobian.nonzeros()) if jacobian.nnz() else ca.SX(0, 1)
+    entries = ca.SX(jacobian.nz[:])
     tunable = [i for i, v in enumerate(face.parameters) if v.kind == "TUNABLE"]
     fixed = [i for i, v in enumerate(face.parameters) if v.kind == "FIXED"]
     kinds = ["constant"] * jacobian.nnz()
