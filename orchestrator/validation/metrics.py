@@ -30,6 +30,8 @@ ISO_SAMPLES = 1000
 ISO_MINIMUM = 30
 # Below this share of its magnitude the range of a signal is rounding of the digits in a CSV file.
 CONSTANT = 1e-9
+# Outside these magnitudes squares leave the range of a float: smaller counts as zero, larger is refused.
+TINY, HUGE = 1e-150, 1e150
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def measure(
 
 def constant(signal: Array) -> bool:
     """Whether the signal stands still but for the rounding of a text file."""
-    return bool(np.ptp(signal) <= CONSTANT * np.max(np.abs(signal)))
+    return bool(np.ptp(signal) <= max(TINY, CONSTANT * float(np.max(np.abs(signal)))))
 
 
 def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
@@ -140,7 +142,7 @@ def _check(time: Array, simulation: Array, reference: Array, where: str) -> None
             f"{where}: expected as many samples (2 or more) in time, simulation and reference, got {lengths}"
         )
     for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) < HUGE))
         if len(bad):
             raise Problem(
                 f"{where}: expected finite numbers, got {values[bad[0]]} in the {name} at sample {bad[0]}"
@@ -154,7 +156,7 @@ def _normaliser(reference: Array, span: float | None) -> tuple[float, tuple[str,
     if not constant(reference):
         return float(np.ptp(reference)), ()
     magnitude = float(np.max(np.abs(reference)))
-    if magnitude > 0:
+    if magnitude > TINY:
         return magnitude, ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
     return 0.0, ("the reference is zero throughout: no NRMSE unless the error is zero too; judge it by rmse",)
 
@@ -162,6 +164,6 @@ def _normaliser(reference: Array, span: float | None) -> tuple[float, tuple[str,
 def _relative(error: Array, reference: Array) -> float | None:
     """max |e| / |y| over the samples, None where y is zero and e is not."""
     off = error != 0
-    if np.any(reference[off] == 0):
+    if np.any(np.abs(reference[off]) <= TINY):
         return None
     return float(np.max(np.abs(error[off] / reference[off]), initial=0.0))

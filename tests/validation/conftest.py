@@ -1,0 +1,74 @@
+"""A small run and reference for the validation tests: one shaft that turns and one pressure that rings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.trace import Trace
+from orchestrator.validation import Validation, compare, read_reference
+
+META = """
+[reference]
+title = "Shaft test"
+[tolerances]
+angle = { metric = "nrmse", limit = 0.01 }
+pressure = { metric = "maximum", limit = 2.0 }
+[signals."shaft.angle"]
+unit = "deg"
+group = "angle"
+label = "Shaft <angle>"
+[signals."pump.pressure"]
+unit = "bar"
+group = "pressure"
+"""
+
+
+@pytest.fixture
+def trace() -> Trace:
+    """A run of 2 s at 1 ms in SI units."""
+    t = np.arange(2001) * 1e-3
+    signals = {
+        "shaft.angle": 0.5 * np.sin(3 * t),
+        "pump.pressure": 1e7 + 2e6 * np.exp(-t) * np.cos(20 * t),
+        "pump.command": 10 * np.clip(t, 0, 1),
+    }
+    return Trace(t, signals, {"shaft.angle": "rad", "pump.pressure": "Pa", "pump.command": "V"})
+
+
+@pytest.fixture
+def folder(tmp_path: Path, trace: Trace) -> Path:
+    """A folder with ref.csv (10 ms, degrees and bar, 1 bar below the run) and ref.toml."""
+    t = trace.time[::10]
+    table = np.column_stack(
+        (t, np.degrees(trace["shaft.angle"][::10]), trace["pump.pressure"][::10] / 1e5 - 1.0)
+    )
+    np.savetxt(
+        tmp_path / "ref.csv", table, "%.12g", ",", header="time,shaft.angle,pump.pressure", comments=""
+    )
+    (tmp_path / "ref.toml").write_text(META, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def outcome(folder: Path, trace: Trace) -> Validation:
+    """The run compared with the reference, without the slow ISO rating."""
+    return compare(trace, read_reference(folder / "ref.csv"), rate=False)
+
+
+@pytest.fixture
+def edited(folder: Path) -> Callable[[str, str], Path]:
+    """Replace text in ref.toml or, if it is not there, in ref.csv; returns the TOML's path."""
+
+    def edit(old: str, new: str) -> Path:
+        for name in ("ref.toml", "ref.csv"):
+            text = (folder / name).read_text(encoding="utf-8")
+            if old in text:
+                (folder / name).write_text(text.replace(old, new, 1), encoding="utf-8")
+                return folder / "ref.toml"
+        raise AssertionError(f"{old!r} is in neither file")
+
+    return edit

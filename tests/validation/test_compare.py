@@ -1,0 +1,169 @@
+"""A run against its reference: alignment, units, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.errors import Problem
+from orchestrator.trace import Trace
+from orchestrator.validation import Reference, Signal, Tolerance, Validation, compare, read_reference
+
+Edit = Callable[[str, str], Path]
+
+
+def made(time: np.ndarray, values: np.ndarray, unit: str = "m", **more: object) -> Reference:
+    """A reference of the one signal `a.x`."""
+    return Reference(time, {"a.x": Signal("a.x", values, unit)}, "ref.csv", **more)  # type: ignore[arg-type]
+
+
+def test_units_are_converted_to_those_of_the_run(outcome: Validation) -> None:
+    """Degrees and bar of the file meet rad and Pa of the run: no error but the 1 bar put in."""
+    # 12 digits in the CSV
+    assert outcome["shaft.angle"].metrics.maximum_error == pytest.approx(0, abs=1e-11)
+    assert outcome["pump.pressure"].metrics.maximum_error == pytest.approx(1e5, rel=1e-6)
+    assert outcome["pump.pressure"].unit == "Pa"
+
+
+def test_limit_in_the_files_unit(outcome: Validation, edited: Edit, trace: Trace) -> None:
+    """A limit of 2 bar holds for 1 bar of error, a limit of 0.9 bar does not, and the whole run fails."""
+    assert outcome.passed
+    assert outcome["pump.pressure"].tolerance == Tolerance("maximum", 2e5)
+    strict = compare(trace, read_reference(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    assert not strict.passed
+    assert [row.signal for row in strict.failed] == ["pump.pressure"]
+    assert strict.verdict == "fail: 1 of 2 signals within their limits"
+
+
+def test_compares_at_the_coarser_samples(outcome: Validation) -> None:
+    """The 10 ms of the reference are used, not the 1 ms of the run."""
+    assert len(outcome["shaft.angle"].time) == 201
+    assert outcome.notes == ("compared at the 201 samples of the reference, 0 to 2 s",)
+
+
+def test_coarse_run_against_fine_reference() -> None:
+    """A run coarser than its reference is compared at its own samples."""
+    fine = np.linspace(0, 1, 101)
+    run = Trace(fine[::20], {"a.x": fine[::20]}, {"a.x": "m"})
+    found = compare(run, made(fine, fine), rate=False)
+    assert len(found["a.x"].time) == 6
+    assert found["a.x"].metrics.maximum_error < 1e-15  # a straight line is interpolated exactly
+
+
+def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> None:
+    """A recording that started 0.25 s late fits after its offset, and the window is what both share."""
+    folder = edited("[reference]", "[time]\noffset = 0.25\n[reference]").parent
+    t = trace.time[250::10]
+    table = np.column_stack((t - 0.25, np.degrees(trace["shaft.angle"][250::10]), np.full(len(t), 100.0)))
+    np.savetxt(folder / "ref.csv", table, "%.12g", ",", header="time,shaft.angle,pump.pressure", comments="")
+    found = compare(trace, read_reference(folder / "ref.csv"), rate=False)
+    assert found["shaft.angle"].metrics.maximum_error < 1e-11  # 12 digits in the CSV
+    assert found.window == pytest.approx((0.25, 2.0))
+    assert found.notes[1] == "the window was cut: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
+
+
+def test_window_narrows_the_comparison() -> None:
+    """Outside start and stop nothing counts, so a wild start-up does no harm."""
+    t = np.linspace(0, 10, 101)
+    run = Trace(t, {"a.x": np.where(t < 2, 99.0, t)}, {"a.x": "m"})
+    found = compare(run, made(t, t, start=2.0, stop=8.0), rate=False)
+    assert found.window == (2.0, 8.0)
+    assert found["a.x"].metrics.maximum_error == 0
+    assert "the window was cut" in found.notes[1]
+
+
+def test_rounded_times_do_not_cut_the_last_sample() -> None:
+    """A last time of 0.3 in the CSV and 0.30000000000000004 in the run are the same instant."""
+    run = Trace(np.arange(4) * 0.1, {"a.x": np.arange(4.0)}, {"a.x": "m"})
+    found = compare(run, made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0)), rate=False)
+    assert len(found["a.x"].time) == 4
+    assert len(found.notes) == 1
+
+
+def test_no_common_window_is_refused() -> None:
+    """Recordings that do not overlap are named with their spans and the window asked for."""
+    run = Trace(np.array([0.0, 1.0]), {"a.x": np.zeros(2)}, {"a.x": "m"})
+    with pytest.raises(
+        Problem, match=r"ref.csv: expected two or more .* got 0; the run covers 0 to 1 s; the reference"
+    ):
+        compare(run, made(np.array([5.0, 6.0]), np.zeros(2)))
+    with pytest.raises(Problem, match="the window asked for ends at 3 s"):
+        compare(run, made(np.array([0.0, 1.0]), np.zeros(2), start=3.0))
+
+
+def test_unknown_signal_is_refused(trace: Trace) -> None:
+    """A signal that the run does not have is named, with those that it could be."""
+    time = trace.time[::10]
+    reference = Reference(time, {"shaft.angel": Signal("shaft.angel", time, "rad")}, "ref.csv")
+    with pytest.raises(Problem, match=r"ref.csv: shaft.angel: expected among the signals .* got shaft.angle"):
+        compare(trace, reference)
+
+
+def test_wrong_quantity_is_refused() -> None:
+    """A pressure cannot be compared with a length."""
+    run = Trace(np.array([0.0, 1.0]), {"a.x": np.zeros(2)}, {"a.x": "m"})
+    with pytest.raises(
+        Problem, match=r"ref.csv: a.x: unit 'bar' cannot be converted, expected a unit like 'm'"
+    ):
+        compare(run, made(run.time, np.zeros(2), "bar"))
+
+
+def test_missing_unit_of_the_run_is_said() -> None:
+    """A run without unit is taken in the unit of the reference, and a note says so."""
+    run = Trace(np.array([0.0, 1.0]), {"a.x": np.array([0.0, 2.0])})
+    row = compare(run, made(run.time, run["a.x"], "bar"), rate=False)["a.x"]
+    assert row.notes == ("the run states no unit, 'bar' of the reference assumed",)
+    assert row.metrics.maximum_error == 0
+
+
+def test_nan_in_the_run_is_refused(trace: Trace, folder: Path) -> None:
+    """A run that went wrong is refused with signal and time, not compared."""
+    broken = trace["shaft.angle"].copy()
+    broken[1234] = np.nan
+    run = replace(trace, signals={**trace.signals, "shaft.angle": broken})
+    with pytest.raises(Problem, match=r"run: shaft.angle: expected finite numbers, got nan at 1.234 s"):
+        compare(run, read_reference(folder / "ref.csv"))
+
+
+@pytest.mark.parametrize(
+    ("metric", "good", "bad"),
+    [
+        ("nrmse", 0.03, 0.02),
+        ("rmse", 0.06, 0.04),
+        ("maximum", 0.06, 0.04),
+        ("fit", 90, 95),
+        ("vaf", 99.9, 100.1),
+        ("iso", 0.9, 1.01),
+    ],
+)
+def test_every_metric_can_be_a_limit(metric: str, good: float, bad: float) -> None:
+    """Errors have an upper limit; fit, VAF and rating a lower one."""
+    t = np.linspace(0, 6, 300)
+    run = Trace(t, {"a.x": np.sin(t) + 0.05}, {"a.x": "m"})
+    for limit, passed in ((good, True), (bad, False)):
+        signal = Signal("a.x", np.sin(t), "m", tolerance=Tolerance(metric, limit))
+        found = compare(run, Reference(t, {"a.x": signal}, "ref.csv"), rate=metric == "iso")
+        assert found.passed is passed
+
+
+def test_relative_limit_needs_a_reference_off_zero() -> None:
+    """A relative error of 1 % passes a limit of 2 %; where the reference crosses zero the limit is missed."""
+    t = np.linspace(0, 1, 50)
+    for base, passed in ((2.0, True), (0.0, False)):
+        y = base + t
+        signal = Signal("a.x", y, "m", tolerance=Tolerance("maximum_relative", 0.02))
+        run = Trace(t, {"a.x": y * 1.01 + (0 if base else 0.01)}, {"a.x": "m"})
+        assert compare(run, Reference(t, {"a.x": signal}, "r"), rate=False).passed is passed
+
+
+def test_without_limits_nothing_is_judged() -> None:
+    """No limit, no verdict: the run is not called good, and it does not fail either."""
+    t = np.array([0.0, 1.0])
+    found = compare(Trace(t, {"a.x": t}, {"a.x": "m"}), made(t, t + 5), rate=False)
+    assert found.passed
+    assert found.judged == ()
+    assert found.verdict == "not judged: the reference states no limits"

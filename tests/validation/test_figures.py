@@ -1,0 +1,102 @@
+"""Figures: nothing lost by decimation, everything drawn that was asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator.errors import Problem
+from orchestrator.trace import Trace
+from orchestrator.validation import FigureSpec, Panel, Validation, draw
+from orchestrator.validation import embed as embedding
+from orchestrator.validation.figures import decimate, png, svg
+
+SPEC = FigureSpec(
+    "Shaft",
+    (
+        Panel("Command", ("pump.command",)),
+        Panel("Angle", ("shaft.angle",)),
+        Panel("Pressure", ("pump.pressure",), ("head",)),
+    ),
+)
+
+
+@given(values=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=300), buckets=st.integers(1, 40))
+def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets: int) -> None:
+    """Largest, smallest, first and last sample survive, in order, within the promised number of points."""
+    y = np.array(values)
+    t = np.arange(len(y), dtype=float)
+    kept_t, kept_y = decimate(t, y, buckets)
+    assert len(kept_t) <= 2 * buckets + 2
+    assert kept_y.max() == y.max()
+    assert kept_y.min() == y.min()
+    assert (kept_t[0], kept_t[-1]) == (0.0, len(y) - 1.0)
+    assert np.all(np.diff(kept_t) > 0)
+
+
+def test_decimation_keeps_a_single_spike() -> None:
+    """A spike of one sample in 100000 is still in the figure."""
+    y = np.zeros(100_000)
+    y[54_321] = 1.0
+    assert decimate(np.arange(100_000.0), y)[1].max() == 1.0
+
+
+def test_panels_and_error_strips(outcome: Validation, trace: Trace) -> None:
+    """A compared signal gets a panel and an error strip in display units, a command its panel only."""
+    labels = [axes.get_ylabel() for axes in draw(SPEC, outcome, trace).axes]
+    assert labels == ["Command\n[V]", "Angle\n[deg]", "error\n[deg]", "Pressure\n[bar]", "error\n[bar]"]
+
+
+def test_reference_is_solid_and_simulation_dotted(outcome: Validation, trace: Trace) -> None:
+    """As in the paper: solid line measured, dotted line simulated; the error is simulation - reference."""
+    figure = draw(SPEC, outcome, trace)
+    reference, simulation = figure.axes[3].lines
+    assert reference.get_linestyle() == "-"
+    assert simulation.get_linestyle() != "-"
+    # 1 bar put in by the fixture; 12 digits in the CSV
+    np.testing.assert_allclose(figure.axes[4].lines[1].get_ydata(), 1.0, rtol=1e-6)
+
+
+def test_verdict_is_written_at_the_panel(outcome: Validation, trace: Trace) -> None:
+    """The judged number, its limit and whether it holds stand beside the curves, not by colour alone."""
+    texts = [text.get_text() for text in draw(SPEC, outcome, trace).axes[3].texts]
+    assert texts == ["✓ head 1 bar\nmax. error ≤ 2 bar"]
+
+
+def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
+    """A figure that asks for a signal nobody has is named."""
+    spec = FigureSpec("Shaft", (Panel("Angle", ("shaft.angel",)),))
+    with pytest.raises(Problem, match=r"figure 'Shaft': signal 'shaft.angel' is neither compared nor in the"):
+        draw(spec, outcome, trace)
+
+
+def test_same_figure_same_bytes(outcome: Validation, trace: Trace) -> None:
+    """A figure drawn twice gives the same SVG, so a report changes only when its numbers do."""
+    assert svg(draw(SPEC, outcome, trace)) == svg(draw(SPEC, outcome, trace))
+
+
+def test_embedded_svg_follows_the_page(outcome: Validation, trace: Trace) -> None:
+    """The inline SVG has colours by variable, ids of its own, text as text and untouched numbers in it."""
+    text = str(embedding.embed(draw(SPEC, outcome, trace), "f7-", "Shaft"))
+    assert text.startswith("<svg")
+    assert "http" not in text
+    assert "var(--fig-s0, #06406b)" in text
+    assert 'id="f7-' in text
+    assert "url(#f7-" in text
+    assert ">Angle<" in text
+
+
+def test_too_large_an_svg_becomes_a_png(
+    outcome: Validation, trace: Trace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A figure with too many points is embedded as picture, so that the report stays small."""
+    monkeypatch.setattr(embedding, "SVG_LIMIT", 10)
+    text = str(embedding.embed(draw(SPEC, outcome, trace), "f-", 'A "title"'))
+    assert text.startswith('<img class="paper" alt="A &#34;title&#34;" src="data:image/png;base64,iVBOR')
+
+
+def test_png(outcome: Validation, trace: Trace) -> None:
+    """The PNG for a README is one."""
+    assert png(draw(SPEC, outcome, trace), dpi=40).startswith(b"\x89PNG")

@@ -1,0 +1,192 @@
+"""The numbers of a comparison, against values worked out by hand and against what must always hold."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator.errors import Problem
+from orchestrator.validation.metrics import ISO_MINIMUM, Metrics, Rating, iso_rating, measure
+
+TIME = np.array([0.0, 1.0, 2.0, 3.0])
+REFERENCE = np.array([0.0, 2.0, 4.0, 2.0])
+
+
+def numbers(simulation: np.ndarray, reference: np.ndarray = REFERENCE, span: float | None = None) -> Metrics:
+    """Metrics without the ISO rating, on a time axis of whole seconds."""
+    time = np.arange(len(reference), dtype=float)
+    return measure(time, simulation, reference, span=span, rate=False, where="ref.csv: x")
+
+
+def test_hand_computed_values() -> None:
+    """Error (0, 1, -1, 0) on the reference (0, 2, 4, 2): mean 2, range 4, sum of squares about the mean 8."""
+    found = numbers(np.array([0.0, 3.0, 3.0, 2.0]))
+    # rounding only
+    assert found.maximum_error == 1.0
+    assert found.time_of_maximum == 1.0
+    assert found.maximum_relative == 0.5
+    assert found.rmse == pytest.approx(np.sqrt(0.5), rel=1e-14)
+    assert found.nrmse == pytest.approx(np.sqrt(0.5) / 4, rel=1e-14)
+    assert found.fit == pytest.approx(50.0, rel=1e-14)  # 100 (1 - sqrt(2) / sqrt(8))
+    assert found.vaf == pytest.approx(75.0, rel=1e-14)  # 100 (1 - 0.5 / 2)
+    assert found.notes == ()
+
+
+def test_offset_is_seen_by_fit_and_not_by_vaf() -> None:
+    """A constant error leaves VAF at 100 % and lowers the fit."""
+    found = numbers(REFERENCE + 1)
+    assert found.vaf == pytest.approx(100.0, rel=1e-14)  # rounding only
+    assert found.fit == pytest.approx(100 * (1 - 2 / np.sqrt(8)), rel=1e-14)
+
+
+def test_perfect_agreement() -> None:
+    """A simulation that equals its reference has no error and full marks, also at zeros of the reference."""
+    found = measure(TIME, REFERENCE, REFERENCE, where="x")
+    assert (found.maximum_error, found.rmse, found.nrmse, found.maximum_relative) == (0, 0, 0, 0)
+    assert (found.fit, found.vaf) == (100, 100)
+
+
+def test_relative_error_is_undefined_where_the_reference_is_zero() -> None:
+    """An error at a zero of the reference has no relative size."""
+    assert numbers(REFERENCE + 1).maximum_relative is None
+
+
+SIGNALS = st.lists(st.floats(-100, 100), min_size=5, max_size=5).map(np.array)
+
+
+@given(y=SIGNALS, e=SIGNALS, scale=st.sampled_from([-7.0, -1.0, 1e-5, 1e5]), shift=st.floats(-50, 50))
+def test_normalised_numbers_do_not_depend_on_the_unit(
+    y: np.ndarray, e: np.ndarray, scale: float, shift: float
+) -> None:
+    """NRMSE, fit and VAF stay the same when both signals are scaled and shifted, as by a change of unit."""
+    y = y + np.array([0.0, 10.0, 0.0, 0.0, 0.0])
+    if np.ptp(y) < 1:
+        return
+    a, b = numbers(y + e, y), numbers(scale * (y + e) + scale * shift, scale * (y + shift))
+    # rounding: the error e is a difference of numbers up to 2e2, so it carries about 1e-13
+    assert b.nrmse == pytest.approx(a.nrmse, rel=1e-9, abs=1e-12)
+    assert b.fit == pytest.approx(a.fit, rel=1e-9, abs=1e-9)
+    assert b.vaf == pytest.approx(a.vaf, rel=1e-9, abs=1e-7)
+    assert b.rmse == pytest.approx(abs(scale) * a.rmse, rel=1e-9, abs=abs(scale) * 1e-12)
+
+
+@given(y=SIGNALS, e=SIGNALS)
+def test_sign_and_order_of_the_error_do_not_matter(y: np.ndarray, e: np.ndarray) -> None:
+    """Too high and too low count alike, and so does time running backwards."""
+    up, down, back = numbers(y + e, y), numbers(y - e, y), numbers((y + e)[::-1].copy(), y[::-1].copy())
+    # rounding of y +- e, whose numbers are up to 2e2
+    assert down.rmse == pytest.approx(up.rmse, abs=1e-12)
+    assert back.rmse == pytest.approx(up.rmse, abs=1e-12)
+    assert down.maximum_error == pytest.approx(up.maximum_error, abs=1e-12)
+
+
+@given(y=SIGNALS, e=SIGNALS)
+def test_rmse_lies_between_zero_and_the_maximum_error(y: np.ndarray, e: np.ndarray) -> None:
+    """The mean square never exceeds the largest square."""
+    found = numbers(y + e, y)
+    assert 0 <= found.rmse <= found.maximum_error * (1 + 1e-12)  # rounding only
+
+
+def test_constant_reference_falls_back_to_its_magnitude() -> None:
+    """Without a range, NRMSE is over the magnitude; fit and VAF do not exist; a note says so."""
+    found = numbers(np.full(4, 5.5), np.full(4, 5.0))
+    assert found.nrmse == pytest.approx(0.1)  # rounding only
+    assert found.normalised_by == 5.0
+    assert (found.fit, found.vaf) == (None, None)
+    assert found.notes == ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
+
+
+def test_zero_reference_is_never_divided_by() -> None:
+    """A reference of zeros gives no NRMSE, unless the error is zero too, and points to rmse."""
+    assert numbers(np.ones(4), np.zeros(4)).nrmse is None
+    assert numbers(np.zeros(4), np.zeros(4)).nrmse == 0
+    assert "judge it by rmse" in numbers(np.ones(4), np.zeros(4)).notes[0]
+
+
+def test_rounded_digits_of_a_csv_count_as_constant() -> None:
+    """A pressure that only flickers in its last digit has no range to divide by."""
+    found = numbers(np.full(4, 2e7), 2e7 + np.array([0.0, 1e-3, 0.0, -1e-3]))
+    assert found.fit is None
+
+
+def test_given_range_replaces_that_of_the_reference() -> None:
+    """A signal that hardly moves is judged over the range that its meta file states."""
+    found = numbers(REFERENCE + 1, span=10.0)
+    assert found.nrmse == pytest.approx(0.1)  # rounding only
+    assert found.notes == ("NRMSE over the given range of 10",)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e200])
+def test_not_a_number_is_refused(bad: float) -> None:
+    """NaN and infinity are named with the place where they stand."""
+    with pytest.raises(
+        Problem, match=rf"ref.csv: x: expected finite numbers, got {re.escape(str(bad))} in the simulation"
+    ):
+        numbers(np.array([0.0, bad, 0.0, 0.0]))
+    with pytest.raises(Problem, match="in the reference at sample 2"):
+        numbers(REFERENCE, np.array([0.0, 1.0, bad, 0.0]))
+
+
+def test_lengths_must_agree() -> None:
+    """Signals of different lengths, or of a single sample, are refused."""
+    with pytest.raises(Problem, match=r"expected as many samples .* got 4, 3, 4"):
+        measure(TIME, REFERENCE[:3], REFERENCE, where="x")
+    with pytest.raises(Problem, match="got 1, 1, 1"):
+        measure(TIME[:1], REFERENCE[:1], REFERENCE[:1], where="x")
+
+
+def wave(delay: float = 0.0, gain: float = 1.0) -> np.ndarray:
+    """A decaying oscillation of 400 samples over 4 s."""
+    t = np.linspace(0, 4, 400) - delay
+    return gain * np.sin(4 * t) * np.exp(-t / 4)
+
+
+def test_iso_rating_tells_what_is_wrong() -> None:
+    """A delay costs phase, a wrong gain costs magnitude, and the overall rating is their weighted sum."""
+    t = np.linspace(0, 4, 400)
+    late, weak = iso_rating(t, wave(delay=0.2), wave()), iso_rating(t, wave(gain=0.8), wave())
+    # the standard allows a shift of 20 % of the 4 s: 0.2 s leave 0.75; to a sample of the 1000, 0.5 %
+    assert late.phase == pytest.approx(0.75, abs=0.005)
+    # magnitude (0.5 - 0.2) / 0.5 for an error of 20 %; time warping finds nearer partners, so it is more
+    assert weak.phase == 1
+    assert weak.magnitude is not None
+    assert 0.6 <= weak.magnitude < 0.9
+    for r in (late, weak):
+        weights = 0.4 * r.corridor + 0.2 * (r.phase + r.magnitude + r.slope)
+        assert r.overall == pytest.approx(weights, rel=1e-12)  # the standard's weights, rounding only
+
+
+def test_iso_rating_of_equal_signals_is_one() -> None:
+    """Equal signals get full marks."""
+    assert iso_rating(np.linspace(0, 4, 400), wave(), wave()) == Rating(1, 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("reference", "reason"),
+    [
+        (np.full(400, 3.0), "the reference is constant"),
+        (wave()[: ISO_MINIMUM - 1], "29 samples are fewer than 30"),
+    ],
+)
+def test_iso_says_why_it_does_not_rate(reference: np.ndarray, reason: str) -> None:
+    """Where the standard has no meaning, the rating is empty and gives the reason."""
+    rating = iso_rating(np.linspace(0, 4, len(reference)), reference + 0.1, reference)
+    assert rating == Rating(reason=reason)
+    assert rating.grade == "not rated"
+
+
+def test_iso_rates_a_constant_simulation_without_warning() -> None:
+    """A simulation that stands still has no correlation; it is rated poor instead of raising a warning."""
+    assert iso_rating(np.linspace(0, 4, 400), np.zeros(400), wave()).grade == "poor"
+
+
+@pytest.mark.parametrize(
+    ("value", "grade"), [(0.95, "excellent"), (0.94, "good"), (0.7, "fair"), (0.58, "poor")]
+)
+def test_grades_of_the_standard(value: float, grade: str) -> None:
+    """The words of the standard begin above 0.94, 0.80 and 0.58."""
+    assert Rating(overall=value).grade == grade

@@ -1,0 +1,94 @@
+"""The machine's motion: views, frames of the animation, strobe picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.errors import Problem
+from orchestrator.validation import Motion, strobe
+from orchestrator.validation.motion import frames
+
+TIME = np.linspace(0.0, 4.0, 4001)
+
+
+def arm(radius: float = 5.0) -> Motion:
+    """A pillar 2 m high on the axis and an arm that slews a quarter turn in 4 s."""
+    angle = TIME * np.pi / 8
+    still = np.zeros_like(TIME)
+    tip = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), still + 1.0))
+    return Motion(
+        TIME,
+        {
+            "foot": np.zeros((len(TIME), 3)),
+            "top": np.column_stack((still, still, still + 2.0)),
+            "tip": tip,
+        },
+    )
+
+
+def test_side_view_turns_with_the_arm() -> None:
+    """In its own plane a slewing arm keeps its length; from above it goes round."""
+    motion = arm()
+    # exact identity, rounding only
+    np.testing.assert_allclose(motion.side("tip"), np.tile([5.0, 1.0], (len(TIME), 1)), rtol=1e-12)
+    np.testing.assert_allclose(motion.top("tip")[-1], [0.0, 5.0], atol=1e-12)
+
+
+def test_side_view_of_a_planar_machine_is_fixed() -> None:
+    """Without turning, the side view is the x-z plane."""
+    motion = arm()
+    planar = Motion(motion.time, motion.points, turning=False)
+    np.testing.assert_array_equal(planar.side("tip"), planar.points["tip"][:, [0, 2]])
+
+
+def test_frames_are_25_per_second_and_small() -> None:
+    """4 s give 101 frames, each with x and y of every point, to the millimetre."""
+    data = frames(arm())
+    assert len(data["views"]["side"][0]) == len(data["views"]["top"][0]) == 101
+    assert data["step"] == pytest.approx(0.04)  # rounding only
+    assert data["views"]["side"][0][50] == [0.0, 0.0, 0.0, 2.0, 5.0, 1.0]
+    assert data["lines"] == [[0, 1, 2]]
+    assert data["tip"] == 2
+    assert data["deviation"] is None
+
+
+def test_ghost_and_distance_of_the_tips() -> None:
+    """The reference's machine is in the data, and how far the tips are apart [mm]."""
+    data = frames(arm(5.0), arm(5.002))
+    assert len(data["views"]["side"]) == 2
+    assert set(data["deviation"]) == {2.0}
+
+
+def test_bounds_hold_every_point() -> None:
+    """Nothing leaves the picture."""
+    left, right, low, high = frames(arm())["bounds"]["top"]
+    assert left < 0 < 5 < right
+    assert low < 0 < 5 < high
+
+
+def test_strobe_picture_shows_both_views() -> None:
+    """Side view and view from above, nine poses and the path of the tip in each."""
+    figure = strobe(arm(), poses=9, title="Slew")
+    side, top = figure.axes[:2]
+    assert [axes.get_title("left") for axes in (side, top)] == ["Side view", "From above"]
+    assert len(top.lines) == 9 + 1 + 1  # poses, path, axis mark
+
+
+def test_strobe_of_a_machine_at_rest() -> None:
+    """A machine that does not move is drawn, not divided by zero."""
+    rest = Motion(TIME, {"foot": np.zeros((len(TIME), 3)), "tip": np.ones((len(TIME), 3))})
+    assert strobe(rest, poses=3).axes
+
+
+def test_mistakes_are_named() -> None:
+    """Wrong shapes, positions that are no numbers and unknown labels are refused."""
+    points = {"tip": np.zeros((len(TIME), 3))}
+    with pytest.raises(Problem, match=r"motion: 'tip' has shape \(3, 3\), expected \(4001, 3\)"):
+        Motion(TIME, {"tip": np.zeros((3, 3))})
+    with pytest.raises(Problem, match="motion: 'tip' expected finite positions"):
+        Motion(TIME, {"tip": np.full((len(TIME), 3), np.nan)})
+    with pytest.raises(Problem, match="motion: hand expected among the points, got tip"):
+        Motion(TIME, points, lines=(("tip", "hand"),))
+    with pytest.raises(Problem, match="motion: hand expected among the points, got tip"):
+        Motion(TIME, points, tip="hand")

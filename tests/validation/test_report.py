@@ -1,0 +1,198 @@
+"""The report: one file, complete, offline, and the same numbers as JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.trace import Trace
+from orchestrator.validation import (
+    Component,
+    FigureSpec,
+    Motion,
+    Panel,
+    Parameter,
+    Report,
+    Validation,
+    compare,
+    read_reference,
+    write_report,
+)
+
+VOID = {"meta", "link", "br", "input", "img"}
+
+
+class Page(HTMLParser):
+    """Collects addresses and checks that every element is closed in its turn."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href")]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture
+def report(outcome: Validation, trace: Trace) -> Report:
+    """A report with everything in it."""
+    tip = np.column_stack((np.cos(trace["shaft.angle"]), np.sin(trace["shaft.angle"]), trace.time * 0 + 1))
+    motion = Motion(trace.time, {"foot": np.zeros_like(tip), "tip": tip})
+    return Report(
+        "Shaft & pump",
+        outcome,
+        figures=(
+            FigureSpec("Shaft", (Panel("Command", ("pump.command",)), Panel("Angle", ("shaft.angle",)))),
+            FigureSpec("Pump", (Panel("Pressure", ("pump.pressure",)),), caption="Taken at the <port>."),
+        ),
+        trace=trace,
+        facts={"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
+        components=(Component("pump", "pump.fmu", version="1.2", guid="{1-2-3}", fmi="2.0"),),
+        parameters=(Parameter("pump", "volume", 1.5e-3, "m3", "Dead volume", "assumed", changed=True),),
+        card={"real-time factor": np.float64(31.25), "energy residual [J]": {"shaft": 1e-3}, "order": None},
+        motion=motion,
+        ghost=motion,
+        warnings=("pump: pressure above 300 bar at 1.2 s",),
+    )
+
+
+@pytest.fixture
+def page(report: Report, tmp_path: Path) -> str:
+    """The written HTML."""
+    return write_report(tmp_path / "out" / "report.html", report)[0].read_text(encoding="utf-8")
+
+
+def test_is_one_file_that_needs_no_network(page: str) -> None:
+    """Every address points into the page itself or holds its data; nothing names a host."""
+    parser = Page()
+    parser.feed(page)
+    assert parser.open == []
+    assert all(a.startswith(("#", "data:")) for a in parser.addresses)
+    assert not re.search(r"https?:|//\w+\.\w+|@import|url\((?!#)", page)
+
+
+def test_ids_are_unique_and_links_lead_somewhere(page: str) -> None:
+    """Two figures in one page do not share ids, and every link has its target."""
+    parser = Page()
+    parser.feed(page)
+    assert len(parser.ids) == len(set(parser.ids))
+    assert {a[1:] for a in parser.addresses if a.startswith("#")} <= set(parser.ids)
+
+
+def test_shows_what_ran_and_how_well(page: str, report: Report) -> None:
+    """Signals, units, limits, facts, FMUs, parameters, card and warnings are all in the text."""
+    for row in report.validation.rows:
+        assert row.signal in page
+    expected = ["Shaft &amp; pump", "✓ pass", "max. error ≤ 2 bar", "NRMSE ≤ 1 %", "Shaft &lt;angle&gt;"]
+    expected += ["shaft.ssp", "{1-2-3}", "Dead volume", "1 changed for this run", "31.25", "0.001"]
+    expected += ["pressure above 300 bar", "Taken at the &lt;port&gt;.", "compared at the 201 samples"]
+    assert [text for text in expected if text.lower() not in page.lower()] == []
+
+
+def test_motion_is_data_for_the_script(page: str) -> None:
+    """The animation's frames are in the page as JSON: 2 s at 25 frames per second, machine and ghost."""
+    block = re.search(r'<script type="application/json" id="motion-data">(.*?)</script>', page, re.DOTALL)
+    assert block
+    data = json.loads(block[1])
+    assert len(data["views"]["side"]) == 2
+    assert len(data["views"]["side"][0]) == 51
+
+
+def test_json_has_the_same_numbers(report: Report, tmp_path: Path) -> None:
+    """report.json holds the exact numbers of the comparison and everything that was handed in."""
+    _, path = write_report(tmp_path / "report.html", report)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    assert path.name == "report.json"
+    assert data["passed"] is True
+    assert data["verdict"] == report.validation.verdict
+    for row, stored in zip(report.validation.rows, data["signals"], strict=True):
+        m = row.metrics
+        found = stored["metrics"]
+        assert (stored["signal"], stored["unit"], stored["passed"]) == (row.signal, row.unit, row.passed)
+        assert (found["rmse"], found["nrmse"], found["fit"]) == (m.rmse, m.nrmse, m.fit)
+        assert (found["maximum_error"], found["vaf"]) == (m.maximum_error, m.vaf)
+        assert found["iso"]["reason"] == "not asked for"
+    assert data["signals"][1]["tolerance"]["limit"] == 2e5
+    assert data["accuracy"] == {
+        "real-time factor": 31.25,
+        "energy residual [J]": {"shaft": 1e-3},
+        "order": None,
+    }
+    assert data["parameters"][0]["value"] == 1.5e-3
+    assert data["reference"]["file"] == "ref.csv"
+
+
+def test_a_missed_limit_is_plain_to_see(
+    report: Report, edited: Callable[[str, str], Path], trace: Trace, tmp_path: Path
+) -> None:
+    """A failed run says so at the top, in the table and in the figure, in words and not by colour alone."""
+    failed = compare(trace, read_reference(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    html, data = write_report(tmp_path / "report.html", replace(report, validation=failed))
+    page = html.read_text(encoding="utf-8")
+    for text in (
+        "✗ fail",
+        "1 of 2 signals within their limits",
+        '<span class="mark fail">fail</span>',
+        "✗ 1 bar",
+    ):
+        assert text in page
+    assert json.loads(data.read_text(encoding="utf-8"))["passed"] is False
+
+
+def test_least_report(outcome: Validation, tmp_path: Path) -> None:
+    """A comparison alone makes a report: no figures, motion, parameters or card are needed."""
+    page = write_report(tmp_path / "report.html", Report("Bare", outcome))[0].read_text(encoding="utf-8")
+    assert "shaft.angle" in page
+    assert "<script" not in page
+
+
+def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
+    """Three actuators over 60 s at 1 ms, every sample noisy, stay under 3 MB."""
+    t = np.arange(60_001) * 1e-3
+    noise = np.random.default_rng(0).standard_normal((2, len(t)))
+    rows = tuple(
+        replace(
+            report.validation.rows[k % 2], signal=f"s{k}", time=t, simulation=noise[0], reference=noise[1]
+        )
+        for k in range(15)
+    )
+    specs = [
+        FigureSpec(f"Figure {n}", tuple(Panel(f"Row {k}", (f"s{5 * n + k}",)) for k in range(5)))
+        for n in range(3)
+    ]
+    outcome = replace(report.validation, rows=rows, window=(0.0, 60.0))
+    points = {f"p{k}": np.column_stack((t, noise[0], noise[1])) for k in range(6)}
+    motion = Motion(t, points)
+    big = Report("Long", outcome, figures=specs, motion=motion, ghost=motion)
+    assert write_report(tmp_path / "report.html", big)[0].stat().st_size < 3e6
+
+
+def test_data_cannot_end_the_script(report: Report, tmp_path: Path) -> None:
+    """A label with a closing tag in it stays data."""
+    motion = report.motion
+    assert motion is not None
+    odd = Motion(motion.time, {"</script><b>": motion.points["tip"]})
+    page = write_report(tmp_path / "report.html", replace(report, motion=odd, ghost=None))[0].read_text(
+        "utf-8"
+    )
+    assert "</script><b>" not in page

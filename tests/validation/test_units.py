@@ -1,0 +1,89 @@
+"""Units of files and figures."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from orchestrator.errors import Problem
+from orchestrator.validation.units import convert, linear, parse, shown
+
+# Unit, value in it, value in SI, SI unit: by definition (pound 0.45359237 kg, inch 25.4 mm, gallon 231 in3).
+SAMPLES = [
+    ("bar", 206.84, 20.684e6, "Pa"),
+    ("psi", 3000.0, 20.6842719e6, "Pa"),
+    ("MPa", 20.684, 20.684e6, "Pa"),
+    ("mbar", 1013.25, 101325.0, "Pa"),
+    ("L/min", 60.0, 1e-3, "m3/s"),
+    ("l/min", 329.0, 5.48333333e-3, "m3/s"),
+    ("gpm", 1.0, 6.30901964e-5, "m3/s"),
+    ("gal/min", 1.0, 6.30901964e-5, "m3/s"),
+    ("cm3/s", 1e6, 1.0, "m3/s"),
+    ("deg", 180.0, pi, "rad"),
+    ("°/s", 90.0, pi / 2, "rad/s"),
+    ("rpm", 60.0, 2 * pi, "rad/s"),
+    ("kN", 1.5, 1500.0, "N"),
+    ("kN.m", 31.0, 31e3, "N.m"),
+    ("lbf", 1.0, 4.4482216152605, "N"),
+    ("hp", 152.0, 113.3463805e3, "W"),
+    ("mm", 725.0, 0.725, "m"),
+    ("mm2", 1e6, 1.0, "m2"),
+    ("in3", 231.0, 3.785411784e-3, "m3"),
+    ("ms", 5.0, 5e-3, "s"),
+    ("mV", 250.0, 0.25, "V"),
+    ("degC", 40.0, 313.15, "K"),
+    ("degF", 212.0, 373.15, "K"),
+    ("%", 50.0, 0.5, "1"),
+    ("s-1", 2.0, 2.0, "Hz"),
+    ("m³/(s·Pa)", 1.0, 1.0, "m3/s/Pa"),
+    ("N*m*s/rad", 1.0, 1.0, "N.m.s/rad"),
+]
+
+
+@pytest.mark.parametrize(("unit", "value", "si", "name"), SAMPLES)
+def test_known_samples(unit: str, value: float, si: float, name: str) -> None:
+    """A known sample comes out right in SI and back again."""
+    # exact definitions; the digits printed in SAMPLES
+    assert convert(np.array([value]), unit, name, "x")[0] == pytest.approx(si, rel=1e-8)
+    assert convert(np.array([si]), name, unit, "x")[0] == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.parametrize("unit", ["furlong", "PSI", "barg", "Nm", "3", "kpsi", "m/furlong"])
+def test_unknown_unit_is_refused(unit: str) -> None:
+    """A unit that is not known is named, not guessed."""
+    with pytest.raises(Problem, match=rf"file: unit '{unit}' is unknown, expected one like bar"):
+        parse(unit, "file")
+
+
+def test_wrong_quantity_is_refused() -> None:
+    """Units of different quantities cannot be converted, a frequency is no angular speed."""
+    with pytest.raises(Problem, match="boom: unit 'bar' cannot be converted, expected a unit like 'rad'"):
+        linear("bar", "rad", "boom")
+    with pytest.raises(Problem, match="'Hz' cannot be converted"):
+        linear("Hz", "rad/s", "x")
+
+
+def test_same_unit_needs_no_table() -> None:
+    """A unit that stays the same may be unknown."""
+    assert linear("furlong", "furlong", "x") == (1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "display"),
+    [
+        ("Pa", "bar"),
+        ("m3/s", "L/min"),
+        ("rad", "deg"),
+        ("rad/s", "deg/s"),
+        ("N", "kN"),
+        ("V", "V"),
+        ("m", "m"),
+        ("odd", "odd"),
+        ("", ""),
+    ],
+)
+def test_display_units(unit: str, display: str) -> None:
+    """Readers see bar, L/min, deg, deg/s and kN; other units stay as they are."""
+    assert shown(unit) == display
