@@ -1,0 +1,100 @@
+"""The command line `harvester`. Thin: each command imports what it needs when it runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from orchestrator.errors import Problem
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SYSTEM = Path("build/harvester.ssp")
+SCENARIO = "work_cycle.csv"
+OUT = Path("build/run.csv")
+
+
+@app.callback()
+def _group() -> None:
+    """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
+
+
+@app.command()
+def run(
+    system: Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")] = SYSTEM,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Inputs over time (.csv, .parquet); default: the work cycle, for the built system.",
+        ),
+    ] = None,
+    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = "jacobi",
+    step: Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].")] = None,
+    start: Annotated[float | None, typer.Option(metavar="T", help="Start time [s].")] = None,
+    stop: Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")] = OUT,
+    error_estimate: Annotated[
+        bool, typer.Option("--error-estimate", help="Run again at half and twice the step, and compare.")
+    ] = False,
+) -> None:
+    """Co-simulate a system and record all outputs and connected inputs."""
+    from orchestrator import commands
+
+    commands.run(
+        system,
+        scenario or commands.default_scenario(system, SYSTEM, SCENARIO),
+        out,
+        master=master,
+        step=step,
+        start=start,
+        stop=stop,
+        set=commands.assignments(set_ or []),
+        error_estimate=error_estimate,
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; a mistake becomes one line on stderr and exit status 2."""
+    try:
+        status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
+    except KeyboardInterrupt:
+        return _stopped()
+    except Exception as error:
+        return _stopped() if isinstance(error.__cause__, KeyboardInterrupt) else _told(error)
+    return status if isinstance(status, int) else 0
+
+
+def _stopped() -> int:
+    print("harvester: interrupted", file=sys.stderr)
+    return 130
+
+
+def _told(error: Exception) -> int:
+    """Tell a user's mistake in one line, or a wrong argument in the tool's words; re-raise defects."""
+    contract = sys.modules.get("fmus.contract")  # there if the models were used
+    mistakes = (Problem,) if contract is None else (Problem, contract.ModelError)
+    if isinstance(error, mistakes):
+        print(f"harvester: {error}", file=sys.stderr)
+        return 2
+    show = getattr(error, "show", None)
+    if show is None:
+        raise error
+    show()
+    return int(getattr(error, "exit_code", 2))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

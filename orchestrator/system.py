@@ -1,0 +1,212 @@
+"""A co-simulation system: components, connections between them, and inputs and outputs of the whole."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from orchestrator.archive import Location
+from orchestrator.errors import Problem
+from orchestrator.interface import Interface, Value, Variable, read_interface
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
+
+SOURCES = ("output", "calculatedParameter")
+TARGETS = ("input", "parameter")
+
+
+class Port(NamedTuple):
+    """One variable of one component."""
+
+    component: str
+    variable: str
+
+    def __str__(self) -> str:
+        return f"{self.component}.{self.variable}"
+
+
+@dataclass(frozen=True)
+class Component:
+    """One FMU in the system; `start` holds values set before initialisation."""
+
+    name: str
+    interface: Interface
+    source: Location | None = None
+    start: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """The value of `source`, mapped by `map` (unit conversion and transformation), goes to `target`."""
+
+    source: Port
+    target: Port
+    map: Linear = IDENTITY
+
+    def __str__(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True)
+class Inlet:
+    """An input of the whole system and the component inputs it feeds."""
+
+    name: str
+    unit: Unit | None
+    targets: tuple[tuple[Port, Linear], ...]
+
+
+@dataclass(frozen=True)
+class Outlet:
+    """An output of the whole system and the component output behind it."""
+
+    name: str
+    unit: Unit | None
+    source: Port
+    map: Linear = IDENTITY
+
+
+@dataclass(frozen=True)
+class System:
+    """Everything that is known before a run. Times in [s]; `notes` are remarks to show after a run."""
+
+    name: str
+    components: Mapping[str, Component]
+    connections: tuple[Connection, ...] = ()
+    inputs: Mapping[str, Inlet] = field(default_factory=dict)
+    outputs: Mapping[str, Outlet] = field(default_factory=dict)
+    start: float | None = None
+    stop: float | None = None
+    source: Location | None = None
+    notes: tuple[str, ...] = ()
+
+    def port(self, name: str) -> Port:
+        """The port that `component.variable` names; both parts may contain dots."""
+        for component in sorted(self.components, key=len, reverse=True):
+            rest = name.removeprefix(component + ".")
+            if rest != name and rest in self.components[component].interface.variables:
+                return Port(component, rest)
+        raise Problem(f"unknown variable {name!r}{suggest(name, self.names())}")
+
+    def targets(self, name: str) -> tuple[tuple[Port, Linear], ...]:
+        """What a name stands for: the targets of an input of the system, or one `component.variable`."""
+        return self.inputs[name].targets if name in self.inputs else ((self.port(name), IDENTITY),)
+
+    def names(self) -> list[str]:
+        """All `component.variable` names."""
+        return [f"{c.name}.{v}" for c in self.components.values() for v in c.interface.variables]
+
+    def variable(self, port: Port) -> Variable:
+        """The declaration of a port."""
+        return self.components[port.component].interface.variables[port.variable]
+
+    def with_start(self, values: Mapping[str, Value | str]) -> System:
+        """The same system with other start values, given as {component.variable or system input: value}."""
+        connected = {c.target: c for c in self.connections}
+        fresh = {name: dict(c.start) for name, c in self.components.items()}
+        for name, value in values.items():
+            for port, linear in self.targets(name):
+                if port in connected:
+                    raise Problem(f"{name} cannot be set: it is fed by {connected[port]}")
+                settable(port, self.variable(port))
+                fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
+        components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
+        return replace(self, components=components)
+
+
+def assemble(
+    fmus: Mapping[str, str | Path],
+    connections: Iterable[str | Sequence[str | float]] = (),
+    start: Mapping[str, Value | str] | None = None,
+    name: str = "system",
+) -> System:
+    """A system from FMU files and connections.
+
+    fmus          component name -> path of the .fmu file
+    connections   "a.y -> b.u", or (source, target), or (source, target, factor, offset) with
+                  target = factor * source + offset after the unit conversion
+    start         component.variable -> value
+    """
+    components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
+    system = System(name, components)
+    notes: list[str] = []
+    joined = []
+    for entry in connections:
+        given = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
+        if len(given) not in (2, 3, 4):
+            raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
+        linear = Linear(*(float(x) for x in given[2:]))
+        joined.append(join(system, system.port(str(given[0])), system.port(str(given[1])), linear, notes))
+    whole = replace(system, connections=check_single(joined), notes=tuple(notes))
+    return whole.with_start(start or {})
+
+
+def open_component(name: str, fmu: Location) -> Component:
+    """A component from its FMU."""
+    return Component(name, read_interface(fmu), fmu)
+
+
+def join(system: System, source: Port, target: Port, after: Linear, notes: list[str]) -> Connection:
+    """A checked connection with unit conversion; remarks go to `notes`."""
+    where = f"{source} -> {target}"
+    linear, note = conversion(system.variable(source).unit, system.variable(target).unit, where)
+    notes.extend([note] if note else [])
+    return connection(system, source, target, linear.then(after))
+
+
+def connection(system: System, source: Port, target: Port, linear: Linear) -> Connection:
+    """A connection whose causality and types fit."""
+    result, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
+    if y.causality not in SOURCES or u.causality not in TARGETS:
+        raise Problem(f"{result}: expected an output and an input, got {y.causality} and {u.causality}")
+    if _family(y) != _family(u) or y.kind == "String":
+        raise Problem(f"{result}: variables of type {y.kind} and {u.kind} cannot be connected")
+    return result
+
+
+def check_single(connections: Iterable[Connection]) -> tuple[Connection, ...]:
+    """The connections, after checking that no input is fed twice."""
+    seen: dict[Port, Connection] = {}
+    for c in connections:
+        if c.target in seen:
+            raise Problem(f"{c.target} is fed twice, by {seen[c.target].source} and by {c.source}")
+        seen[c.target] = c
+    return tuple(seen.values())
+
+
+def settable(port: Port, variable: Variable) -> None:
+    """Refuse to set what the FMU computes itself."""
+    if not variable.settable:
+        kind = f"{variable.variability} {variable.causality}"
+        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself")
+
+
+def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = IDENTITY) -> Value:
+    """`value` (perhaps text from a command line or an XML file) in the type of `variable`."""
+    text = str(value).strip()
+    try:
+        if variable.kind == "Real":
+            return linear(float(text))
+        if variable.kind == "String":
+            return str(value)
+        if variable.kind == "Boolean":
+            return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
+        if text in variable.items:
+            return variable.items[text]
+        return int(text)
+    except (ValueError, KeyError):
+        choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
+        raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """'; did you mean a, b?', for the end of a message."""
+    close = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(close)}?" if close else ""
+
+
+def _family(variable: Variable) -> str:
+    """Integers and enumerations may be connected with each other."""
+    return "Integer" if variable.kind == "Enumeration" else variable.kind
