@@ -56,6 +56,11 @@ class Motion:
         return self.lines or (tuple(self.points),)
 
     @property
+    def views(self) -> tuple[str, ...]:
+        """The views worth showing: a planar machine needs no view from above."""
+        return ("side", "top") if self.turning else ("side",)
+
+    @property
     def leader(self) -> str:
         """The label of the point that leaves a trail."""
         return self.tip or list(self.points)[-1]
@@ -91,7 +96,7 @@ def frames(motion: Motion, ghost: Motion | None = None) -> dict[str, Any]:
     count = max(2, round((ends[1] - ends[0]) * FRAMES_PER_SECOND) + 1)
     time = np.linspace(*ends, count)
     machines = [m.at(time) for m in (motion, ghost) if m is not None]
-    views = {name: [_view(m, name) for m in machines] for name in ("side", "top")}
+    views = {name: [_view(m, name) for m in machines] for name in motion.views}
     bounds = {name: _bounds(machines, name) for name in views}
     return {
         "step": float(time[1] - time[0]),
@@ -112,7 +117,8 @@ def strobe(motion: Motion, poses: int = 9, title: str = "") -> Figure:
     still = motion.at(_instants(motion, poses))
     share = (still.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
     colours = colormaps["viridis"](0.88 * share)
-    for axes, view in zip(figure.subplots(1, 2), ("side", "top"), strict=True):
+    panels = figure.subplots(1, len(motion.views), squeeze=False)[0]
+    for axes, view in zip(panels, motion.views, strict=True):
         path = getattr(motion, view)(motion.leader)
         axes.plot(*path.T, color=PALETTE.faint, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
         for k, colour in enumerate(colours):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,16 +14,16 @@ _COLOUR = {True: "green", False: "bold red", None: "dim"}
 
 
 def table(validation: Validation) -> Table:
-    """One line per signal: errors, rating, limit, pass or fail."""
+    """Two lines per signal, to fit 80 columns: errors, rating, limit, pass or fail."""
     made = Table(title=f"Compared with: {validation.title}", title_justify="left", header_style="bold")
+    made.box, made.show_edge, made.pad_edge, made.padding = SIMPLE_HEAD, False, False, (0, 1, 0, 0)
     made.add_column("signal", overflow="fold")
-    for heading in ("max. error", "RMSE", "NRMSE over range", "fit", "VAF", "ISO/TS 18571"):
+    for heading in ("max. error\nRMSE", "NRMSE\nover\nrange", "fit", "VAF", "ISO/TS\n18571"):
         made.add_column(heading, justify="right")
-    made.add_column("limit", no_wrap=True)
-    made.add_column("", no_wrap=True)
+    made.add_column("limit")
     for rows in validation.groups.values():
         for row in rows:
-            made.add_row(*_cells(row), Text(wording.outcome(row), _COLOUR[row.passed]))
+            made.add_row(*_cells(row))
         made.add_section()
     return made
 
@@ -35,16 +36,17 @@ def summary(validation: Validation) -> RenderableType:
     return Group(table(validation), *lines, Text(validation.verdict, colour))
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    """A row's texts up to the limit."""
+def _cells(row: Row) -> tuple[RenderableType, ...]:
+    """A row's texts."""
     m = row.metrics
+    component, _, variable = row.signal.rpartition(".")
+    iso = f"{m.iso.overall:.3f}" if m.iso.overall is not None else "not rated"
     return (
-        row.signal,
-        wording.difference(m.maximum_error, row.unit),
-        wording.difference(m.rmse, row.unit),
+        Text.assemble(variable, "\n", (component, "dim")),
+        f"{wording.difference(m.maximum_error, row.unit)}\n{wording.difference(m.rmse, row.unit)}",
         wording.share(m.nrmse),
         wording.percent(m.fit),
         wording.percent(m.vaf),
-        wording.rating(row),
-        wording.limit(row),
+        iso.replace(" ", "\n"),
+        Text.assemble((wording.outcome(row), _COLOUR[row.passed]), f"\n{wording.limit(row)}"),
     )

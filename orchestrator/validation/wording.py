@@ -18,6 +18,8 @@ NAMES = {
     "iso": "ISO rating",
 }
 NONE = "-"
+# Errors are smaller than what they are errors of.
+_FINER = {"m": "mm", "m/s": "mm/s"}
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -41,8 +43,8 @@ def percent(value: float | None) -> str:
 
 
 def difference(value: float, unit: str) -> str:
-    """An error in the display unit, such as `0.12 bar`; an offset of the unit does not count."""
-    to = shown(unit)
+    """An error in the display unit, such as `0.12 bar` or `0.05 mm`; an offset of the unit does not count."""
+    to = _FINER.get(unit) or shown(unit)
     return f"{number(value * linear(unit, to, 'display')[0])} {to}".rstrip()
 
 

@@ -36,10 +36,12 @@ def test_side_view_turns_with_the_arm() -> None:
 
 
 def test_side_view_of_a_planar_machine_is_fixed() -> None:
-    """Without turning, the side view is the x-z plane."""
+    """Without turning, the side view is the x-z plane and there is no view from above."""
     motion = arm()
     planar = Motion(motion.time, motion.points, turning=False)
     np.testing.assert_array_equal(planar.side("tip"), planar.points["tip"][:, [0, 2]])
+    assert list(frames(planar)["views"]) == ["side"]
+    assert len(strobe(planar).axes) == 2  # one view and the colour bar
 
 
 def test_frames_are_25_per_second_and_small() -> None:

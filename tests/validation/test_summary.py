@@ -11,22 +11,31 @@ from orchestrator.validation import Validation, summary
 from orchestrator.validation.wording import number, percent
 
 
-def shown(outcome: Validation) -> str:
+def shown(outcome: Validation, width: int = 160) -> str:
     """The summary as plain text."""
-    console = Console(width=160, file=StringIO())
+    console = Console(width=width, file=StringIO())
     console.print(summary(outcome))
     return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
 
 
 def test_shows_every_signal_its_limit_and_the_verdict(outcome: Validation) -> None:
-    """Each signal stands in one line with display units, limit and outcome; the verdict comes last."""
+    """Each signal stands in two lines with display units, limit and outcome; the verdict comes last."""
     text = shown(outcome)
-    line = next(line for line in text.splitlines() if "pump.pressure" in line)
-    for part in ("1 bar", "max. error ≤ 2 bar", "not rated", "pass"):
-        assert part in line
+    lines = [line.strip() for line in text.splitlines()]
+    first = next(k for k, line in enumerate(lines) if line.startswith("pressure"))
+    assert lines[first].split()[1:3] == ["1", "bar"]
+    assert lines[first].split()[-2:] == ["not", "pass"]
+    assert lines[first + 1].split() == ["pump", "1", "bar", "rated", "max.", "error", "≤", "2", "bar"]
     assert "Compared with: Shaft test" in text
     assert "compared at the 201 samples of the reference" in text
     assert text.strip().endswith("pass: 2 of 2 signals within their limits")
+
+
+def test_fits_a_terminal_of_80_columns(outcome: Validation) -> None:
+    """No line is longer than 80 characters and no number is cut."""
+    text = shown(outcome, 80)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
 
 
 @pytest.mark.parametrize(

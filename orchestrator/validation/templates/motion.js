@@ -1,4 +1,4 @@
-// Moves the machine: polylines of both views follow the frames in `data`; metres are scaled to a fixed picture.
+// Moves the machine: polylines of each view follow the frames in `data`; metres are scaled to a fixed picture.
 const data = JSON.parse(document.getElementById("motion-data").textContent);
 const SVG = document.createElementNS.bind(document, document.documentElement.querySelector("svg").namespaceURI);
 const count = data.views.side[0].length;
@@ -46,10 +46,10 @@ function view(name) {
   };
 }
 
-const views = ["side", "top"].map(view);
+const views = Object.keys(data.views).map(view);
 
 function show() {
-  const now = Math.min(count - 1, Math.floor(moment));
+  const now = Math.max(0, Math.min(count - 1, Math.floor(moment)));
   views.forEach(draw => draw(now));
   slider.value = now;
   clock.textContent = (data.start + now * data.step).toFixed(2) + " s";
