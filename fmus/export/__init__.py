@@ -1,6 +1,1 @@
-"""Any `Subsystem` as an .fmu file (FMI 2.0, native), any connected .fmu files as an .ssp."""
-
-from fmus.export.build import build, build_all
-from fmus.export.ssp import write_ssp
-
-__all__ = ["build", "build_all", "write_ssp"]
+"""Any `Subsystem` as an .fmu file (build.py: FMI 2.0, native), connected .fmu files as an .ssp (ssp.py)."""

@@ -70,9 +70,14 @@ def interface(sub: Subsystem, values: Values) -> Interface:
     ]
     keep = [i for i, name in enumerate(outputs) if name not in states]
     parameters, inputs, x, dx, y = _numbered(groups)
-    result = Interface(sub.name, sub.text, parameters, inputs, x, dx, y, sym, sym.y[keep])
+    result = Interface(sub.name, sub.text, parameters, inputs, x, dx, y, sym, _pick(sym.y, keep))
     _check_names(result)
     return result
+
+
+def _pick(column: ca.SX, rows: Sequence[int]) -> ca.SX:
+    """Some entries of a column, shape (n, 1); CasADi's own indexing gives (1, 0) for none of one."""
+    return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
 def _state(name: str, q: Quantity, shown: Quantity | None, sym: Symbolic, values: Values) -> Variable:
@@ -174,8 +179,8 @@ def _kinds(jacobian: ca.SX, face: Interface) -> list[str]:
     fixed = [i for i, v in enumerate(face.parameters) if v.kind == "FIXED"]
     kinds = ["constant"] * jacobian.nnz()
     for kind, symbols in (
-        ("fixed", sym.p[fixed]),
-        ("tunable", sym.p[tunable]),
+        ("fixed", _pick(sym.p, fixed)),
+        ("tunable", _pick(sym.p, tunable)),
         ("dependent", ca.vertcat(sym.x, sym.u)),
     ):
         for row in set(ca.jacobian_sparsity(entries, symbols).get_triplet()[0]):

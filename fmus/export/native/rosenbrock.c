@@ -65,9 +65,10 @@ static int factorise(double diagonal, Work *w) {
             }
         const double pivot = w->lu[k * NX + k];
         if (pivot == 0.0) return 0;
+        const double inverse = w->lu[k * NX + k] = 1.0 / pivot; /* all that is needed of it later */
         for (int i = k + 1; i < NX; i++) {
             if (w->lu[i * NX + k] == 0.0) continue;
-            const double factor = w->lu[i * NX + k] /= pivot;
+            const double factor = w->lu[i * NX + k] *= inverse;
             for (int j = k + 1; j < NX; j++) w->lu[i * NX + j] -= factor * w->lu[k * NX + j];
         }
     }
@@ -85,7 +86,7 @@ static void solve(const Work *w, double *b) {
         for (int j = 0; j < i; j++) b[i] -= w->lu[i * NX + j] * b[j];
     for (int i = NX - 1; i >= 0; i--) {
         for (int j = i + 1; j < NX; j++) b[i] -= w->lu[i * NX + j] * b[j];
-        b[i] /= w->lu[i * NX + i];
+        b[i] *= w->lu[i * NX + i];
     }
 }
 

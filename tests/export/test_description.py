@@ -1,0 +1,158 @@
+"""What an importer reads: modelDescription.xml, the layout of the archive, repeatable builds."""
+
+import re
+import struct
+import zipfile
+
+import fmpy
+import fmpy.validation
+import pytest
+
+from fmus.contract import ModelError
+from fmus.export.build import build
+from fmus.parameters import Values
+
+TOYS = ("decay", "path", "vanderpol", "chamber", "gain", "blowup")
+
+
+@pytest.mark.parametrize("name", TOYS)
+def test_fmpy_finds_no_problem(toy_dir, name):
+    """FMPy's validation of each FMU is empty."""
+    assert fmpy.validation.validate_fmu(str(toy_dir / f"{name}.fmu")) == []
+
+
+@pytest.fixture(scope="module")
+def chamber(toy_dir):
+    """The description of the chamber: every kind of variable."""
+    return fmpy.read_model_description(str(toy_dir / "chamber.fmu"))
+
+
+def test_variables_have_their_causality(chamber):
+    """Each group of the declaration has its FMI causality, and state outputs are one variable."""
+    kinds = {v.name: (v.causality, v.variability, v.initial) for v in chamber.modelVariables}
+    assert kinds["volume"] == ("parameter", "fixed", "exact")
+    assert kinds["supply"] == ("input", "continuous", "exact")
+    assert kinds["pressure"] == ("output", "continuous", "calculated")
+    assert kinds["heat"] == ("local", "continuous", "exact")
+    assert kinds["der_heat"] == ("local", "continuous", "calculated")
+    assert kinds["force"] == ("output", "continuous", "calculated")
+    assert [v.name for v in chamber.modelVariables].count("pressure") == 1
+
+
+def test_values_units_and_bounds_are_those_of_the_declaration(chamber):
+    """Start, nominal, bounds, unit and display unit reach the XML."""
+    v = {v.name: v for v in chamber.modelVariables}
+    assert (v["volume"].start, float(v["volume"].min), v["volume"].unit) == ("0.0001", 1e-9, "m3")
+    assert (float(v["opening"].min), float(v["opening"].max)) == (0.0, 1.0)
+    assert (v["pressure"].unit, v["pressure"].displayUnit) == ("Pa", "bar")
+    assert float(v["pressure"].nominal) == 1e7
+    assert v["der_pressure"].unit == "Pa/s"
+    bar = next(u for u in chamber.unitDefinitions if u.name == "Pa").displayUnits[0]
+    # 1 / 1e5: rounding only
+    assert (bar.name, bar.factor) == ("bar", pytest.approx(1e-5, rel=1e-15))
+
+
+def test_dependencies_are_those_of_the_equations(chamber):
+    """An unknown lists the knowns in its equation and no other."""
+    found = {u.variable.name: u for u in [*chamber.outputs, *chamber.derivatives]}
+    names = {name: [k.name for k in u.dependencies] for name, u in found.items()}
+    assert names["pressure"] == ["pressure"]
+    assert names["force"] == ["supply", "pressure"]
+    assert names["der_flow"] == ["opening", "supply", "pressure", "flow"]
+    assert dict(zip(names["der_flow"], found["der_flow"].dependenciesKind, strict=True)) == {
+        "opening": "dependent",
+        "supply": "fixed",
+        "pressure": "fixed",
+        "flow": "dependent",
+    }
+    initial = {u.variable.name: [k.name for k in u.dependencies] for u in chamber.initialUnknowns}
+    assert initial["pressure"] == ["supply"]
+    assert initial["flow"] == ["conductance", "supply"]
+
+
+def test_capabilities_are_declared(chamber):
+    """The flags tell what the FMU can do."""
+    for kind in (chamber.coSimulation, chamber.modelExchange):
+        assert kind.canGetAndSetFMUstate
+        assert kind.canSerializeFMUstate
+        assert kind.providesDirectionalDerivative
+        assert not kind.needsExecutionTool
+        assert not kind.canBeInstantiatedOnlyOncePerProcess
+    assert chamber.coSimulation.canHandleVariableCommunicationStepSize
+    assert chamber.coSimulation.canInterpolateInputs
+    assert chamber.coSimulation.maxOutputDerivativeOrder == 1
+    assert (chamber.defaultExperiment.stepSize, chamber.defaultExperiment.stopTime) == ("0.01", "1")
+
+
+def test_archive_holds_sources_and_documentation(toy_dir):
+    """All C files are inside, those to compile are listed, and there is a page to read."""
+    with zipfile.ZipFile(toy_dir / "chamber.fmu") as archive:
+        names = archive.namelist()
+        page = archive.read("documentation/index.html").decode()
+        xml = archive.read("modelDescription.xml").decode()
+    listed = set(re.findall(r'<File name="([^"]+)"', xml))
+    assert {f"sources/{name}" for name in listed} == {n for n in names if n.endswith(".c")}
+    assert {"sources/model.h", "sources/sizes.h"} <= set(names)
+    assert "<td>pressure_rate</td>" in page
+
+
+def test_building_twice_gives_the_same_bytes(toys, toy_dir, tmp_path):
+    """Nothing in an FMU depends on when or where it was built."""
+    sub, numbers = toys["chamber"]
+    again = build(sub, tmp_path / "elsewhere", step=0.01, stop=1.0, numbers=numbers)
+    assert again.read_bytes() == (toy_dir / "chamber.fmu").read_bytes()
+
+
+def test_guid_changes_with_the_numbers(toys, toy_dir, tmp_path):
+    """A model with another parameter value has another GUID."""
+    sub, numbers = toys["gain"]
+    other = build(sub, tmp_path, step=0.01, stop=1.0, numbers=Values({"factor": 3.0}, numbers.u, numbers.x))
+    guids = {fmpy.read_model_description(str(f)).guid for f in (other, toy_dir / "gain.fmu")}
+    assert len(guids) == 2
+
+
+def test_binary_needs_only_the_c_library(unpacked):
+    """The shared library asks the loader for libc and libm and nothing else."""
+    library = (unpacked["chamber"] / "binaries" / "linux64" / "chamber.so").read_bytes()
+    assert set(_needed(library)) <= {"libc.so.6", "libm.so.6"}
+
+
+def _needed(elf: bytes) -> list[str]:
+    """DT_NEEDED entries of a 64-bit little-endian ELF file."""
+    headers, size, count = (*struct.unpack_from("<Q", elf, 32), *struct.unpack_from("<HH", elf, 54))
+    segments = [struct.unpack_from("<IIQQQQQQ", elf, headers + i * size) for i in range(count)]
+    dynamic = next(s for s in segments if s[0] == 2)
+    entries = [struct.unpack_from("<qQ", elf, dynamic[2] + i) for i in range(0, dynamic[5], 16)]
+    address = next(value for tag, value in entries if tag == 5)  # of the string table
+    load = next(s for s in segments if s[0] == 1 and s[3] <= address < s[3] + s[5])
+    strings = address - load[3] + load[2]
+    starts = [strings + value for tag, value in entries if tag == 1]
+    return [elf[start : elf.index(b"\0", start)].decode() for start in starts]
+
+
+# ---- mistakes in a declaration ---------------------------------------------------------------------
+
+
+def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
+    """An input with the name of a parameter is an error that names it."""
+    _, numbers = toys["gain"]
+    q = toys["gain"][0].inputs.__annotations__["left"].__metadata__[0]
+    sub = make_toy(
+        "twice",
+        {"left": q},
+        {},
+        {"left": q, "right": q},
+        {"product": q},
+        lambda *_: {},
+        lambda _x, u, _p: {"product": u.left},
+    )
+    with pytest.raises(ModelError, match="left is declared twice"):
+        build(sub, tmp_path, numbers=Values({"left": 1.0}, numbers.u, {}))
+
+
+def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
+    """C that does not compile gives one line, then what the compiler said."""
+    sub, numbers = toys["gain"]
+    monkeypatch.setattr("fmus.export.build.sources", lambda *_: {"sizes.h": "#error broken\n", "model.c": ""})
+    with pytest.raises(ModelError, match=r"gain: the C compiler failed with exit status 1\n(.|\n)*#error broken"):
+        build(sub, tmp_path, numbers=numbers)

@@ -1,0 +1,261 @@
+"""The solver, the inputs inside a step, and both FMI kinds against closed forms and each other."""
+
+import fmpy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+
+def test_decay_follows_the_exponential(open_fmu):
+    """x' = k (u - x) from 1 with u = 0: exp(-k t), and the output mixed = gain x + u."""
+    fmu = open_fmu("decay").start().run(100, 0.01)
+    # integrator error at tolerance 1e-6 per inner step, measured 2e-8
+    assert fmu.get("level") == pytest.approx(np.exp(-2.0), rel=1e-6)
+    # exact identity, rounding only
+    assert fmu.get("mixed") == pytest.approx(3 * fmu.get("level"), rel=1e-14)
+
+
+@pytest.mark.parametrize("name", ["decay", "vanderpol", "chamber"])
+def test_cosimulation_equals_model_exchange(toy_dir, name):
+    """The built-in solver and CVode, each with its own error control, draw the same curve."""
+    results = [
+        fmpy.simulate_fmu(
+            str(toy_dir / f"{name}.fmu"),
+            fmi_type=kind,
+            stop_time=1.0,
+            output_interval=0.01,
+            relative_tolerance=1e-8,
+        )
+        for kind in ("CoSimulation", "ModelExchange")
+    ]
+    for signal in results[0].dtype.names[1:]:
+        a, b = (r[signal] for r in results)
+        # two integrators at tolerance 1e-8; in CVode errors add up to some 1000 of it
+        assert np.abs(a - b).max() <= 1e-5 * np.ptp(b) + 1e-9 * np.abs(b).max(), signal
+
+
+def test_stiff_oscillator_follows_a_tight_solution(open_fmu):
+    """Van der Pol's equation over a jump, against Radau at tolerance 1e-12."""
+    fmu = open_fmu("vanderpol").start(tolerance=1e-8)
+    found = []
+    for n in range(100):
+        fmu.fmu.doStep(0.1 * n, 0.1)
+        found.append(fmu.get("x", "v"))
+    truth = solve_ivp(
+        lambda _, x: [x[1], 5 * (1 - x[0] ** 2) * x[1] - x[0]],
+        (0, 10),
+        [2, 0],
+        "Radau",
+        np.linspace(0.1, 10, 100),
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    # tolerance 1e-8 per inner step; the jump amplifies errors some 100 times
+    np.testing.assert_allclose(found, truth.y.T, atol=2e-5)
+
+
+def test_solver_converges_with_order_four(open_fmu):
+    """With a tolerance too loose to act, one inner step per communication step: error ~ h^4."""
+
+    def state(n):
+        fmu = open_fmu("vanderpol")
+        fmu.set(mu=1.0, force=1.0)
+        fmu.slopes(force=-2.0)
+        fmu.start(tolerance=0.99)
+        for k in range(n):
+            fmu.set(force=1.0 - 2.0 * k / n)
+            fmu.slopes(force=-2.0)
+            fmu.fmu.doStep(k / n, 1 / n)
+        return np.array(fmu.get("x", "v"))
+
+    truth = solve_ivp(
+        lambda t, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0] + 1 - 2 * t],
+        (0, 1),
+        [2, 0],
+        "DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+    )
+    error = [np.abs(state(n) - truth.y[:, -1]).max() for n in (20, 40, 80)]
+    orders = np.log2(np.array(error[:-1]) / error[1:])
+    # the next order's term is still 10 % of the error at these steps
+    assert orders == pytest.approx([4, 4], abs=0.3)
+
+
+def test_very_stiff_system_goes_straight_to_its_end(open_fmu):
+    """Rate 1e9 1/s with steps of 1 s: an L-stable method lands on the target, without ringing."""
+    fmu = open_fmu("decay")
+    fmu.set(rate=1e9, target=3.0)
+    fmu.start().run(3, 1.0)
+    # atol + rtol of the default tolerance
+    assert fmu.get("level") == pytest.approx(3.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("start", [0.0, 5.0, -2.5])
+def test_start_time_is_honoured(open_fmu, start):
+    """The same curve, whatever the time it starts at."""
+    fmu = open_fmu("decay").start(start).run(10, 0.1, start)
+    # integrator error at tolerance 1e-6
+    assert fmu.get("level") == pytest.approx(np.exp(-2.0), rel=2e-6)
+
+
+def test_tighter_tolerance_is_more_exact(open_fmu):
+    """The tolerance of fmi2SetupExperiment acts."""
+    errors = [
+        abs(open_fmu("decay").start(tolerance=tol).run(1, 1.0).get("level") - np.exp(-2.0))
+        for tol in (1e-3, 1e-6, 1e-9)
+    ]
+    assert errors[0] > 10 * errors[1] > 100 * errors[2]
+
+
+# ---- inputs inside a step ----------------------------------------------------------------------------
+
+
+def exact(h, p, v=0.0, a=0.0, j=0.0):
+    """Integral of p + v t + a t^2 / 2 + j t^3 / 6 from 0 to h."""
+    return p * h + v * h**2 / 2 + a * h**3 / 6 + j * h**4 / 24
+
+
+def test_held_input_is_integrated_as_a_constant(open_fmu):
+    """Without slopes an input is held, and a second step starts from the same value."""
+    fmu = open_fmu("path").start()
+    fmu.set(position=3.0)
+    fmu.run(2, 0.5)
+    # polynomials up to order 3 are integrated exactly, rounding only
+    assert fmu.get("integral") == pytest.approx(3.0, rel=1e-13)
+    assert fmu.get("position") == 3.0
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_input_derivatives_act_as_a_polynomial(open_fmu, order):
+    """fmi2SetRealInputDerivatives of each order: the exact integral, and the input's value at the end."""
+    fmu = open_fmu("path").start()
+    fmu.set(position=3.0)
+    fmu.slopes(order, position=7.0)
+    fmu.run(1, 0.5)
+    terms = [0.0, 0.0, 0.0]
+    terms[order - 1] = 7.0
+    # polynomials up to order 3 are integrated exactly, rounding only
+    assert fmu.get("integral") == pytest.approx(exact(0.5, 3.0, *terms), rel=1e-13)
+    assert fmu.get("position") == pytest.approx(3.0 + 7 * 0.5**order / [1, 2, 6][order - 1], rel=1e-15)
+
+
+def test_input_derivatives_are_valid_for_one_step(open_fmu):
+    """The step after starts from the last value set, held."""
+    fmu = open_fmu("path").start()
+    fmu.set(position=3.0)
+    fmu.slopes(position=7.0)
+    fmu.run(2, 0.5)
+    # rounding only
+    assert fmu.get("integral") == pytest.approx(exact(0.5, 3.0, 7.0) + 1.5, rel=1e-13)
+
+
+def test_rate_ports_equal_input_derivatives(open_fmu):
+    """Position with velocity and acceleration as signals moves as with their values as derivatives."""
+    wired, told = open_fmu("path").start(), open_fmu("path").start()
+    for k in range(5):
+        values = (np.sin(k), np.cos(k), -np.sin(k))
+        wired.set(position=values[0], velocity=values[1], acceleration=values[2])
+        told.set(position=values[0])
+        told.slopes(1, position=values[1])
+        told.slopes(2, position=values[2])
+        for fmu in (wired, told):
+            fmu.fmu.doStep(0.3 * k, 0.3)
+        # the same numbers through the same operations
+        assert wired.get("integral", "position") == told.get("integral", "position")
+        # the velocity port moves too
+        assert wired.get("velocity") == values[1] + 0.3 * values[2]
+
+
+def test_input_derivative_wins_over_rate_port(open_fmu):
+    """A derivative set by the master replaces the rate port for that step."""
+    fmu = open_fmu("path").start()
+    fmu.set(position=1.0, velocity=100.0, acceleration=100.0)
+    fmu.slopes(position=2.0)
+    fmu.run(1, 0.5)
+    # rounding only
+    assert fmu.get("integral") == pytest.approx(exact(0.5, 1.0, 2.0), rel=1e-13)
+
+
+def test_outputs_at_the_end_see_the_input_at_the_end(open_fmu):
+    """An output fed through follows the input's motion inside the step."""
+    fmu = open_fmu("path").start()
+    fmu.set(position=1.0, velocity=2.0)
+    fmu.run(1, 0.5)
+    assert fmu.get("where") == 2.0
+
+
+# ---- derivatives -------------------------------------------------------------------------------------
+
+
+def test_output_derivatives_are_exact(open_fmu):
+    """dy/dt = y_x dx + y_u du: of a state, of a mixed output, of an output with feed-through."""
+    fmu = open_fmu("decay").start()
+    fmu.set(target=1.0)
+    fmu.slopes(target=0.5)
+    fmu.run(1, 0.2)
+    rate = 2.0 * (fmu.get("target") - fmu.get("level"))
+    # the same formula in another order: rounding only
+    assert fmu.output_slope("level", "mixed") == pytest.approx([rate, 3 * rate + 0.5], rel=1e-14)
+    path = open_fmu("path").start()
+    path.set(position=1.0, velocity=2.0, acceleration=4.0)
+    assert path.output_slope("integral", "where") == [1.0, 2.0]
+    path.run(1, 0.5)
+    assert path.output_slope("where") == [4.0]
+
+
+@pytest.mark.parametrize("known", ["pressure", "flow", "heat", "opening", "supply"])
+def test_directional_derivatives_equal_central_differences(open_fmu, known):
+    """Columns of the Jacobian of derivatives and outputs against central differences."""
+    import ctypes
+
+    fmu = open_fmu("chamber", model_exchange=True).start()
+    fmu.fmu.newDiscreteStates()
+    fmu.fmu.enterContinuousTimeMode()
+    states, inputs = ["pressure", "flow", "heat"], ["opening", "supply"]
+    unknowns = ["der_pressure", "der_flow", "der_heat", "force", "pressure_rate"]
+    point = dict(zip([*states, *inputs], [1.2e7, 3e-4, 50.0, 0.4, 2e7], strict=True))
+
+    def evaluate(values):
+        fmu.fmu.setContinuousStates((ctypes.c_double * 3)(*[values[n] for n in states]), 3)
+        fmu.set(**{n: values[n] for n in inputs})
+        return np.array(fmu.get(*unknowns))
+
+    delta = 1e-4 * point[known]
+    high, low = (evaluate(point | {known: point[known] + s * delta}) for s in (1, -1))
+    evaluate(point)
+    found = fmu.fmu.getDirectionalDerivative([fmu.refs[n] for n in unknowns], [fmu.refs[known]], [1.0])
+    # central differences: curvature of relative size delta^2 = 1e-8, cancellation 1e-16 / 1e-4
+    scale = np.abs(evaluate(point)).max() / point[known]
+    np.testing.assert_allclose(found, (high - low) / (2 * delta), rtol=1e-6, atol=1e-11 * scale)
+
+
+def test_directional_derivatives_go_through_the_start_equations(open_fmu):
+    """In initialisation mode the calculated pressure follows the supply by one half, and outputs through it."""
+    fmu = open_fmu("chamber")
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    unknowns = [fmu.refs[n] for n in ("pressure", "flow", "der_pressure")]
+    # pressure = supply / 2; flow = conductance supply / 2, so that der_pressure = 0 for any supply; rounding only
+    assert fmu.fmu.getDirectionalDerivative(unknowns, [fmu.refs["supply"]], [1.0]) == pytest.approx(
+        [0.5, 0.5e-11, 0.0], abs=1e-9
+    )
+
+
+def test_directional_derivative_refuses_what_is_no_known(open_fmu):
+    """A parameter is no known, an input is no unknown; the message names them."""
+    fmu = open_fmu("chamber").start()
+    for unknown, known, name in (("force", "volume", "volume"), ("opening", "supply", "opening")):
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            fmu.fmu.getDirectionalDerivative([fmu.refs[unknown]], [fmu.refs[known]], [1.0])
+        assert f"fmi2GetDirectionalDerivative: {name} is not" in fmu.errors()[-1]
+
+
+def test_model_without_states_steps(open_fmu):
+    """A pure gain is an FMU too."""
+    fmu = open_fmu("gain").start()
+    fmu.set(left=3.0, right=4.0)
+    fmu.slopes(left=1.0)
+    fmu.run(1, 0.5)
+    assert fmu.get("product") == 2 * 3.5 * 4.0
+    assert fmu.output_slope("product") == [8.0]
