@@ -1,4 +1,6 @@
-"""Small subsystems that the exporter has never seen, built once per test process, and a handle on their FMUs."""
+"""Small subsystems unknown to the exporter, built once per test process, and a handle on their FMUs."""
+
+# ruff: noqa: ARG005  (dynamics and observe take x, u, p, whatever a toy uses)
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def group(name: str, **quantities: Quantity) -> type[Any]:
     return make_dataclass(name, fields, frozen=True)
 
 
-def toy(name: str, p: dict[str, Any], x: dict[str, Any], u: dict[str, Any], y: dict[str, Any], f, g, **more: Any):
+def toy(
+    name: str, p: dict[str, Any], x: dict[str, Any], u: dict[str, Any], y: dict[str, Any], f, g, **more: Any
+):
     """A subsystem: groups of quantities, dynamics f and observe g that return dictionaries."""
     P, X, U, Y = (group(f"{name}_{k}", **q) for k, q in (("p", p), ("x", x), ("u", u), ("y", y)))
     return Subsystem(
@@ -201,7 +205,9 @@ def open_fmu(unpacked: dict[str, Path]) -> Iterator[Callable[..., Handle]]:
     """open_fmu("decay") instantiates a toy's FMU for co-simulation, or for model exchange."""
     opened: list[Handle] = []
 
-    def opener(name: str, model_exchange: bool = False, logging: bool = False, guid: str | None = None) -> Handle:
+    def opener(
+        name: str, model_exchange: bool = False, logging: bool = False, guid: str | None = None
+    ) -> Handle:
         description = fmpy.read_model_description(str(unpacked[name]), validate=False)
         kind = fmi2.FMU2Model if model_exchange else fmi2.FMU2Slave
         fmu = kind(
@@ -240,5 +246,3 @@ def toys() -> Mapping[str, tuple[Subsystem, Values]]:
 def make_toy() -> Callable[..., Subsystem]:
     """The function that makes a subsystem of dictionaries."""
     return toy
-
-

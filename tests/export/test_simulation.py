@@ -1,5 +1,7 @@
 """The solver, the inputs inside a step, and both FMI kinds against closed forms and each other."""
 
+import ctypes
+
 import fmpy
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ def test_decay_follows_the_exponential(open_fmu):
     assert fmu.get("mixed") == pytest.approx(3 * fmu.get("level"), rel=1e-14)
 
 
-@pytest.mark.parametrize("name", ["decay", "vanderpol", "chamber"])
-def test_cosimulation_equals_model_exchange(toy_dir, name):
+# two integrators at tolerance 1e-6, CVode measured ten times less exact; 5e-4 in the chamber's pressure_rate
+@pytest.mark.parametrize(("name", "limit"), [("decay", 1e-4), ("vanderpol", 1e-4), ("chamber", 1e-3)])
+def test_cosimulation_equals_model_exchange(toy_dir, name, limit):
     """The built-in solver and CVode, each with its own error control, draw the same curve."""
     results = [
         fmpy.simulate_fmu(
@@ -24,14 +27,13 @@ def test_cosimulation_equals_model_exchange(toy_dir, name):
             fmi_type=kind,
             stop_time=1.0,
             output_interval=0.01,
-            relative_tolerance=1e-8,
+            relative_tolerance=1e-6,
         )
         for kind in ("CoSimulation", "ModelExchange")
     ]
     for signal in results[0].dtype.names[1:]:
         a, b = (r[signal] for r in results)
-        # two integrators at tolerance 1e-8; in CVode errors add up to some 1000 of it
-        assert np.abs(a - b).max() <= 1e-5 * np.ptp(b) + 1e-9 * np.abs(b).max(), signal
+        assert np.abs(a - b).max() <= limit * np.ptp(b), signal
 
 
 def test_stiff_oscillator_follows_a_tight_solution(open_fmu):
@@ -207,8 +209,6 @@ def test_output_derivatives_are_exact(open_fmu):
 @pytest.mark.parametrize("known", ["pressure", "flow", "heat", "opening", "supply"])
 def test_directional_derivatives_equal_central_differences(open_fmu, known):
     """Columns of the Jacobian of derivatives and outputs against central differences."""
-    import ctypes
-
     fmu = open_fmu("chamber", model_exchange=True).start()
     fmu.fmu.newDiscreteStates()
     fmu.fmu.enterContinuousTimeMode()
@@ -231,15 +231,15 @@ def test_directional_derivatives_equal_central_differences(open_fmu, known):
 
 
 def test_directional_derivatives_go_through_the_start_equations(open_fmu):
-    """In initialisation mode the calculated pressure follows the supply by one half, and outputs through it."""
+    """In initialisation mode pressure = supply / 2 and flow = conductance pressure: der_pressure stays 0."""
     fmu = open_fmu("chamber")
     fmu.fmu.setupExperiment()
     fmu.fmu.enterInitializationMode()
     unknowns = [fmu.refs[n] for n in ("pressure", "flow", "der_pressure")]
-    # pressure = supply / 2; flow = conductance supply / 2, so that der_pressure = 0 for any supply; rounding only
-    assert fmu.fmu.getDirectionalDerivative(unknowns, [fmu.refs["supply"]], [1.0]) == pytest.approx(
-        [0.5, 0.5e-11, 0.0], abs=1e-9
-    )
+    pressure, flow, rate = fmu.fmu.getDirectionalDerivative(unknowns, [fmu.refs["supply"]], [1.0])
+    # exact identities, rounding only; the two terms of the rate are 80 1/s
+    assert (pressure, flow) == pytest.approx((0.5, 0.5e-11), rel=1e-15)
+    assert rate == pytest.approx(0.0, abs=1e-12)
 
 
 def test_directional_derivative_refuses_what_is_no_known(open_fmu):

@@ -36,15 +36,16 @@ void snapshot_write(const State *state, char *bytes) {
 int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
     const Header expected = header();
     Header found;
-    if (size != snapshot_size()) {
-        core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
-        return 0;
-    }
-    memcpy(&found, bytes, sizeof found);
-    if (memcmp(&found, &expected, sizeof found) != 0) {
+    memset(&found, 0, sizeof found);
+    memcpy(&found, bytes, size < sizeof found ? size : sizeof found);
+    if (size >= sizeof found && memcmp(&found, &expected, sizeof found) != 0) {
         found.guid[sizeof found.guid - 1] = '\0';
         core_message(core, ERROR, "the saved state is of GUID \"%s\" version %u, expected \"%s\" version %u",
                      found.guid, found.version, expected.guid, expected.version);
+        return 0;
+    }
+    if (size != snapshot_size()) {
+        core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
         return 0;
     }
     memcpy(state, bytes + sizeof found, sizeof *state);

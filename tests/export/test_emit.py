@@ -1,0 +1,73 @@
+"""The C written for CasADi's operations computes what CasADi computes."""
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+
+from fmus.contract import ModelError, Quantity
+from fmus.export.build import build
+from fmus.export.emit import Routine, routine
+from fmus.parameters import Values
+
+OPERATIONS = {
+    "sum": lambda a, b: a + b - 2 * b,
+    "ratio": lambda a, b: a / b + 1 / a,
+    "power": lambda a, b: ca.fabs(a) ** b + b**3 + ca.fabs(b) ** 0.5,
+    "roots": lambda a, b: ca.sqrt(ca.fabs(a)) + ca.exp(-(b**2)) + ca.log(ca.fabs(a) + 1),
+    "circle": lambda a, b: ca.sin(a) * ca.cos(b) + ca.tan(a) + ca.atan2(a, b) + ca.atan(b),
+    "arcs": lambda a, b: ca.asin(ca.sin(a)) + ca.acos(ca.cos(b)),
+    "hyperbolic": lambda a, b: ca.sinh(a) + ca.cosh(b) + ca.tanh(a) + ca.asinh(b) + ca.acosh(1 + b**2),
+    "more": lambda a, b: ca.atanh(ca.sin(a)) + ca.erf(b) + ca.log1p(a**2) + ca.expm1(b),
+    "steps": lambda a, b: ca.floor(a) + ca.ceil(b) + ca.fabs(a) + ca.sign(b) + ca.fmod(a, b),
+    "extremes": lambda a, b: ca.fmin(a, b) - 3 * ca.fmax(a, 0.5) + ca.copysign(a, b) + ca.hypot(a, b),
+    "branch": lambda a, b: ca.if_else(a > b, a, -b) + ca.if_else(ca.logic_and(a >= 0, b < 1), 1.5, a * b),
+    "logic": lambda a, b: ca.if_else(ca.logic_or(a == b, ca.logic_not(a != 0)), 2 * a, -a),
+    "constant": lambda a, b: ca.SX(-3.25e-7) + 0 * a + 0 * b,
+}
+
+
+@pytest.fixture(scope="module")
+def operations(make_toy, tmp_path_factory):
+    """An FMU without states whose outputs are the operations of its two inputs and one parameter."""
+    one = Quantity("1", "of a toy")
+    sub = make_toy(
+        "operations",
+        {"scale": one},
+        {},
+        {"a": one, "b": one},
+        {name: one for name in OPERATIONS},
+        lambda *_: {},
+        lambda _x, u, p: {name: f(u.a, u.b) * ca.cos(p.scale) for name, f in OPERATIONS.items()},
+    )
+    numbers = Values({"scale": 0.3}, {"a": 0.0, "b": 1.0}, {})
+    return build(sub, tmp_path_factory.mktemp("operations"), numbers=numbers)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.7, 1.3), (-1.2, 0.4), (0.4, -2.5), (2.0, 2.0), (-0.3, -0.3)])
+def test_compiled_operations_equal_casadi(operations, a, b):
+    """Every elementary function, through the FMU, against CasADi's own evaluation."""
+    symbols = ca.SX.sym("a"), ca.SX.sym("b")
+    function = ca.Function("f", symbols, [f(*symbols) * ca.cos(0.3) for f in OPERATIONS.values()])
+    expected = [float(value) for value in function(a, b)]
+    result = fmpy.simulate_fmu(
+        str(operations), stop_time=0.01, start_values={"a": a, "b": b}, output=list(OPERATIONS)
+    )
+    # same operations, another mathematics library: a few rounding errors
+    np.testing.assert_allclose([result[name][-1] for name in OPERATIONS], expected, rtol=1e-14, atol=1e-15)
+
+
+def test_c_text_names_the_variables():
+    """A reader of the C finds the names of the variables beside their use."""
+    x = ca.SX.sym("x", 2)
+    text = routine(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
+    assert text.startswith("void f(const double *x, double *y) {")
+    assert "/* pressure */" in text
+    assert "y[0] = v" in text
+
+
+def test_operation_without_c_is_refused():
+    """An operation that has no C is an error when building, not in the compiler."""
+    x = ca.SX.sym("x")
+    with pytest.raises(ModelError, match="has no C here"):
+        routine(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})

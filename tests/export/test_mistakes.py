@@ -1,0 +1,211 @@
+"""Wrong calls and wrong numbers: an error status, and a message that names function, variable and time."""
+
+import ctypes
+import math
+
+import pytest
+from fmpy.fmi1 import FMICallException
+
+
+def refused(fmu, call, *words):
+    """The call fails, and its message holds all words."""
+    with pytest.raises(FMICallException):
+        call()
+    for word in words:
+        assert word in fmu.errors()[-1]
+
+
+def test_wrong_guid_gives_no_instance(open_fmu):
+    """A binary of another build is refused at once."""
+    with pytest.raises(Exception, match="instantiate"):
+        open_fmu("decay", guid="{other}")
+
+
+@pytest.mark.parametrize(
+    ("call", "function"),
+    [
+        (lambda f: f.fmu.doStep(0.0, 0.1), "fmi2DoStep"),
+        (lambda f: f.fmu.exitInitializationMode(), "fmi2ExitInitializationMode"),
+        (lambda f: f.fmu.terminate(), "fmi2Terminate"),
+        (lambda f: f.output_slope("level"), "fmi2GetRealOutputDerivatives"),
+    ],
+)
+def test_call_before_its_time_names_function_and_state(open_fmu, call, function):
+    """A function called in a wrong state of the instance is refused."""
+    fmu = open_fmu("decay")
+    refused(fmu, lambda: call(fmu), f"{function}: not allowed", "instantiated")
+
+
+@pytest.mark.parametrize("function", ["setupExperiment", "enterInitializationMode"])
+def test_call_after_its_time_is_refused(open_fmu, function):
+    """Set-up functions are refused while stepping."""
+    fmu = open_fmu("decay").start()
+    refused(fmu, getattr(fmu.fmu, function), "not allowed", "step complete")
+
+
+def test_model_exchange_call_is_refused_in_cosimulation(open_fmu):
+    """An instance for co-simulation has no event mode."""
+    fmu = open_fmu("decay").start()
+    assert fmu.fmu.dll.fmi2EnterEventMode(ctypes.c_void_p(fmu.fmu.component)) == 3
+    assert "fmi2EnterEventMode: not allowed" in fmu.errors()[-1]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_value_that_is_no_number_is_refused_by_name(open_fmu, value):
+    """NaN and infinity reach no variable."""
+    fmu = open_fmu("decay").start().run(1, 0.25)
+    refused(fmu, lambda: fmu.set(target=value), "fmi2SetReal: target", "t = 0.25 s", "finite")
+    refused(fmu, lambda: fmu.slopes(target=value), "fmi2SetRealInputDerivatives", "target")
+    assert fmu.get("target") == 0.0
+
+
+def test_values_out_of_bounds_are_refused_with_the_bounds(open_fmu):
+    """Parameters and inputs keep to min and max; nothing of the call is applied."""
+    fmu = open_fmu("decay")
+    refused(fmu, lambda: fmu.set(rate=7.0, gain=11.0), "gain", "11", "expected 0 to 10")
+    assert fmu.get("rate") == 2.0
+    fmu.start()
+    refused(fmu, lambda: fmu.set(target=-101.0), "target", "-101", "expected -100 to 100")
+
+
+def test_fixed_parameter_is_refused_while_running_and_tunable_is_not(open_fmu):
+    """Only tunable parameters and inputs can be set after the initialisation."""
+    fmu = open_fmu("decay").start().run(1, 0.5)
+    refused(fmu, lambda: fmu.set(gain=1.0), "gain", "fixed parameter", "t = 0.5 s")
+    refused(fmu, lambda: fmu.set(level=1.0), "level", "state")
+    refused(fmu, lambda: fmu.set(mixed=1.0), "mixed", "output")
+    fmu.set(rate=0.0)
+    before = fmu.get("level")
+    fmu.fmu.doStep(0.5, 0.5)
+    assert fmu.get("level") == before
+
+
+def test_calculated_start_value_is_refused(open_fmu):
+    """A state that the model calculates cannot be set."""
+    fmu = open_fmu("chamber")
+    refused(fmu, lambda: fmu.set(pressure=1e5), "pressure", "calculated")
+
+
+def test_start_values_act_before_and_in_initialisation(open_fmu):
+    """States and inputs set early shape the start, and outputs read in initialisation mode follow."""
+    fmu = open_fmu("decay")
+    fmu.set(level=4.0)
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    fmu.set(target=1.0)
+    assert fmu.get("mixed") == 13.0
+    fmu.set(level=2.0, gain=2.0)
+    assert fmu.get("mixed", "der_level") == [5.0, -2.0]
+    chamber = open_fmu("chamber")
+    chamber.fmu.setupExperiment()
+    chamber.fmu.enterInitializationMode()
+    for supply in (1e7, 2e7):
+        chamber.set(supply=supply)
+        assert chamber.get("pressure") == supply / 2
+
+
+@pytest.mark.parametrize(
+    ("time", "step", "word"),
+    [
+        (0.0, 0.0, "step size is 0"),
+        (0.0, -0.1, "step size is -0.1"),
+        (0.0, math.nan, "step size is nan"),
+        (0.2, 0.1, "communication point is 0.2 s, expected 0 s"),
+        (0.0, 20.0, "after the stop time 10 s"),
+    ],
+)
+def test_impossible_step_is_refused(open_fmu, time, step, word):
+    """Sizes, times and ends that cannot be are told with their numbers, and stepping goes on."""
+    fmu = open_fmu("decay").start(stop=10.0)
+    refused(fmu, lambda: fmu.fmu.doStep(time, step), "fmi2DoStep: the ", word)
+    fmu.fmu.doStep(0.0, 0.1)
+
+
+def test_times_of_a_running_sum_are_accepted(open_fmu):
+    """Sixty steps per second, added up for 20 minutes: rounding is no mistake."""
+    fmu = open_fmu("gain").start(stop=1200.0)
+    step, time = 1 / 60, 0.0
+    for _ in range(72000):
+        fmu.fmu.doStep(time, step)
+        time += step
+    assert time != 1200.0
+
+
+def test_requirement_violated_at_the_start_is_told(open_fmu):
+    """An impossible parameter is an error at the end of the initialisation, with the statement's words."""
+    fmu = open_fmu("chamber")
+    fmu.set(burst=5e6)
+    refused(fmu, fmu.start, "fmi2ExitInitializationMode", "below 100 % of burst", "t = 0 s", "-5e+06")
+
+
+def test_requirement_violated_on_the_way_is_told_with_its_time(open_fmu):
+    """The step in which it happens fails, and no further step is taken."""
+    fmu = open_fmu("chamber")
+    fmu.set(burst=1.2e7)
+    fmu.start()
+    refused(fmu, lambda: fmu.run(100, 0.001), "fmi2DoStep", "below 100 % of burst", "violated at t = 0.0")
+    refused(fmu, lambda: fmu.fmu.doStep(0.0, 0.001), "not allowed", "failed")
+
+
+def test_solution_that_leaves_all_bounds_is_an_error(open_fmu):
+    """x' = x^2 from 1 has no solution beyond t = 1: an error that names state and time, not a huge number."""
+    fmu = open_fmu("blowup").start()
+    refused(fmu, lambda: fmu.run(20, 0.1), "fmi2DoStep", "worst is size", "t = ")
+    time = float(fmu.errors()[-1].split("t = ")[1].split(" s")[0])
+    # the pole is at 1; integrator error at tolerance 1e-6 moves it a little
+    assert time == pytest.approx(1.0, abs=1e-4)
+
+
+def test_derivative_that_is_no_number_is_an_error(open_fmu):
+    """The root of a negative fuel: the message names the state."""
+    fmu = open_fmu("blowup")
+    fmu.set(size=0.0, fuel=-1.0)
+    fmu.start()
+    refused(fmu, lambda: fmu.fmu.doStep(0.0, 0.1), "derivative of fuel", "t = 0 s")
+
+
+def test_watched_output_warns_once_per_excursion(open_fmu):
+    """One warning when the limit is passed, the next one after it was left."""
+    fmu = open_fmu("decay").start()
+    for k, target in enumerate((0.0, 50.0, 50.0, 50.0, -50.0, -0.0, 50.0)):
+        fmu.set(target=target, rate=20.0)
+        fmu.fmu.doStep(float(k), 1.0)
+    warnings = [text for category, text in fmu.messages if category == "logStatusWarning"]
+    assert len(warnings) == 2
+    assert "mixed = 200 1 at t = 2 s is above 5" in warnings[0]
+
+
+def test_log_categories_are_filtered(open_fmu):
+    """Only the categories asked for arrive; an unknown one is refused."""
+    fmu = open_fmu("decay", logging=True)
+    fmu.get("level")
+    assert ("logEvents", "fmi2GetReal: t = 0 s") in fmu.messages
+    fmu.fmu.setDebugLogging(False, ["logEvents", "logStatusError"])
+    fmu.messages.clear()
+    with pytest.raises(FMICallException):
+        fmu.set(target=math.nan)
+    assert fmu.messages == []
+    fmu.fmu.setDebugLogging(True, ["logStatusError"])
+    refused(fmu, lambda: fmu.fmu.setDebugLogging(True, ["logNonsense"]), "logNonsense")
+
+
+def test_variables_of_other_types_do_not_exist(open_fmu):
+    """Integer, Boolean and String functions refuse any variable, and unknown references are named."""
+    fmu = open_fmu("decay").start()
+    for call in (fmu.fmu.getInteger, fmu.fmu.getBoolean, fmu.fmu.getString):
+        refused(fmu, lambda call=call: call([0]), "Real variables only")
+        assert call([]) == []
+    refused(fmu, lambda: fmu.fmu.getReal([99]), "value reference 99", "expected 0 to")
+    refused(fmu, lambda: fmu.fmu.setReal([99], [0.0]), "value reference 99")
+
+
+def test_status_functions_answer(open_fmu):
+    """The time of the last successful step, and no pending step to cancel."""
+    fmu = open_fmu("decay").start().run(2, 0.25)
+    value = ctypes.c_double()
+    library = fmu.fmu.dll
+    component = ctypes.c_void_p(fmu.fmu.component)
+    assert library.fmi2GetRealStatus(component, 2, ctypes.byref(value)) == 0
+    assert value.value == 0.5
+    assert library.fmi2CancelStep(component) == 3
+    assert "no step is in progress" in fmu.errors()[-1]

@@ -1,0 +1,204 @@
+"""Saved states, many instances, threads, and what an FMU costs in memory."""
+
+import subprocess
+import sys
+import textwrap
+import threading
+from ctypes import CDLL, byref, c_char, c_size_t, c_void_p
+
+import fmpy
+import pytest
+
+
+def drive(fmu, first, count, step=0.01):
+    """Steps with moving inputs; returns all that can be seen after each step."""
+    seen = []
+    for k in range(first, first + count):
+        fmu.set(opening=0.5 + 0.4 * ((k * 7) % 11) / 11, supply=2e7 + 1e5 * k)
+        fmu.slopes(supply=1e6)
+        fmu.fmu.doStep(k * step, step)
+        seen.append((*fmu.get(*fmu.refs), *fmu.output_slope("pressure", "force", "pressure_rate")))
+    return seen
+
+
+def test_restoring_a_state_repeats_bit_by_bit(open_fmu):
+    """Save, step, restore, step: the same bits, whatever happened in between."""
+    fmu = open_fmu("chamber").start()
+    drive(fmu, 0, 5)
+    saved = fmu.fmu.getFMUstate()
+    first = drive(fmu, 5, 10)
+    fmu.fmu.setFMUstate(saved)
+    again = drive(fmu, 5, 10)
+    fmu.fmu.freeFMUstate(saved)
+    assert first == again
+
+
+def test_state_restores_in_another_instance(open_fmu):
+    """A state of one instance continues in another one of the same FMU."""
+    a, b = open_fmu("chamber").start(), open_fmu("chamber")
+    drive(a, 0, 5)
+    saved = a.fmu.getFMUstate()
+    b.fmu.setFMUstate(saved)
+    assert drive(a, 5, 10) == drive(b, 5, 10)
+    a.fmu.freeFMUstate(saved)
+
+
+def test_state_remembers_input_derivatives_and_parameters(open_fmu):
+    """What was set for the next step is part of the state, tuned parameters too."""
+    fmu = open_fmu("decay").start()
+    fmu.run(1, 0.1)
+    fmu.set(target=2.0, rate=5.0)
+    fmu.slopes(target=3.0)
+    saved = fmu.fmu.getFMUstate()
+    fmu.fmu.doStep(0.1, 0.1)
+    first = fmu.get("level", "mixed", "target", "rate")
+    fmu.set(target=0.0, rate=1.0)
+    fmu.fmu.setFMUstate(saved)
+    fmu.fmu.doStep(0.1, 0.1)
+    fmu.fmu.freeFMUstate(saved)
+    assert first == fmu.get("level", "mixed", "target", "rate")
+
+
+def test_serialised_state_continues_in_a_new_process(open_fmu, unpacked, tmp_path):
+    """Bytes written here, read by a new process: the next step gives the same bits."""
+    fmu = open_fmu("chamber").start()
+    drive(fmu, 0, 5)
+    saved = fmu.fmu.getFMUstate()
+    (tmp_path / "state.bin").write_bytes(fmu.fmu.serializeFMUstate(saved))
+    fmu.fmu.freeFMUstate(saved)
+    fmu.fmu.doStep(0.05, 0.01)
+    script = f"""
+        import fmpy
+        from fmpy.fmi2 import FMU2Slave
+        folder = {str(unpacked["chamber"])!r}
+        description = fmpy.read_model_description(folder, validate=False)
+        fmu = FMU2Slave(
+            guid=description.guid, unzipDirectory=folder, modelIdentifier="chamber", instanceName="new"
+        )
+        fmu.instantiate()
+        state = fmu.deSerializeFMUstate(open({str(tmp_path / "state.bin")!r}, "rb").read())
+        fmu.setFMUstate(state)
+        fmu.doStep(0.05, 0.01)
+        print([x.hex() for x in fmu.getReal(list(range({len(fmu.refs)})))])
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == str([x.hex() for x in fmu.fmu.getReal(list(range(len(fmu.refs))))])
+
+
+def test_state_cut_short_is_refused(open_fmu):
+    """The right header with too few bytes behind it is an error."""
+    fmu = open_fmu("decay").start()
+    saved = fmu.fmu.getFMUstate()
+    data = fmu.fmu.serializeFMUstate(saved)
+    fmu.fmu.freeFMUstate(saved)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmu.fmu.deSerializeFMUstate(data[:-8])
+    assert f"has {len(data) - 8} bytes, expected {len(data)}" in fmu.errors()[-1]
+
+
+def test_state_of_another_fmu_is_refused(open_fmu):
+    """Bytes of another FMU, or cut short, give an error that tells; the instance goes on."""
+    gain, decay = open_fmu("gain").start(), open_fmu("decay").start()
+    saved = gain.fmu.getFMUstate()
+    data = gain.fmu.serializeFMUstate(saved)
+    gain.fmu.freeFMUstate(saved)
+    for wrong, word in ((data[:50], "50 bytes"), (data, "is of GUID")):
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            decay.fmu.deSerializeFMUstate(wrong)
+        assert word in decay.errors()[-1]
+    decay.run(1, 0.1)
+
+
+def test_failed_step_can_be_taken_back(open_fmu):
+    """After an error a saved state brings the instance back to work."""
+    fmu = open_fmu("blowup").start()
+    saved = fmu.fmu.getFMUstate()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmu.fmu.doStep(0.0, 2.0)
+    fmu.fmu.setFMUstate(saved)
+    fmu.fmu.freeFMUstate(saved)
+    fmu.fmu.doStep(0.0, 0.5)
+    # 1 / (1 - t); integrator error at tolerance 1e-6
+    assert fmu.get("size") == pytest.approx(2.0, rel=1e-5)
+
+
+def test_reset_starts_again(open_fmu):
+    """After fmi2Reset the instance is as new: same default values, same curve."""
+    fmu = open_fmu("chamber").start()
+    first = drive(fmu, 0, 5)
+    fmu.fmu.reset()
+    fmu.start()
+    assert drive(fmu, 0, 5) == first
+
+
+def test_instances_do_not_know_each_other(open_fmu):
+    """Interleaved instances with other parameters give what each gives alone."""
+    alone = []
+    for rate in (1.0, 2.0, 3.0):
+        fmu = open_fmu("decay")
+        fmu.set(rate=rate)
+        alone.append(fmu.start().run(10, 0.1).get("level"))
+    together = [open_fmu("decay") for _ in alone]
+    for fmu, rate in zip(together, (1.0, 2.0, 3.0), strict=True):
+        fmu.set(rate=rate)
+        fmu.start()
+    for k in range(10):
+        for fmu in together:
+            fmu.fmu.doStep(k * 0.1, 0.1)
+    assert [fmu.get("level") for fmu in together] == alone
+
+
+def test_threads_give_the_same_bits(open_fmu):
+    """Eight instances in eight threads at once: eight times the same result."""
+    instances = [open_fmu("vanderpol").start() for _ in range(8)]
+    threads = [threading.Thread(target=fmu.run, args=(300, 0.01)) for fmu in instances]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len({tuple(fmu.get("x", "v")) for fmu in instances}) == 1
+
+
+def test_thousand_instances_at_once_and_freed(unpacked):
+    """A thousand instances with saved states live together and give their memory back."""
+    library = CDLL(str(unpacked["decay"] / "binaries" / "linux64" / "decay.so"))
+    guid = fmpy.read_model_description(str(unpacked["decay"]), validate=False).guid.encode()
+    for name in ("fmi2Instantiate", "fmi2FreeInstance", "fmi2GetFMUstate", "fmi2FreeFMUstate"):
+        getattr(library, name).restype = c_void_p if name == "fmi2Instantiate" else None
+    before = _resident()
+    for _ in range(3):
+        made = [c_void_p(library.fmi2Instantiate(b"i", 1, guid, b"", None, 0, 0)) for _ in range(1000)]
+        assert all(made)
+        states = []
+        for instance in made:
+            state = c_void_p()
+            library.fmi2GetFMUstate(instance, byref(state))
+            states.append(state)
+        for instance, state in zip(made, states, strict=True):
+            library.fmi2FreeFMUstate(instance, byref(state))
+            library.fmi2FreeInstance(instance)
+    # 3 x 1000 x some 3 kB would be 9 MB; the allocator keeps some pages
+    assert _resident() - before < 8e6
+
+
+def _resident() -> float:
+    """Memory of this process [bytes]."""
+    with open("/proc/self/statm") as file:
+        return float(file.read().split()[1]) * 4096
+
+
+def test_saved_state_memory_is_used_again(open_fmu):
+    """fmi2GetFMUstate into an existing state writes there and allocates nothing."""
+    fmu = open_fmu("decay").start()
+    saved = fmu.fmu.getFMUstate()
+    address = saved.value
+    fmu.fmu.fmi2GetFMUstate(fmu.fmu.component, byref(saved))
+    assert saved.value == address
+    size = c_size_t()
+    fmu.fmu.fmi2SerializedFMUstateSize(fmu.fmu.component, saved, byref(size))
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmu.fmu.fmi2SerializeFMUstate(fmu.fmu.component, saved, (c_char * 4)(), 4)
+    fmu.fmu.freeFMUstate(saved)
+    assert "memory is too small" in fmu.errors()[-1]
