@@ -1,0 +1,1 @@
+"""FMUs of small models, to test the orchestrator with FMUs that this project did not export."""

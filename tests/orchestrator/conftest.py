@@ -1,0 +1,58 @@
+"""Fixtures: small FMUs, and the two-mass oscillator made of two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from any_fmu.models import Workshop
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from orchestrator import System, assemble
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    """The plain FMU of each model by name, and a way to make others."""
+    return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()
+
+
+@pytest.fixture(scope="session")
+def oscillator(fmus: Workshop) -> System:
+    """Two masses and three springs, undamped: a sends a force with feed-through, b its position."""
+    files = {"a": fmus["mass_a"], "b": fmus["mass_b"]}
+    return assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+
+
+@pytest.fixture(scope="session")
+def exact() -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Exact positions of the oscillator's two masses, shape (n, 2), at equally spaced times from 0."""
+
+    def solution(time: NDArray[np.float64]) -> NDArray[np.float64]:
+        matrix = np.array([[0, 1, 0, 0], [-110, 0, 100, 0], [0, 0, 0, 1], [100, 0, -1100, 0]], dtype=float)
+        advance = expm(matrix * (time[1] - time[0]))
+        states = [np.array([0.0, 100.0, 0.0, -100.0])]
+        for _ in time[1:]:
+            states.append(advance @ states[-1])
+        return np.array(states)[:, [0, 2]]
+
+    return solution
+
+
+@pytest.fixture
+def zip_ssp(tmp_path: Path) -> Callable[..., Path]:
+    """Writes an .ssp from the text of its .ssd and files by member name."""
+    import zipfile
+
+    def write(ssd: str, files: dict[str, Path | str], name: str = "system.ssp") -> Path:
+        path = tmp_path / name
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("SystemStructure.ssd", ssd)
+            for member, content in files.items():
+                archive.writestr(member, content if isinstance(content, str) else content.read_bytes())
+        return path
+
+    return write

@@ -1,0 +1,109 @@
+"""The masters on the undamped two-mass oscillator, whose exact solution is known."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Trace, assemble, run
+from orchestrator.dependencies import output_order, sequence
+
+
+def worst(result, exact):
+    """Largest error of the first mass' position over its largest position."""
+    truth = exact(result.trace.time)[:, 0]
+    return np.abs(result.trace["a.x"] - truth).max() / np.abs(truth).max()
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_held_inputs_converge_with_order_one(oscillator, exact, master):
+    """Halving the communication step halves the error."""
+    errors = [worst(run(oscillator, master=master, step=h, stop=2.0), exact) for h in (1e-3, 5e-4)]
+    # first order; at these steps the next term of the error expansion is still felt (measured 1.04, 1.02)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.parametrize(("interpolates", "order"), [(False, 1), (True, 2)])
+def test_gauss_seidel_interpolates_where_it_can(fmus, interpolates, order):
+    """An integrator behind a sine: order 1 when it holds the new value, 2 when it moves from old to new."""
+    integrator = fmus.make("fails", f"integrator_{interpolates}", interpolates=interpolates)
+    system = assemble({"sum": integrator, "sine": fmus["source"]}, ["sine.y -> sum.u"])
+    errors = []
+    for h in (0.02, 0.01):
+        trace = run(system, master="gauss-seidel", step=h, stop=1.0).trace
+        errors.append(abs(trace["sum.y"][-1] - (1 - np.cos(1.0))))
+    # rectangle and trapezoidal rule; the next term of their expansion is below 2 % at these steps
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.02)
+
+
+def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
+    """At a step of 1e-2 the error stays near 1; masters that read the force too early reach 60."""
+    # 0.94795 is the error of the scheme itself, from exact solutions of each mass over each step; the FMUs'
+    # own integration error at 1/13 of a step per radian is below 1e-4 of that
+    assert worst(run(oscillator, step=1e-2, stop=10.0), exact) == pytest.approx(0.94795, rel=1e-3)
+
+
+def test_recorded_force_belongs_to_recorded_positions(oscillator):
+    """The feed-through output is consistent with the positions at every recorded instant, the first included."""
+    trace = run(oscillator, step=1e-2, stop=0.1).trace
+    # same numbers, same formula: a few ulp
+    np.testing.assert_allclose(trace["a.force"], 100 * (trace["b.x"] - trace["a.x"]), rtol=1e-14)
+    np.testing.assert_array_equal(trace["a.force"], trace["b.force"])
+
+
+def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, oscillator):
+    """An FMU without dependencies looks like a loop; repeated reading gives the same numbers, and a note says so."""
+    files = {m[-1]: fmus.make(m, f"{m}_silent", undeclared=True) for m in ("mass_a", "mass_b")}
+    silent = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+    result, declared = (run(s, step=1e-2, stop=0.5) for s in (silent, oscillator))
+    np.testing.assert_array_equal(result.trace["b.x"], declared.trace["b.x"])
+    assert "direct dependencies are not declared" in result.card.notes[0]
+
+
+def test_gauss_seidel_takes_feed_through_last(oscillator):
+    """The component whose output needs the other's position steps after it."""
+    assert sequence(oscillator) == ["b", "a"]
+
+
+def test_stages_follow_the_feed_through(oscillator):
+    """Positions are known at once, the force one stage later."""
+    stages = {str(port): s for port, s in output_order(oscillator).stages.items()}
+    assert stages == {"a.force": (1,), "a.x": (0,), "a.v": (0,), "b.x": (0,), "b.v": (0,)}
+
+
+def test_a_chain_of_gains_passes_in_one_instant(fmus):
+    """Feed-through over four components takes no communication step."""
+    files = {"source": fmus["source"]} | {f"g{i}": fmus["gain"] for i in range(4)}
+    wires = ["g2.y -> g3.u", "g0.y -> g1.u", "g1.y -> g2.u", "source.y -> g0.u"]
+    start = {f"g{i}.factor": 2.0 for i in range(4)}
+    trace = run(assemble(files, wires, start), step=0.1, stop=1.0).trace
+    np.testing.assert_array_equal(trace["g3.y"], 16 * trace["source.y"])  # powers of two: exact
+    assert trace["g3.y"][3] != 0
+
+
+def test_an_algebraic_loop_is_named(fmus):
+    """A loop of declared feed-through is refused with its connections."""
+    system = assemble({"p": fmus["gain"], "q": fmus["gain"]}, ["p.y -> q.u", "q.y -> p.u"])
+    with pytest.raises(Exception, match=r"algebraic loop.*p\.y -> q\.u") as caught:
+        run(system, step=0.1, stop=1.0)
+    assert "q.y -> p.u" in str(caught.value)
+
+
+def test_driven_inputs_move_inside_the_step_where_the_fmu_can(fmus):
+    """A ramp reaches an integrator exactly when it takes slopes, and with the error of a held input otherwise."""
+    ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
+    ends = {}
+    for interpolates in (False, True):
+        fmu = fmus.make("fails", f"ramped_{interpolates}", interpolates=interpolates)
+        ends[interpolates] = run(str(fmu), ramp, step=0.1).trace[f"ramped_{interpolates}.y"][-1]
+    assert ends[True] == pytest.approx(0.5, abs=1e-12)  # exact for polynomials; rounding of 4000 inner steps
+    assert ends[False] == pytest.approx(0.45, abs=1e-12)  # the sum of ten rectangles, rounding as above
+
+
+def test_parameters_of_the_run_do_not_leak_into_the_system(oscillator):
+    """A system can be run again and gives the same numbers, bit for bit."""
+    first = run(oscillator, step=1e-2, stop=0.2, set={"a.mass": 2.0})
+    again, plain = (
+        run(oscillator, step=1e-2, stop=0.2, set={"a.mass": 2.0}),
+        run(oscillator, step=1e-2, stop=0.2),
+    )
+    np.testing.assert_array_equal(first.trace["a.x"], again.trace["a.x"])
+    assert not np.array_equal(first.trace["a.x"], plain.trace["a.x"])

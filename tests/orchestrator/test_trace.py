@@ -1,0 +1,91 @@
+"""Trace files: numbers survive bit for bit, and every mistake names file, row and column."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, Trace, read, write
+
+
+@pytest.fixture
+def trace():
+    values = np.random.default_rng(1).standard_normal(50) * 10.0 ** np.arange(-25, 25)
+    return Trace(np.arange(50) * 0.1, {"a.y": values, "b.x, odd": -values}, {"a.y": "Pa"})
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
+    """What is read equals what was written, names and order included."""
+    back = read(write(trace, tmp_path / f"new/trace{suffix}"))
+    assert list(back.signals) == ["a.y", "b.x, odd"]
+    np.testing.assert_array_equal(back.time, trace.time)
+    np.testing.assert_array_equal(back["a.y"], trace["a.y"])
+    assert back.units == ({"a.y": "Pa"} if suffix == ".parquet" else {})
+
+
+def test_values_between_samples_are_linear_and_held_outside(trace):
+    """Interpolation at any times."""
+    ramp = Trace(np.array([1.0, 2.0]), {"u": np.array([10.0, 20.0])})
+    np.testing.assert_array_equal(ramp.at([0.0, 1.5, 9.0])["u"], [10.0, 15.0, 20.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,u\n0,1\n0.1,\n", r"row 3, column 'u': expected a number, got an empty cell"),
+        ("time,u\n0,1\n0.1,off\n", r"row 3, column 'u': expected a number, got 'off'"),
+        ("time,u\n0,1\n0.1,nan\n", r"row 3, column 'u': expected a number, got 'nan'"),
+        ("time,u\n0,1\n0.1\n", r"row 3: expected 2 values, got 1"),
+        ("time,u\n0,1\n\n0.2,1\n", r"row 3: expected 2 values, got an empty row"),
+        ("time,u\n0,1\n0.1,1,2\n", r"row 3: expected 2 values, got 3"),
+        ("time,u\n0,1\n0.2,1\n0.1,1\n", r"row 4: expected a time after 0.2 s, got 0.1"),
+        ("time,u\n0,1\n0,1\n", r"row 3: expected a time after 0.0 s, got 0.0"),
+        ("u,time\n0,1\n", r"row 1: expected the first column to be named 'time', got 'u'"),
+        ("time;u\n0;1\n", r"got 'time;u' \(columns are separated by commas\)"),
+        ("time,u,u\n0,1,2\n", r"row 1: two columns are named 'u'"),
+        ("time,,u\n0,1,2\n", r"row 1: column 2 has no name"),
+        ("time,u\n", r"expected rows of numbers below the names, got none"),
+        ("", r"row 1: expected the first column to be named 'time', got nothing"),
+    ],
+)
+def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
+    """File, row and column, expected and got."""
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(Problem, match=message) as caught:
+        read(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
+    """A recording at 200 Hz that lacks ten rows is refused; a file with irregular times is not."""
+    time = np.arange(100) * 0.005
+    gap, path = np.delete(time, slice(40, 50)), tmp_path / "gap.csv"
+    write(Trace(gap, {"u": gap}), path)
+    with pytest.raises(
+        Problem, match=r"row 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
+    ):
+        read(path)
+    points = np.array([0, 0.1, 0.15, 2, 5, 20])
+    write(Trace(points, {"u": points}), path)
+    assert len(read(path).time) == 6
+
+
+def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
+    """The file name is in the message."""
+    with pytest.raises(Problem, match=r"a.txt: expected a file name ending in .csv or .parquet"):
+        write(trace, tmp_path / "a.txt")
+    with pytest.raises(Problem, match=r"none.csv: no such file"):
+        read(tmp_path / "none.csv")
+    (tmp_path / "fake.parquet").write_text("time,u")
+    with pytest.raises(Problem, match=r"fake.parquet: cannot be read as Parquet"):
+        read(tmp_path / "fake.parquet")
+
+
+def test_parquet_columns_must_be_numbers(tmp_path):
+    """Text in a Parquet column is named."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
+    with pytest.raises(Problem, match=r"column 'u': expected numbers, got string"):
+        read(tmp_path / "text.parquet")
