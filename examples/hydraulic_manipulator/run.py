@@ -52,8 +52,11 @@ class Outcome:
 
 def simulate(system: Path, manoeuvre: Path, step: float, master: str) -> Outcome:
     """Co-simulate `manoeuvre` with the communication step [s] and compare."""
-    result = run(system, manoeuvre, master=master, step=step)
-    truth = solve(read(manoeuvre), result.trace.time)
+    scenario = read(manoeuvre)
+    if list(scenario.signals) != ["kappa"] or len(scenario.time) < 2:
+        raise Problem(f"{manoeuvre}: expected the columns time, kappa and two rows or more")
+    result = run(system, scenario, master=master, step=step)
+    truth = solve(scenario, result.trace.time)
     reference = read_reference(REFERENCE) if manoeuvre.resolve() == M1 else None
     validation = compare(result.trace, reference, rate=False) if reference else None
     return Outcome(result, truth, reference, validation)
