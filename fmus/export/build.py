@@ -26,7 +26,7 @@ from fmus.parameters import Values, values
 TARGETS = {
     "linux64": ("x86_64-linux-gnu.2.17", ".so"),
     "win64": ("x86_64-windows-gnu", ".dll"),
-    "darwin64": ("x86_64-macos", ".dylib"),
+    "darwin64": (f"{'aarch64' if platform.machine() == 'arm64' else 'x86_64'}-macos", ".dylib"),
 }
 FLAGS = (
     *("-std=c99", "-O3", "-Wall", "-Wextra", "-Werror", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),

@@ -98,7 +98,7 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    watch = math.inf if q.warn_above is None or v.kind != "OUTPUT" else q.warn_above
+    watch = math.inf if q.warn_above is None or not v.output else q.warn_above
     numbers = ", ".join(_number(n) for n in (v.start or 0.0, low, high, q.nominal, watch))
     return f"    {{{_string(v.name)}, {_string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
 

@@ -84,6 +84,8 @@ def _state(name: str, q: Quantity, shown: Quantity | None, sym: Symbolic, values
     calculated = name in sym.calculated
     start = None if calculated else values.x[name]
     kind: Kind = "CALCULATED_STATE" if calculated else "STATE"
+    if shown is not None and shown.warn_above is not None:
+        q = replace(q, warn_above=shown.warn_above)
     return Variable(name, kind, q, start, output=shown is not None)
 
 

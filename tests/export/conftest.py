@@ -95,7 +95,11 @@ CHAMBER = toy(
     },
     x={"pressure": q("Pa", 1e7), "flow": q("m3/s", 1e-4), "heat": q("J", 100.0)},
     u={"opening": q("1", minimum=0.0, maximum=1.0), "supply": q("Pa", 1e7)},
-    y={"pressure": q("Pa", 1e7), "force": q("N", 1e4, warn_above=1.5e4), "pressure_rate": q("Pa/s", 1e8)},
+    y={
+        "pressure": q("Pa", 1e7, warn_above=1.9e7),
+        "force": q("N", 1e4, warn_above=1.5e4),
+        "pressure_rate": q("Pa/s", 1e8),
+    },
     f=lambda x, u, p: {
         "pressure": p.modulus / p.volume * (x.flow - p.conductance * x.pressure),
         "flow": (u.supply - x.pressure - 1e12 * x.flow * ca.fabs(x.flow)) / p.inertance

@@ -175,6 +175,13 @@ def test_watched_output_warns_once_per_excursion(open_fmu):
     assert "mixed = 200 1 at t = 2 s is above 5" in warnings[0]
 
 
+def test_watched_state_warns_too(open_fmu):
+    """An output that is a state is watched like the others."""
+    fmu = open_fmu("chamber").start().run(3, 0.1)
+    warnings = [text for category, text in fmu.messages if category == "logStatusWarning"]
+    assert any("fmi2DoStep: pressure = " in text for text in warnings)
+
+
 def test_log_categories_are_filtered(open_fmu):
     """Only the categories asked for arrive; an unknown one is refused."""
     fmu = open_fmu("decay", logging=True)

@@ -193,13 +193,15 @@ static void plan_motion(const State *s, Motion *motion) {
 
 /* One warning per excursion of a watched output. */
 static void watch(Core *core) {
-    for (int i = 0; i < NY; i++) {
-        const Variable *v = &model_variables[FIRST_OUTPUT + i];
-        const int above = fabs(core->y[i]) > v->warn_above;
-        if (above && !core->s.warned[i])
-            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, core->y[i],
-                         v->unit, core->s.time, v->warn_above, v->unit);
-        core->s.warned[i] = above;
+    for (int r = FIRST_STATE; r < NUMBER_OF_VARIABLES; r++) {
+        const Variable *v = &model_variables[r];
+        if (isinf(v->warn_above)) continue;
+        const double value = value_of(core, r);
+        const int above = fabs(value) > v->warn_above;
+        if (above && !core->s.warned[r])
+            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, value, v->unit,
+                         core->s.time, v->warn_above, v->unit);
+        core->s.warned[r] = above;
     }
 }
 

@@ -23,7 +23,7 @@ typedef struct {
     double slope[ROOM(NU)];   /* time derivative of the inputs at the end of the last step */
     double given[ROOM(NU)][3]; /* input derivatives of order 1 to 3 set for the next step */
     int is_given[ROOM(NU)];
-    int warned[ROOM(NY)]; /* 1 while an output is above its limit */
+    int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched output is above its limit */
     int initial;          /* 1 until the initialisation is over: states follow from the start values */
     int phase, type;      /* of the FMI state machine, see fmi2_instance.h */
 } State;
