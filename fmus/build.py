@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from fmus.contract import ModelError
-from fmus.export import build_all, write_ssp
+from fmus.export.build import build_all
+from fmus.export.ssp import write_ssp
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.scenarios import WORK_CYCLE_STOP
 
@@ -31,7 +32,6 @@ def build_machine(folder: Path) -> list[Path]:
         dict(zip(SUBSYSTEMS, fmus, strict=True)),
         CONNECTIONS,
         inputs=INPUTS,
-        step=STEP,
         stop=WORK_CYCLE_STOP,
         resources={name: data(name) for name in DATA},
     )

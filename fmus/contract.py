@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, get_type_hints
 
@@ -77,8 +78,9 @@ class Subsystem:
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
 
 
+@cache
 def quantities(group: type[Any]) -> dict[str, Quantity]:
-    """The declared quantities of a variable group, in field order."""
+    """The declared quantities of a variable group, in field order; do not change the returned dict."""
     hints = get_type_hints(group, include_extras=True)
     return {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
 

@@ -198,13 +198,13 @@ def test_end_stops_push_inwards_only(x: float, v: float) -> None:
 
 
 @given(pressures, pressures, st.floats(-2.0, 2.0))
-def test_motor_conserves_oil_and_turns_pressure_into_torque(p_a: float, p_b: float, speed: float) -> None:
-    """Line inflow = displaced flow + leakage at each node, eqs. (11), (12)."""
+def test_motor_nodes_obey_line_and_leakage_resistances(p_a: float, p_b: float, speed: float) -> None:
+    """Line flow = (P_c - P) / R_line = displaced flow + leakage at each node, eqs. (11), (12)."""
     d, r_in, r_ex, r_line, tank = 1.5e-3, 2e12, 1.1e12, 6.2e6, 0.0
     n = motor.nodes(p_a, p_b, tank, d * speed, r_line, r_line, r_in, r_ex)
-    cross = (n.pressure_1 - n.pressure_2) / r_in
-    # exact identity; flows are differences of pressures over 6e6, so 1e-8 Pa / 6e6 of rounding and more
-    tolerance = 1e-7 * (abs(d * speed) + 1e-6)
-    assert n.flow_1 == pytest.approx(d * speed + cross + n.pressure_1 / r_ex, abs=tolerance)
-    assert n.flow_2 == pytest.approx(-d * speed - cross + n.pressure_2 / r_ex, abs=tolerance)
+    # exact identity; the difference of pressures of 4e7 Pa rounds by 1e-8 Pa, over 6e6
+    assert n.flow_1 == pytest.approx((p_a - n.pressure_1) / r_line, abs=1e-13)
+    assert n.flow_2 == pytest.approx((p_b - n.pressure_2) / r_line, abs=1e-13)
     assert n.drain == pytest.approx((n.pressure_1 + n.pressure_2) / r_ex, rel=1e-9, abs=1e-12)
+    cross = (n.pressure_1 - n.pressure_2) / r_in
+    assert n.flow_1 - d * speed - n.pressure_1 / r_ex == pytest.approx(cross, rel=1e-9, abs=1e-15)

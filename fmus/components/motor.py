@@ -48,5 +48,7 @@ def nodes(
     determinant = a * d - g_in**2
     p1 = (d * b1 + g_in * b2) / determinant
     p2 = (a * b2 + g_in * b1) / determinant
-    drain = g_ex * (p1 - tank) + g_ex * (p2 - tank)
-    return MotorNodes(p1, p2, g1 * (line_1 - p1), g2 * (line_2 - p2), drain)
+    # line flows by the node balance: (P_c1 - P1)/R_1 is the difference of nearly equal numbers
+    cross, drain_1, drain_2 = g_in * (p1 - p2), g_ex * (p1 - tank), g_ex * (p2 - tank)
+    flow_1, flow_2 = displaced_flow + cross + drain_1, -displaced_flow - cross + drain_2
+    return MotorNodes(p1, p2, flow_1, flow_2, drain_1 + drain_2)

@@ -404,6 +404,9 @@ def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters)
         conditions[f"{name}_angle keeps the {name} piston below its open end"] = (
             stroke + margin - piston.position
         )
+    boom, stick = triangles(x, p)
+    conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.arm
+    conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.arm
     return conditions
 
 

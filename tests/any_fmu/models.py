@@ -173,9 +173,8 @@ def describe(
         counts[family] += 1
     unknowns = "".join(_unknown(v, index, undeclared) for v in variables if v.causality == "output")
     used = sorted({v.unit for v in variables if v.unit})
-    ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUstate='true' maxOutputDerivativeOrder='1'"
-    if interpolates:
-        ability += " canInterpolateInputs='true'"
+    ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUstate='true'"
+    ability += " maxOutputDerivativeOrder='1'" + (" canInterpolateInputs='true'" if interpolates else "")
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{version}" modelName="{name}" guid="{guid}">
 <{kind} modelIdentifier="{name}" {ability if kind == "CoSimulation" else ""}/>

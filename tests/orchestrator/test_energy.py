@@ -24,7 +24,8 @@ def wired(*signals):
     variables = {"x": {}, "y": {}}
     connections = []
     for text in signals:
-        name, unit, (source, target) = (*text.split()[:2], text.split()[2].split("->"))
+        name, unit, way = text.split()
+        source, target = way.split("->")
         variables[source][f"out_{name}"] = Variable(f"out_{name}", causality="output", unit=UNITS[unit])
         variables[target][name] = Variable(name, causality="input", unit=UNITS[unit])
         connections.append(Connection(Port(source, f"out_{name}"), Port(target, name)))
@@ -49,7 +50,7 @@ def energy(trace):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_residual_is_the_energy_that_the_coupling_made(bounce, master):
-    """No part of the system makes or loses energy, so the whole change of energy is the residual of the bond."""
+    """Neither part makes or loses energy, so the whole change of energy is the residual of the bond."""
     result = run(bounce, master=master, step=1e-3, stop=1.0)
     made = energy(result.trace)
     (bond,) = result.card.bonds
@@ -97,7 +98,7 @@ def test_bond_in_other_units_counts_in_watts():
 def test_named_bonds_must_be_opposite_connections(bounce):
     """A bond given by hand is checked and used."""
     assert named_bond(bounce, "mass.force", "spring.v").name == "mass - spring"
-    with pytest.raises(Problem, match="mass.x is not a connected input"):
+    with pytest.raises(Problem, match=r"mass.x is not a connected input"):
         named_bond(bounce, "mass.x", "spring.v")
     result = run(bounce, step=1e-2, stop=0.1, bonds=[("mass.force", "spring.v")])
     assert len(result.card.bonds) == 1

@@ -42,7 +42,7 @@ def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
 
 
 def test_recorded_force_belongs_to_recorded_positions(oscillator):
-    """The feed-through output is consistent with the positions at every recorded instant, the first included."""
+    """The feed-through output fits the positions at every recorded instant, the first included."""
     trace = run(oscillator, step=1e-2, stop=0.1).trace
     # same numbers, same formula: a few ulp
     np.testing.assert_allclose(trace["a.force"], 100 * (trace["b.x"] - trace["a.x"]), rtol=1e-14)
@@ -50,7 +50,7 @@ def test_recorded_force_belongs_to_recorded_positions(oscillator):
 
 
 def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, oscillator):
-    """An FMU without dependencies looks like a loop; repeated reading gives the same numbers, and a note says so."""
+    """Without dependencies two FMUs look like a loop: they are read repeatedly, and a note says so."""
     files = {m[-1]: fmus.make(m, f"{m}_silent", undeclared=True) for m in ("mass_a", "mass_b")}
     silent = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
     result, declared = (run(s, step=1e-2, stop=0.5) for s in (silent, oscillator))
@@ -88,7 +88,7 @@ def test_an_algebraic_loop_is_named(fmus):
 
 
 def test_driven_inputs_move_inside_the_step_where_the_fmu_can(fmus):
-    """A ramp reaches an integrator exactly when it takes slopes, and with the error of a held input otherwise."""
+    """An integrator follows a ramp exactly when it takes slopes, else with the error of a held input."""
     ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
     ends = {}
     for interpolates in (False, True):

@@ -22,7 +22,7 @@ def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     assert back.units == ({"a.y": "Pa"} if suffix == ".parquet" else {})
 
 
-def test_values_between_samples_are_linear_and_held_outside(trace):
+def test_values_between_samples_are_linear_and_held_outside():
     """Interpolation at any times."""
     ramp = Trace(np.array([1.0, 2.0]), {"u": np.array([10.0, 20.0])})
     np.testing.assert_array_equal(ramp.at([0.0, 1.5, 9.0])["u"], [10.0, 15.0, 20.0])
