@@ -150,10 +150,14 @@ def open_component(name: str, fmu: Location) -> Component:
 
 def join(system: System, source: Port, target: Port, after: Linear, notes: list[str]) -> Connection:
     """A checked connection with unit conversion; remarks go to `notes`."""
-    where = f"{source} -> {target}"
-    linear, note = conversion(system.variable(source).unit, system.variable(target).unit, where)
+    plain = connection(system, source, target, after)
+    units = system.variable(source).unit, system.variable(target).unit
+    labels = [
+        f"{port} {unit}" if unit else str(port) for port, unit in zip((source, target), units, strict=True)
+    ]
+    linear, note = conversion(*units, " -> ".join(labels))
     notes.extend([note] if note else [])
-    return connection(system, source, target, linear.then(after))
+    return replace(plain, map=linear.then(after))
 
 
 def connection(system: System, source: Port, target: Port, linear: Linear) -> Connection:

@@ -70,6 +70,7 @@ def conversion(source: Unit | None, target: Unit | None, where: str) -> tuple[Li
 
 
 def _base(unit: Unit) -> str:
-    """The unit in base units, for a message: 'bar = kg.m-1.s-2'."""
+    """The unit and its base units, for a message: 'bar = kg.m-1.s-2'."""
     parts = [f"{b}{n if n != 1 else ''}" for b, n in zip(BASES, unit.exponents or (), strict=False) if n]
-    return f"{unit.name} = {'.'.join(parts) or '1'}"
+    base = ".".join(parts) or "1"
+    return unit.name if unit.name == base else f"{unit.name} = {base}"

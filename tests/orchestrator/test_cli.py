@@ -1,0 +1,157 @@
+"""The command line: defaults, one-line errors with exit status 2, records of interrupted runs."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Trace, read, write
+from orchestrator.__main__ import main
+
+SSD = """<SystemStructureDescription version="1.0" name="bench"
+ xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
+<Connectors><Connector name="command" kind="input"/></Connectors>
+<Elements><Component name="g" source="resources/gain.fmu">
+<Connectors><Connector name="u" kind="input"/></Connectors></Component></Elements>
+<Connections><Connection startConnector="command" endElement="g" endConnector="u"/></Connections></System>
+</SystemStructureDescription>"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, fmus, zip_ssp):
+    """A working directory with build/harvester.ssp, whose resources hold a work cycle."""
+    monkeypatch.chdir(tmp_path)
+    cycle = write(Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 4.0])}), "cycle.csv")
+    (tmp_path / "build").mkdir()
+    parts = {"resources/gain.fmu": fmus["gain"], "resources/work_cycle.csv": cycle}
+    zip_ssp(SSD, parts, "build/harvester.ssp")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_bare_run_does_the_work_cycle(capsys):
+    """System, scenario and output have defaults."""
+    assert main(["run", "--step", "0.25"]) == 0
+    np.testing.assert_array_equal(read("build/run.csv")["g.y"], [0, 1, 2, 3, 4])
+    printed = capsys.readouterr().out
+    assert "4 steps" in printed
+    assert "build/run.csv: 2 signals, 5 rows" in printed
+
+
+@pytest.mark.usefixtures("folder")
+def test_all_options_reach_the_run(capsys):
+    """Master, times, start values, output format, error estimate."""
+    write(Trace(np.array([0.0, 9.0]), {"command": np.array([1.0, 1.0])}), "other.csv")
+    options = [
+        "--scenario",
+        "other.csv",
+        "--master",
+        "gauss-seidel",
+        "--step",
+        "0.5",
+        "--start",
+        "1",
+        "--stop",
+        "3",
+    ]
+    options += ["--set", "g.factor=3", "--set", "g.offset=1", "--out", "new/out.parquet", "--error-estimate"]
+    assert main(["run", "build/harvester.ssp", *options]) == 0
+    trace = read("new/out.parquet")
+    assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
+    assert "change at half the step" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_single_fmu_runs(fmus):
+    """`harvester run some.fmu`."""
+    assert main(["run", str(fmus["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
+    assert len(read("o.csv").time) == 11
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "none.ssp"], "harvester: none.ssp: no such file"),
+        (["run", "--set", "g.factor"], "harvester: --set g.factor: expected component.variable=value"),
+        (["run", "--set", "g.fctor=1"], "harvester: unknown variable 'g.fctor'; did you mean g.factor"),
+        (["run", "--scenario", "none.csv"], "harvester: none.csv: no such file"),
+        (["run", "--out", "run.xls"], "harvester: run.xls: expected a file name ending in .csv or .parquet"),
+        (["run", "--step", "fast"], "--step"),
+        (["walk"], "walk"),
+    ],
+)
+def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
+    """No traceback."""
+    assert main(arguments) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_failed_run_leaves_its_record(capsys, fmus):
+    """What was recorded until the failure is written, and the failure told."""
+    options = [
+        "--stop",
+        "1",
+        "--step",
+        "0.1",
+        "--set",
+        "fails.when=0.45",
+        "--set",
+        "fails.how=3",
+        "--out",
+        "o.csv",
+    ]
+    assert main(["run", str(fmus["fails"]), *options]) == 2
+    printed = capsys.readouterr()
+    assert len(read("o.csv").time) == 6
+    assert "the run ended early; what was recorded up to t = 0.5 s is kept in o.csv" in printed.out
+    assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
+
+
+INTERRUPTED = """
+import os, signal, sys
+from orchestrator.__main__ import main
+from orchestrator.recorder import Recorder
+check = Recorder.check
+def interrupt(self, since):
+    rows = check(self, since)
+    if rows > 1000:
+        os.kill(os.getpid(), signal.SIGINT)
+    return rows
+Recorder.check = interrupt
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
+@pytest.mark.usefixtures("folder")
+def test_ctrl_c_leaves_the_record(fmus):
+    """A signal in the middle of a run: exit status 130, the record readable and whole."""
+    arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--out", "o.parquet"]
+    ended = python(INTERRUPTED, *arguments)
+    assert ended.returncode == 130, ended.stderr
+    assert "is kept in o.parquet" in ended.stdout
+    assert "Traceback" not in ended.stderr
+    assert len(read("o.parquet").time) > 1000
+
+
+def python(code, *arguments):
+    """Run code in another process."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=60)
+
+
+def test_help_starts_fast():
+    """Heavy packages are not imported to show the help."""
+    code = "import sys; from orchestrator.__main__ import main; main(['--help']); print(sorted(sys.modules))"
+    loaded = python(code)
+    assert loaded.returncode == 0
+    for heavy in ("'numpy'", "'fmpy'", "'scipy'", "'casadi'", "'pyarrow'", "'matplotlib'"):
+        assert heavy not in loaded.stdout

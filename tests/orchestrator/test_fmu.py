@@ -1,0 +1,203 @@
+"""One FMU: instances, failures, messages, rollback, slopes, clean-up."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, load
+from orchestrator.archive import Location
+from orchestrator.fmu import FmuSlave, pointer
+from orchestrator.interface import read_interface
+from orchestrator.library import Library
+
+
+def opened(path, name="it"):
+    """An instance, not yet initialised."""
+    fmu = Location(Path(path))
+    return FmuSlave(name, read_interface(fmu), fmu)
+
+
+def started(path, stop=10.0, **start):
+    """An instance, ready to step from 0."""
+    slave = opened(path)
+    slave.setup(0.0, stop, None)
+    for name, value in start.items():
+        slave.set(name, value)
+    slave.enter()
+    slave.exit()
+    return slave
+
+
+def test_unpacked_files_are_removed(fmus):
+    """Nothing is left in the temporary folder, not even after a failed start."""
+    before = set(Path(tempfile.gettempdir()).glob("fmu-*"))
+    started(fmus["gain"]).close()
+    with pytest.raises(Problem):
+        opened(fmus.make("gain", "stranger", guid="nobody knows me"))
+    assert set(Path(tempfile.gettempdir()).glob("fmu-*")) - before == set()
+
+
+def test_instances_are_freed(fmus):
+    """A new instance finds no other one alive, and close may be called twice."""
+    for _ in range(3):
+        slave = started(fmus["types"])
+        assert slave.get("alive") == 1
+        slave.close()
+        slave.close()
+
+
+def test_a_missing_binary_tells_what_there_is(fmus):
+    """Expected and found, with the component and the FMU."""
+    with pytest.raises(
+        Problem, match=r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/"
+    ) as e:
+        opened(fmus.make("gain", "foreign", platform="amiga"))
+    assert "got binaries/amiga/foreign" in str(e.value)
+    with pytest.raises(Problem, match="got no binaries at all"):
+        opened(fmus.make("gain", "bare", platform=""))
+
+
+def test_a_failed_start_tells_what_the_fmu_says(fmus):
+    """The reason is asked for, and its printf arguments are filled in."""
+    with pytest.raises(Problem, match="could not be instantiated; it says: wrong guid impostor"):
+        opened(fmus.make("gain", "impostor", guid="impostor"))
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        (2, r"the step failed at t = 0.2 s with status discard \(the FMU got as far as t = 0.2 s\)"),
+        (3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
+        (4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
+        (
+            6,
+            r"the step failed at t = 0.2 s with status discard \(the FMU asks to end the simulation at t = 0.2 s\)",
+        ),
+    ],
+)
+def test_a_failed_step_tells_when_and_why(fmus, how, message):
+    """Component, time, status, and the FMU's own words."""
+    slave = started(fmus["fails"], when=0.15, how=how)
+    slave.set("u", 1.0)
+    slave.step(0.0, 0.1)
+    slave.step(0.1, 0.1)
+    with pytest.raises(Problem, match=r"^it: .*" + message):
+        slave.step(0.2, 0.1)
+    slave.close()
+
+
+def test_warnings_are_kept_and_counted(fmus):
+    """Equal warnings become one line."""
+    slave = started(fmus["fails"], when=0.0, how=1)
+    for n in range(3):
+        slave.step(0.1 * n, 0.1)
+    assert slave.log.warnings() == ["it at t = 0 s: the oil is warm at: 0 (3 times)"]
+    slave.close()
+
+
+def test_messages_go_to_the_instance_that_sent_them(fmus):
+    """Two instances of one FMU, and FMPy's own logger beside them."""
+    first, second = opened(fmus["fails"], "first"), opened(fmus["fails"], "second")
+    for slave in (first, second):
+        slave.setup(0.0, 1.0, None)
+    with pytest.raises(Problem, match="second: fmi2ExitInitializationMode failed"):
+        second.exit()
+    assert (len(first.log.messages), len(second.log.messages)) == (0, 1)
+    first.close()
+    second.close()
+
+
+def test_restoring_a_state_repeats_the_step_exactly(fmus):
+    """Save, step, restore, step: bit for bit."""
+    slave = started(fmus["mass_b"])
+    slave.step(0.0, 0.1)
+    state = slave.save()
+    slave.step(0.1, 0.1)
+    once = slave.get("x")
+    slave.restore(state)
+    slave.step(0.1, 0.1)
+    assert slave.get("x") == once
+    slave.forget(state)
+    slave.close()
+
+
+def test_slopes_are_read_and_written(fmus):
+    """An input with a slope integrates to a parabola; the derivative of a position is the velocity."""
+    slave = started(fmus["fails"])
+    slope = np.array([2.0])
+    slave.slope_writer(["u"], slope)()
+    slave.step(0.0, 1.0)
+    assert slave.get("y") == pytest.approx(1.0, rel=1e-12)  # exact for polynomials; 4000 roundings
+    slave.close()
+    mass = started(fmus["mass_b"])
+    found = np.zeros(1)
+    mass.slope_reader(["x"], found)()
+    assert found[0] == -100.0
+    mass.close()
+
+
+def test_readers_and_writers_use_slices_in_place(fmus):
+    """Several variables in one call, into the middle of an array."""
+    slave = started(fmus["gain"])
+    values = np.array([-1.0, 3.0, 2.0, 0.5, -1.0])
+    slave.writer(["u", "factor", "offset"], values[1:4])()
+    slave.reader(["y"], values[4:])()
+    np.testing.assert_array_equal(values, [-1.0, 3.0, 2.0, 0.5, 6.5])
+    slave.close()
+
+
+def test_buffers_must_fit():
+    """A slice with gaps, or of another type, would be written beside."""
+    with pytest.raises(ValueError, match="expected 2 contiguous values"):
+        pointer(np.zeros(4)[::2], 2)
+    with pytest.raises(ValueError, match="float32"):
+        pointer(np.zeros(2, np.float32), 2)
+
+
+def test_a_missing_function_is_named_when_it_is_needed(fmus):
+    """Optional functions may be absent until somebody asks for them."""
+    slave = started(fmus["gain"])
+    with pytest.raises(Problem, match="its binary lacks the function fmi2SerializeFMUstate"):
+        slave._library.function("fmi2SerializeFMUstate")
+    slave.close()
+
+
+def test_a_broken_binary_is_told(tmp_path):
+    """The file that cannot be loaded is named."""
+    import fmpy
+
+    folder = tmp_path / "binaries" / fmpy.platform
+    folder.mkdir(parents=True)
+    (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
+    with pytest.raises(Problem, match=r"label: x\..* cannot be loaded"):
+        Library(tmp_path, "x", "label")
+
+
+def test_hundreds_of_instances_leave_nothing_behind(fmus):
+    """Libraries are unloaded: the number of mapped files does not grow."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("needs /proc to see what is loaded")
+    for _ in range(100):
+        opened(fmus["gain"]).close()
+    assert "gain.so" not in maps.read_text()
+
+
+@pytest.mark.parametrize("text", ["no zip", ""])
+def test_a_file_that_is_no_fmu_is_told(tmp_path, text):
+    """The file is named."""
+    (tmp_path / "x.fmu").write_text(text)
+    with pytest.raises(Problem, match=r"x.fmu: expected a zip archive"):
+        load(tmp_path / "x.fmu")
+
+
+def test_members_that_point_outside_are_refused(tmp_path):
+    """An archive may not write beside its folder."""
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
+        archive.writestr("../evil", "")
+    with pytest.raises(Problem, match="points outside of the archive"):
+        Location(tmp_path / "x.zip").extract(tmp_path / "into")

@@ -1,0 +1,287 @@
+"""Reading SSP 1.0: flattening, directions, transformations, units, parameters, and what is refused."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, Trace, load, run
+
+HEAD = """<?xml version="1.0" encoding="UTF-8"?>
+<ssd:SystemStructureDescription version="1.0" name="test"
+ xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
+ xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+ xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping">
+"""
+UNITS = """<ssd:Units>
+<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>
+<ssc:Unit name="mm"><ssc:BaseUnit m="1" factor="0.001"/></ssc:Unit>
+<ssc:Unit name="N"><ssc:BaseUnit kg="1" m="1" s="-2"/></ssc:Unit>
+</ssd:Units><ssd:DefaultExperiment startTime="0.5" stopTime="1.5"/>"""
+TAIL = "</ssd:SystemStructureDescription>"
+
+
+def ssd(system, tail=UNITS):
+    return HEAD + system + tail + TAIL
+
+
+def gain(name, bindings="", source="resources/gain.fmu"):
+    return f"""<ssd:Component name="{name}" source="{source}"><ssd:Connectors>
+<ssd:Connector name="u" kind="input"/><ssd:Connector name="y" kind="output"/></ssd:Connectors>
+{bindings}</ssd:Component>"""
+
+
+def inline(*parameters, prefix="", mapping=""):
+    values = "".join(f'<ssv:Parameter name="{n}">{v}</ssv:Parameter>' for n, v in parameters)
+    return f"""<ssd:ParameterBindings><ssd:ParameterBinding prefix="{prefix}"><ssd:ParameterValues>
+<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{values}</ssv:Parameters></ssv:ParameterSet>
+</ssd:ParameterValues>{mapping}</ssd:ParameterBinding></ssd:ParameterBindings>"""
+
+
+def wire(start, end, inner="", extra=""):
+    def ends(side, port):
+        element, _, connector = port.rpartition(".")
+        return (f'{side}Element="{element}" ' if element else "") + f'{side}Connector="{connector}"'
+
+    return f"<ssd:Connection {ends('start', start)} {ends('end', end)} {extra}>{inner}</ssd:Connection>"
+
+
+def system(elements, wires, connectors="", bindings="", name="top"):
+    joined = f"<ssd:Connections>{''.join(wires)}</ssd:Connections>" if wires else ""
+    head = f"<ssd:Connectors>{connectors}</ssd:Connectors>" if connectors else ""
+    return f"""<ssd:System name="{name}">{head}{bindings}
+<ssd:Elements>{"".join(elements)}</ssd:Elements>{joined}</ssd:System>"""
+
+
+def connector(name, kind, unit=""):
+    return (
+        f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Real {unit and f"unit={unit!r}"}/></ssd:Connector>'
+    )
+
+
+@pytest.fixture
+def make(fmus, zip_ssp):
+    """An .ssp around gain.fmu from the text of its System."""
+
+    def write(text, files=None, tail=UNITS):
+        return zip_ssp(ssd(text, tail), {"resources/gain.fmu": fmus["gain"], **(files or {})})
+
+    return write
+
+
+def test_a_chain_from_system_input_to_system_output(make):
+    """Inlets and outlets of the system, the default experiment, and start values inside a component."""
+    parts = [gain("a", inline(("factor", '<ssv:Real value="3"/>'))), gain("b")]
+    wires = [wire("command", "a.u"), wire("a.y", "b.u"), wire("b.y", "result")]
+    path = make(system(parts, wires, connector("command", "input") + connector("result", "output")))
+    ramp = Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 2.0])})
+    trace = run(path, ramp, step=0.25).trace
+    np.testing.assert_array_equal(
+        trace.time, [0.5, 0.75, 1.0]
+    )  # the start of the SSP, the end of the scenario
+    np.testing.assert_array_equal(trace["result"], [3.0, 4.5, 6.0])
+    assert trace.units["result"] == "m"
+
+
+def test_start_and_stop_come_from_the_default_experiment(make):
+    """Without scenario and options."""
+    trace = run(make(system([gain("a")], [])), step=0.25).trace
+    assert (trace.time[0], trace.time[-1]) == (0.5, 1.5)
+
+
+def test_nested_systems_are_flattened(make):
+    """Names become paths; transformations and units along the way combine."""
+    # command [mm] -> inner.demand [m] -> b.u: 0.001, then the transformation of each connection
+    inner = system(
+        [gain("b")],
+        [wire("demand", "b.u", '<ssc:LinearTransformation factor="10" offset="1"/>'), wire("b.y", "answer")],
+        connector("demand", "input", "m") + connector("answer", "output"),
+        name="inner",
+    )
+    wires = [
+        wire("command", "inner.demand", '<ssc:LinearTransformation factor="2"/>'),
+        wire("inner.answer", "a.u"),
+    ]
+    loaded = load(make(system([inner, gain("a")], wires, connector("command", "input", "mm"))))
+    assert list(loaded.components) == ["inner.b", "a"]
+    assert str(loaded.connections[0]) == "inner.b.y -> a.u"
+    level = Trace(np.array([0.0, 1.0]), {"command": np.array([500.0, 500.0])})
+    # 500 mm = 0.5 m, times 2, times 10 plus 1; three roundings
+    np.testing.assert_allclose(run(loaded, level, step=0.5).trace["a.y"], 11.0, rtol=1e-15)
+
+
+def test_direction_follows_from_the_kinds(make):
+    """A connection may be written from its input to its output."""
+    loaded = load(make(system([gain("a"), gain("b")], [wire("b.u", "a.y")])))
+    assert [str(c) for c in loaded.connections] == ["a.y -> b.u"]
+
+
+def test_suppressed_unit_conversion_passes_the_number(make):
+    """suppressUnitConversion with and without a transformation in its place."""
+    inlet = connector("command", "input", "mm")
+    half = '<ssc:LinearTransformation factor="0.5"/>'
+    wires = [wire("command", "a.u", extra='suppressUnitConversion="true"')]
+    wires += [wire("command", "b.u", half, 'suppressUnitConversion="true"'), wire("command", "c.u")]
+    path = make(system([gain("a"), gain("b"), gain("c")], wires, inlet))
+    trace = run(path, Trace(np.array([0.0, 1.0]), {"command": np.full(2, 8.0)}), step=0.5).trace
+    assert [trace[f"{c}.u"][0] for c in "abc"] == [8.0, 4.0, 0.008]
+
+
+def test_outer_bindings_win_over_inner_ones(make):
+    """Component, inner system, outer system; prefix and hierarchical names."""
+    inner = system(
+        [gain("b", inline(("factor", '<ssv:Real value="2"/>'), ("offset", '<ssv:Real value="1"/>')))],
+        [],
+        bindings=inline(("b.factor", '<ssv:Real value="3"/>')),
+        name="inner",
+    )
+    outer = inline(("factor", '<ssv:Real value="4"/>'), prefix="inner.b.")
+    loaded = load(make(system([inner], [], bindings=outer)))
+    assert loaded.components["inner.b"].start == {"factor": 4.0, "offset": 1.0}
+
+
+def test_external_sets_and_mappings_with_units(make):
+    """SSV and SSM files: a new name, a unit, a transformation; one inside the component's FMU."""
+    ssv = """<ssv:ParameterSet version="1.0" name="p"
+ xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"><ssv:Parameters>
+<ssv:Parameter name="shift"><ssv:Real value="250" unit="mm"/></ssv:Parameter>
+<ssv:Parameter name="nothing"><ssv:Real value="1"/></ssv:Parameter></ssv:Parameters>
+<ssv:Units><ssc:Unit name="mm"><ssc:BaseUnit m="1" factor="0.001"/></ssc:Unit></ssv:Units>
+</ssv:ParameterSet>"""
+    ssm = """<ssm:ParameterMapping version="1.0"
+ xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon">
+<ssm:MappingEntry source="shift" target="a.offset"><ssc:LinearTransformation factor="2"/></ssm:MappingEntry>
+<ssm:MappingEntry source="shift" target="a.factor" suppressUnitConversion="true"/></ssm:ParameterMapping>"""
+    binding = """<ssd:ParameterBindings><ssd:ParameterBinding source="resources/p%20q.ssv">
+<ssd:ParameterMapping source="resources/p.ssm"/></ssd:ParameterBinding></ssd:ParameterBindings>"""
+    path = make(system([gain("a")], [], bindings=binding), {"resources/p q.ssv": ssv, "resources/p.ssm": ssm})
+    loaded = load(path)
+    assert loaded.components["a"].start == {"offset": 0.5, "factor": 250.0}
+    assert "parameter 'nothing' of test fits no variable" in loaded.notes[0]
+
+
+def test_a_start_value_reaches_inputs_through_a_system_connector(make):
+    """The start value of an unconnected system input is converted on its way."""
+    bindings = inline(("command", '<ssv:Real value="250" unit="mm"/>'))
+    path = make(system([gain("a")], [wire("command", "a.u")], connector("command", "input", "m"), bindings))
+    assert load(path).components["a"].start == {"u": 0.25}
+    assert run(path, step=0.5).trace["a.y"][0] == 0.25
+    assert run(path, step=0.5, set={"command": 3}).trace["a.y"][0] == 3.0
+
+
+def test_parameter_files_inside_the_fmu(fmus, zip_ssp):
+    """sourceBase="component" looks inside the FMU."""
+    ssv = """<ParameterSet version="1.0" name="p"><Parameters>
+<Parameter name="factor"><Real value="7"/></Parameter></Parameters></ParameterSet>"""
+    fmu = fmus.make("gain", "carrier", extra={"resources/p.ssv": ssv})
+    binding = """<ssd:ParameterBindings>
+<ssd:ParameterBinding source="resources/p.ssv" sourceBase="component"/></ssd:ParameterBindings>"""
+    path = zip_ssp(ssd(system([gain("a", binding, "c.fmu")], [])), {"c.fmu": fmu})
+    assert load(path).components["a"].start == {"factor": 7.0}
+
+
+def test_an_ssp_inside_an_ssp(make, zip_ssp, fmus):
+    """A component that is a system structure package of its own."""
+    inner = make(system([gain("a")], [wire("u", "a.u")], connector("u", "input")))
+    inner = inner.rename(inner.with_name("inner.ssp"))
+    part = """<ssd:Component name="sub" type="application/x-ssp-package" source="inner.ssp"/>"""
+    parts = [part, gain("b", source="gain.fmu")]
+    path = zip_ssp(ssd(system(parts, [wire("b.y", "sub.u")])), {"inner.ssp": inner, "gain.fmu": fmus["gain"]})
+    loaded = load(path)
+    assert [str(c) for c in loaded.connections] == ["b.y -> sub.a.u"]
+    assert run(loaded, step=0.5, set={"b.offset": 4.0}).trace["sub.a.y"][0] == 4.0
+
+
+def test_signals_pass_through_a_dictionary(make):
+    """Two references to one dictionary carry a signal from one to the other."""
+
+    def reference(name):
+        return f"""<ssd:SignalDictionaryReference name="{name}" dictionary="bus"><ssd:Connectors>
+<ssd:Connector name="speed" kind="inout"/></ssd:Connectors></ssd:SignalDictionaryReference>"""
+
+    parts = [gain("a"), gain("b"), reference("left"), reference("right")]
+    text = system(parts, [wire("a.y", "left.speed"), wire("right.speed", "b.u")])
+    dictionary = (
+        '<ssd:SignalDictionaries><ssd:SignalDictionary name="bus"/></ssd:SignalDictionaries></ssd:System>'
+    )
+    loaded = load(make(text.removesuffix("</ssd:System>") + dictionary))
+    assert [str(c) for c in loaded.connections] == ["a.y -> b.u"]
+
+
+def test_unpacked_systems_are_read_too(make, tmp_path):
+    """A folder with SystemStructure.ssd, and the .ssd itself; paths with spaces."""
+    import zipfile
+
+    folder = tmp_path / "un packed"
+    with zipfile.ZipFile(make(system([gain("a")], []))) as archive:
+        archive.extractall(folder)
+    for path in (folder, folder / "SystemStructure.ssd"):
+        assert run(path, step=0.5, set={"a.offset": 2.0}).trace["a.y"][-1] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("parts", "wires", "message"),
+    [
+        (
+            [gain("a", source="resources/none.fmu")],
+            [],
+            r"none.fmu is missing; the archive holds .*resources/gain.fmu",
+        ),
+        ([gain("a")], [wire("a.y", "b.u")], r"connection to b.u: no element 'b'"),
+        ([gain("a"), gain("b")], [wire("a.z", "b.u")], r"connection to a.z: .*gain.fmu has no variable 'z'"),
+        ([gain("a")], [wire("comand", "a.u")], r"test has no connector 'comand'; did you mean command"),
+        ([gain("a"), gain("b")], [wire("a.y", "b.y")], r"got two connectors of kind source"),
+        (
+            [gain("a"), gain("b")],
+            [wire("a.y", "b.u"), wire("command", "b.u")],
+            r"b.u is fed twice, also by a.y",
+        ),
+        ([gain("a")], [wire("force", "a.u")], r"force \[N\] -> a.u \[m\]: the units cannot be converted"),
+        (
+            [gain("a", inline(("factor", "<ssv:Real value='x'/>")))],
+            [],
+            r"a.factor: expected a value of type Real",
+        ),
+    ],
+)
+def test_mistakes_in_a_system_are_told(make, parts, wires, message):
+    """File, element and connector."""
+    path = make(system(parts, wires, connector("command", "input") + connector("force", "input", "N")))
+    with pytest.raises(Problem, match=message) as caught:
+        load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
+    """Missing, of another type, not a zip, without or with broken SystemStructure.ssd."""
+    text = tmp_path / "x.ssp"
+    text.write_text("no zip")
+    cases = {
+        tmp_path / "no.ssp": "no such file",
+        text: "expected a zip archive",
+        zip_ssp("<a/>", {}, "root.ssp"): "expected the element SystemStructureDescription, got a",
+        zip_ssp("<a", {}, "broken.ssp"): "is not XML",
+    }
+    for path, message in cases.items():
+        with pytest.raises(Problem, match=message):
+            load(path)
+    text.rename(tmp_path / "x.zip")
+    with pytest.raises(Problem, match=r"expected a .ssp, .ssd or .fmu file"):
+        load(tmp_path / "x.zip")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"version": "1.0"}, r"expected FMI version 2.0, got 1.0"),
+        ({"version": "3.0"}, r"expected FMI version 2.0, got 3.0"),
+        ({"kind": "ModelExchange"}, r"expected an FMU for co-simulation, got one for model exchange only"),
+    ],
+)
+def test_other_kinds_of_fmus_are_told(fmus, make, options, message):
+    """The FMU inside the SSP is named."""
+    fmu = fmus.make("gain", "other_kind", **options)
+    path = make(system([gain("a", source="resources/other.fmu")], []), {"resources/other.fmu": fmu})
+    with pytest.raises(Problem, match=r"system.ssp/resources/other.fmu: " + message):
+        load(path)

@@ -1,0 +1,175 @@
+"""Systems made in Python: connections, units, start values, and what is refused."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, Trace, assemble, run
+from orchestrator.units import Linear, Unit, conversion
+
+
+def gained(fmus, source_unit, target_unit, *linear):
+    """What a gain receives from a source of constant 2.0, with these units at both ends."""
+    source = fmus.make("source", "source_u", units={"y": source_unit})
+    gain = fmus.make("gain", "gain_u", units={"u": target_unit})
+    wire = ("s.y", "g.u", *linear)
+    system = assemble({"s": source, "g": gain}, [wire], {"s.offset": 2.0, "s.amplitude": 0.0})
+    return run(system, step=0.1, stop=0.2)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "expected"),
+    [
+        ("bar", "Pa", 2e5),
+        ("Pa", "bar", 2e-5),
+        ("degC", "K", 275.15),
+        ("K", "degC", -271.15),
+        ("odd", "odd", 2.0),
+    ],
+)
+def test_units_are_converted_at_connections(fmus, source, target, expected):
+    """Factor and offset of BaseUnit are used in both directions."""
+    trace = gained(fmus, source, target).trace
+    np.testing.assert_allclose(trace["g.u"], expected, rtol=1e-15)  # one product, rounding only
+
+
+def test_linear_transformation_comes_after_the_unit_conversion(fmus):
+    """2 bar to Pa, times 3, plus 1."""
+    np.testing.assert_array_equal(gained(fmus, "bar", "Pa", 3.0, 1.0).trace["g.u"], 600001.0)
+
+
+def test_different_dimensions_are_refused_by_name(fmus):
+    """Both ports, both units, both in base units."""
+    message = (
+        r"s\.y \[bar\] -> g\.u \[N\]: the units cannot be converted, bar = kg\.m-1\.s-2 and N = kg\.m\.s-2"
+    )
+    with pytest.raises(Problem, match=message):
+        gained(fmus, "bar", "N")
+
+
+def test_units_that_cannot_be_compared_pass_with_a_note(fmus):
+    """A unit without definition, or one that differs in the radian only."""
+    result = gained(fmus, "odd", "N")
+    assert "not both defined" in result.card.notes[0]
+    assert result.trace["g.u"][0] == 2.0
+    assert "differ in the radian only" in gained(fmus, "Hz", "rad/s").card.notes[0]
+
+
+def test_conversions_compose():
+    """There and back is the identity; maps apply in order."""
+    celsius = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15)
+    fahrenheit = Unit("degF", (0, 0, 0, 0, 1, 0, 0, 0), 5 / 9, 273.15 - 32 * 5 / 9)
+    there, back = (conversion(*pair, "")[0] for pair in ((celsius, fahrenheit), (fahrenheit, celsius)))
+    assert there(100.0) == pytest.approx(212.0, rel=1e-13)  # a difference of numbers near 300, rounding only
+    assert there.then(back)(37.0) == pytest.approx(37.0, rel=1e-13)  # as above
+    assert Linear(2.0, 1.0).then(Linear(10.0, 3.0))(1.0) == 33.0
+
+
+@pytest.mark.parametrize(
+    ("wire", "message"),
+    [
+        ("a.forc -> b.force", r"unknown variable 'a.forc'; did you mean a.force"),
+        ("c.force -> b.force", r"unknown variable 'c.force'; did you mean"),
+        ("a.x2 -> b.force", r"a.x2 -> b.force: expected an output and an input, got input and input"),
+        ("a.force b.force", r"expected 'a.y -> b.u' or"),
+        ("a.x -> b.force", r"a.x \[m\] -> b.force \[N\]: the units cannot be converted"),
+    ],
+)
+def test_wrong_connections_are_refused(fmus, wire, message):
+    """Unknown ports come with close matches."""
+    with pytest.raises(Problem, match=message):
+        assemble({"a": fmus["mass_a"], "b": fmus["mass_b"]}, [wire])
+
+
+def test_an_input_is_fed_once(fmus):
+    """Two sources for one input are named."""
+    files = {"a": fmus["source"], "b": fmus["source"], "g": fmus["gain"]}
+    with pytest.raises(Problem, match=r"g.u is fed twice, by a.y and by b.y"):
+        assemble(files, ["a.y -> g.u", "b.y -> g.u"])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"a.masss": 1}, r"unknown variable 'a.masss'; did you mean a.mass"),
+        ({"a.mass": "heavy"}, r"a.mass: expected a value of type Real, got 'heavy'"),
+        ({"a.x": 1}, r"a.x cannot be set: it is a continuous output that the FMU determines itself"),
+        ({"a.x2": 1}, r"a.x2 cannot be set: it is fed by b.x -> a.x2"),
+    ],
+)
+def test_wrong_start_values_are_refused(oscillator, values, message):
+    """Name, expected, got."""
+    with pytest.raises(Problem, match=message):
+        run(oscillator, set=values)
+
+
+@pytest.fixture(scope="module")
+def chatter(fmus):
+    """Two FMUs that pass variables of every type."""
+    wires = [f"p.{kind}_out -> q.{kind}_in" for kind in ("real", "int", "bool", "enum")]
+    return assemble({"p": fmus["types"], "q": fmus["types"]}, wires)
+
+
+def test_all_types_pass_over_connections(chatter):
+    """Integers count up, booleans flip twice, enumerations stay; strings are parameters."""
+    values = {
+        "p.real_in": "1.5",
+        "p.int_in": 5,
+        "p.bool_in": "true",
+        "p.enum_in": "green",
+        "p.label": "crane",
+    }
+    trace = run(chatter, step=0.1, stop=0.2, set=values).trace
+    last = {name: trace[f"q.{name}_out"][-1] for name in ("real", "int", "bool", "enum")}
+    assert last == {"real": 1.5, "int": 7.0, "bool": 1.0, "enum": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"p.enum_in": "blue"},
+            r"p.enum_in: expected a value of type Enumeration \(one of red, green\), got 'blue'",
+        ),
+        ({"p.bool_in": "maybe"}, r"p.bool_in: expected a value of type Boolean, got 'maybe'"),
+        ({"p.int_in": "1.5"}, r"p.int_in: expected a value of type Integer, got '1.5'"),
+    ],
+)
+def test_values_must_fit_the_type(chatter, values, message):
+    """The choice of an enumeration is listed."""
+    with pytest.raises(Problem, match=message):
+        run(chatter, set=values)
+
+
+def test_types_must_match_at_connections(fmus):
+    """No silent rounding of a real number."""
+    files = {"p": fmus["types"], "q": fmus["types"]}
+    with pytest.raises(Problem, match="variables of type Real and Integer cannot be connected"):
+        assemble(files, ["p.real_out -> q.int_in"])
+    with pytest.raises(Problem, match="variables of type String"):
+        assemble(files, ["p.echo -> q.label"])
+
+
+def test_scenarios_drive_all_numeric_types(fmus):
+    """Real inputs follow linearly, others take the last sample."""
+    time = np.array([0.0, 0.5, 1.0])
+    columns = {"real_in": [0.0, 1.0, 0.0], "int_in": [1, 4, 2], "types.bool_in": [0, 1, 0]}
+    trace = run(
+        str(fmus["types"]), Trace(time, {n: np.array(v, float) for n, v in columns.items()}), step=0.25
+    ).trace
+    np.testing.assert_array_equal(trace["types.real_out"], [0, 0.5, 1, 0.5, 0])
+    np.testing.assert_array_equal(trace["types.int_out"], [2, 2, 5, 5, 3])
+    np.testing.assert_array_equal(trace["types.bool_out"], [1, 1, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        ("a.x3", r"scenario: column 'a.x3' is no input of the system; did you mean a.x2"),
+        ("a.force", r"scenario: column 'a.force': expected an input, got a Real output"),
+        ("a.x2", r"scenario: column 'a.x2' drives a.x2, which is fed by b.x -> a.x2"),
+    ],
+)
+def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):
+    """The label, the column, and close matches."""
+    with pytest.raises(Problem, match=message):
+        run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)}))
