@@ -18,8 +18,8 @@ app = typer.Typer(
 )
 
 SYSTEM = Path("build/harvester.ssp")
-SCENARIO = "work_cycle.csv"
 OUT = Path("build/run.csv")
+MASTER = "gauss-seidel"
 
 
 @app.callback()
@@ -37,7 +37,7 @@ def run(
             help="Inputs over time (.csv, .parquet); default: the work cycle, for the built system.",
         ),
     ] = None,
-    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = "jacobi",
+    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = MASTER,
     step: Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].")] = None,
     start: Annotated[float | None, typer.Option(metavar="T", help="Start time [s].")] = None,
     stop: Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].")] = None,
@@ -55,7 +55,7 @@ def run(
 
     commands.run(
         system,
-        scenario or commands.default_scenario(system, SYSTEM, SCENARIO),
+        scenario or commands.default_scenario(system),
         out,
         master=master,
         step=step,
@@ -64,6 +64,78 @@ def run(
         set=commands.assignments(set_ or []),
         error_estimate=error_estimate,
     )
+
+
+@app.command()
+def build(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")] = Path("build"),
+) -> None:
+    """Build swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
+    from fmus.build import build_machine
+
+    for path in build_machine(out):
+        print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+
+
+@app.command()
+def parameters(
+    subsystem: Annotated[
+        str | None, typer.Argument(help="swing, boom_stick or manipulator; default: all")
+    ] = None,
+) -> None:
+    """Print the numbers of the model with unit, source and note."""
+    from fmus.provenance import show
+
+    show(subsystem)
+
+
+@app.command()
+def validate(
+    system: Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")] = SYSTEM,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Reference or measurement, .csv with .toml; default: the work cycle."
+        ),
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Inputs over time (.csv, .parquet); default: the work cycle."),
+    ] = None,
+    layout: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
+    ] = None,
+    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = MASTER,
+    step: Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].")] = None,
+    start: Annotated[float | None, typer.Option(metavar="T", help="Start time [s].")] = None,
+    stop: Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where report.html and report.json go.")] = Path(
+        "build"
+    ),
+) -> None:
+    """Co-simulate, compare with a reference, write a report; exit status 1 if a limit is missed."""
+    from fmus.build import data
+    from orchestrator import commands
+
+    own = reference is None
+    passed = commands.validate(
+        system,
+        scenario or commands.default_scenario(system),
+        reference or data("reference/work_cycle.csv"),
+        layout or (data("reference/work_cycle.layout.toml") if own or system == SYSTEM else None),
+        out,
+        master=master,
+        step=step,
+        start=start,
+        stop=stop,
+        set=commands.assignments(set_ or []),
+    )
+    if not passed:
+        raise typer.Exit(1)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -14,12 +14,15 @@ the master gave), so inputs that an FMU moves by itself inside the step are judg
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.bonds import Bond
 from orchestrator.network import Network
+from orchestrator.slave import Call
+from orchestrator.system import Port
 
 ROWS = 1024  # steps between two summations
 
@@ -51,11 +54,10 @@ class Monitor:
         ports = [p for b in bonds for p in (b.effort, b.flow)]
         self._bonds, self._network, self._values = bonds, network, network.real.values
         self._places = network.real.places(ports)
-        self._used = np.zeros(len(ports))
-        self._readers = [
-            network.slaves[p.component].reader([p.variable], self._used[i : i + 1])
-            for i, p in enumerate(ports)
-        ]
+        self._sloped: NDArray[np.bool_] | None = None  # which bond inputs the master gives slopes to
+        by_component = sorted(range(len(ports)), key=lambda i: ports[i].component)
+        self._seen, self._spread = np.zeros(len(ports)), np.argsort(by_component)
+        self._readers = _readers(network, [ports[i] for i in by_component], self._seen)
         self._step = np.zeros(ROWS)
         self._first, self._last, self._true = (np.zeros((ROWS, len(ports))) for _ in range(3))
         self._before = np.zeros(len(ports))
@@ -72,10 +74,15 @@ class Monitor:
         """After a step, before new inputs are set: what the FMUs worked with."""
         for read in self._readers:
             read()
-        row, slopes = self._rows, self._network.slopes[self._places]
+        row = self._rows
         self._step[row] = h
         self._first[row] = self._values[self._places]
-        self._last[row] = np.where(np.isnan(slopes), self._used, self._first[row] + h * slopes)
+        self._last[row] = self._seen[self._spread]
+        if self._sloped is None:
+            self._sloped = ~np.isnan(self._network.slopes[self._places])
+        if self._sloped.any():
+            moved = self._first[row] + h * self._network.slopes[self._places]
+            self._last[row, self._sloped] = moved[self._sloped]
 
     def _settled(self) -> None:
         """After new inputs are set: what would have been true."""
@@ -98,6 +105,16 @@ class Monitor:
         """The energies of all bonds up to now."""
         self._sum()
         return [BondEnergy(b.name, *(b.scale * self._sums[:, i])) for i, b in enumerate(self._bonds)]
+
+
+def _readers(network: Network, ports: list[Port], into: NDArray[np.float64]) -> list[Call]:
+    """One call per component; `ports` are sorted by component."""
+    calls, first = [], 0
+    for component, group in groupby(ports, key=lambda p: p.component):
+        names = [p.variable for p in group]
+        calls.append(network.slaves[component].reader(names, into[first : first + len(names)]))
+        first += len(names)
+    return calls
 
 
 def _residual(true: NDArray[np.float64], used: NDArray[np.float64]) -> NDArray[np.float64]:

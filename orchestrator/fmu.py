@@ -76,7 +76,9 @@ class FmuSlave:
         wanted = [c.encode() for c in LOGGED if c in self.interface.categories]
         if wanted:
             array = (ctypes.c_char_p * len(wanted))(*wanted)
-            self._call("SetDebugLogging", ctypes.c_int(1), ctypes.c_size_t(len(wanted)), array)
+            with suppress(Problem):  # an FMU that cannot choose its messages still runs
+                choose = self._function("SetDebugLogging")
+                choose(self._component, ctypes.c_int(1), ctypes.c_size_t(len(wanted)), array)
 
     def _unless_fatal(self, call: Call) -> None:
         """After a fatal error nothing of the FMU may be called any more."""
@@ -88,19 +90,20 @@ class FmuSlave:
     def _function(self, name: str, *arguments: Any) -> Callable[..., int]:
         return self._library.function("fmi2" + name, ctypes.c_int, *arguments)
 
-    def _bound(self, name: str, *arguments: Any) -> Call:
-        """A call with all arguments fixed; it raises when the FMU reports a failure."""
+    def _bound(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> Call:
+        """A call with all arguments fixed; it raises, naming the variables, when the FMU fails."""
         call = partial(self._function(name), self._component, *arguments)
+        what = f"fmi2{name}" + (f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else "")
 
         def bound() -> None:
             status = call()
             if status:
-                self._judge(status, "fmi2" + name)
+                self._judge(status, what)
 
         return bound
 
-    def _call(self, name: str, *arguments: Any) -> None:
-        self._bound(name, *arguments)()
+    def _call(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> None:
+        self._bound(name, *arguments, of=of)()
 
     def _judge(self, status: int, what: str) -> None:
         """Let warnings pass, raise on anything worse."""
@@ -152,35 +155,33 @@ class FmuSlave:
     def reader(self, variables: Sequence[str], into: Buffer) -> Call:
         """A call that reads the variables into `into`, shape (n,)."""
         kind, references, count = self._references(variables)
-        return self._bound(f"Get{kind}", references, count, pointer(into, len(variables)))
+        return self._bound(f"Get{kind}", references, count, pointer(into, len(variables)), of=variables)
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Call:
         """A call that sets the variables to what stands in `values`, shape (n,)."""
         kind, references, count = self._references(variables)
-        return self._bound(f"Set{kind}", references, count, pointer(values, len(variables)))
+        return self._bound(f"Set{kind}", references, count, pointer(values, len(variables)), of=variables)
 
     def slope_reader(self, variables: Sequence[str], into: Buffer) -> Call:
         """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
-        _, references, count = self._references(variables)
-        orders = (ctypes.c_int * len(variables))(*[1] * len(variables))
-        return self._bound(
-            "GetRealOutputDerivatives", references, count, orders, pointer(into, len(variables))
-        )
+        return self._slopes("GetRealOutputDerivatives", variables, into)
 
     def slope_writer(self, variables: Sequence[str], slopes: Buffer) -> Call:
         """A call that gives inputs the first time derivatives in `slopes`, shape (n,), for the next step."""
+        return self._slopes("SetRealInputDerivatives", variables, slopes)
+
+    def _slopes(self, name: str, variables: Sequence[str], values: Buffer) -> Call:
         _, references, count = self._references(variables)
         orders = (ctypes.c_int * len(variables))(*[1] * len(variables))
-        return self._bound(
-            "SetRealInputDerivatives", references, count, orders, pointer(slopes, len(variables))
-        )
+        address = pointer(values, len(variables))
+        return self._bound(name, references, count, orders, address, of=variables)
 
     def get(self, variable: str) -> Value:
         """The value of one variable."""
         known = self.interface.variables[variable]
         _, references, count = self._references([variable])
         cell: Any = (ctypes.c_char_p if known.kind == "String" else CTYPES[access(known)])()
-        self._call(f"Get{access(known)}", references, count, ctypes.byref(cell))
+        self._call(f"Get{access(known)}", references, count, ctypes.byref(cell), of=[variable])
         value: Value = cell.value if known.kind != "String" else (cell.value or b"").decode(errors="replace")
         return bool(value) if known.kind == "Boolean" else value
 
@@ -193,7 +194,7 @@ class FmuSlave:
             kind = CTYPES[access(known)]
             raw = kind(float(value) if known.is_real else int(value))
             raw = ctypes.byref(raw)
-        self._call(f"Set{access(known)}", references, count, raw)
+        self._call(f"Set{access(known)}", references, count, raw, of=[variable])
 
     # ---- steps
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestrator.errors import Problem
 from orchestrator.system import System
@@ -40,7 +40,19 @@ def grid(
         end = system.stop
     if end is None:
         end = max((i.stop for i in interfaces if i.stop is not None), default=None)
-    return _whole_steps(begin, end, step)
+    points = _whole_steps(begin, end, step)
+    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
+    """What to say when the run is longer than its scenario."""
+    first, last = float(scenario.time[0]), float(scenario.time[-1])
+    notes = []
+    if points.start < first - points.step:
+        notes.append(f"the scenario begins at {first:g} s; until there its first values are held")
+    if points.stop > last + points.step:
+        notes.append(f"the scenario ends at {last:g} s; after that its last values are held")
+    return tuple(notes)
 
 
 def _whole_steps(start: float, end: float | None, step: float) -> Grid:

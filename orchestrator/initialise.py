@@ -28,13 +28,18 @@ def initialise(
         slave.setup(*span, tolerance)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
+    _set(slaves, driven)  # for FMUs that compute their start when they enter initialisation
     for slave in slaves.values():
         slave.enter()
-    for port, value in driven.items():
-        slaves[port.component].set(port.variable, value)
+    _set(slaves, driven)
     propagate(system, slaves)
     for slave in slaves.values():
         slave.exit()
+
+
+def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
+    for port, value in values.items():
+        slaves[port.component].set(port.variable, value)
 
 
 def propagate(system: System, slaves: Mapping[str, Slave]) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fmpy import calloc, free, freeLibrary, platform, sharedLibraryExtension
+from fmpy.fmi1 import printLogMessage
 from fmpy.fmi2 import (
     fmi2CallbackAllocateMemoryTYPE,
     fmi2CallbackFreeMemoryTYPE,
@@ -20,19 +21,21 @@ from fmpy.fmi2 import (
 )
 
 from orchestrator.errors import Problem
-from orchestrator.log import Log
+from orchestrator.log import STATUS, Log
 
 _logs: dict[int, Log] = {}  # componentEnvironment -> log
 
 
 def _receive(environment: int | None, name: bytes, status: int, category: bytes, text: bytes) -> None:
-    """The one logger of all FMUs; unknown instances (of other users of FMPy) are ignored."""
+    """The one logger of all FMUs; messages of unknown instances go where FMPy prints its own."""
     log = _logs.get(environment or 0)
     if log is None:
         instance = (name or b"").decode(errors="replace")
         log = next((x for x in reversed(_logs.values()) if x.component == instance), None)
     if log is not None:
         log.add(status, (text or category or b"").decode(errors="replace"))
+    elif 0 <= status < len(STATUS):
+        printLogMessage(None, name, status, category, text)
 
 
 _logger = fmi2CallbackLoggerTYPE(_receive)

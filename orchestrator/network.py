@@ -212,6 +212,10 @@ class Driver:
         self._factor = np.array([drive.columns[p][1].factor for p in ports])
         self._offset = np.array([drive.columns[p][1].offset for p in ports])
         self._tilts = self._slope_writers(network, ports)
+        self._ahead: tuple[float | None, NDArray[np.float64]] = (
+            None,
+            np.zeros(0),
+        )  # computed last, and for when
 
     def _slope_writers(
         self, network: Network, ports: list[Port]
@@ -233,7 +237,8 @@ class Driver:
 
     def put(self, t: float) -> None:
         """Set the driven inputs to their value at t."""
-        self._real[self._targets] = self._at(t)
+        when, values = self._ahead
+        self._real[self._targets] = values if when == t else self._at(t)
         if len(self._held):
             self._whole[self._held] = np.rint(self._table.sample(t)[self._held_columns])
         for write in self._writers:
@@ -242,7 +247,9 @@ class Driver:
     def tilt(self, t: float, h: float) -> None:
         """Give the slopes over [t, t + h] to the FMUs that use them."""
         if self._tilts:
-            slopes = (self._at(t + h) - self._real[self._targets]) / h
+            ahead = self._at(t + h)
+            self._ahead = (t + h, ahead)
+            slopes = (ahead - self._real[self._targets]) / h
             for mine, buffer, write in self._tilts:
                 buffer[:] = slopes[mine]
                 write()

@@ -20,12 +20,12 @@ class Recorder:
         self._network = network
         self.time = np.zeros(rows)
         self._rows = 0
-        index = network.real.index | network.whole.index
-        ports = list(chosen) if chosen is not None else _ordered(network, list(index))
+        index = [*network.real.index, *network.whole.index]
+        self._ports = list(chosen) if chosen is not None else _ordered(network, index)
+        ports = self._ports if chosen is not None else index  # all: as they stand in the banks
         self._real = [p for p in ports if p in network.real.index]
         self._whole = [p for p in ports if p in network.whole.index]
-        self._ports = ports
-        self._real_places = network.real.places(self._real)
+        self._real_places = network.real.places(self._real) if chosen is not None else slice(None)
         self._whole_places = network.whole.places(self._whole)
         self._reals = np.zeros((rows, len(self._real)))
         self._wholes = np.zeros((rows, len(self._whole)), dtype=np.int32)

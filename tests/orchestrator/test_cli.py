@@ -71,6 +71,13 @@ def test_a_single_fmu_runs(fmus):
     assert len(read("o.csv").time) == 11
 
 
+def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
+    """With the command that makes it."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["run"]) == 2
+    assert "build/harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("arguments", "message"),

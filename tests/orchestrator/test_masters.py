@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
 from orchestrator.dependencies import output_order, sequence
@@ -39,6 +40,20 @@ def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
     # 0.94795 is the error of the scheme itself, from exact solutions of each mass over each step; the FMUs'
     # own integration error at 1/13 of a step per radian is below 1e-4 of that
     assert worst(run(oscillator, step=1e-2, stop=10.0), exact) == pytest.approx(0.94795, rel=1e-3)
+
+
+def test_jacobi_is_what_it_should_be(oscillator):
+    """The scheme written out with the exact solution of each mass over a step: the same numbers."""
+    first = expm(np.array([[0, 1, 0], [-110, 0, 100], [0, 0, 0]]) * 0.01)  # of x, v and the held position
+    second = expm(np.array([[0, 1, 0], [-1000, 0, -1], [0, 0, 0]]) * 0.01)  # of x, v and the held force
+    a, b, found = np.array([0.0, 100.0]), np.array([0.0, -100.0]), []
+    for _ in range(201):
+        found.append((a[0], b[0]))
+        position, force = b[0], 100 * (b[0] - a[0])
+        a, b = (first @ [*a, position])[:2], (second @ [*b, force])[:2]
+    trace = run(oscillator, step=0.01, stop=2.0).trace
+    # the FMUs' Runge-Kutta steps are 0.008 rad long: an error of 0.008^4 / 120 per rad over 66 rad
+    np.testing.assert_allclose(np.stack([trace["a.x"], trace["b.x"]], axis=1), found, rtol=0, atol=1e-6)
 
 
 def test_recorded_force_belongs_to_recorded_positions(oscillator):

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, run
+from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, progress, run
 from orchestrator.interface import Interface, Variable
 from orchestrator.log import Log
 from orchestrator.system import Component, System
@@ -129,6 +129,17 @@ def test_chosen_signals_are_recorded_in_order(oscillator):
     np.testing.assert_array_equal(trace["a.mass"], 1.0)
 
 
+def test_a_run_longer_than_its_scenario_holds_the_last_values(fmus):
+    """And says so."""
+    scenario = Trace(np.array([0.5, 1.0]), {"u": np.array([5.0, 6.0])})
+    result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0)
+    np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])
+    assert result.card.notes == (
+        "the scenario begins at 0.5 s; until there its first values are held",
+        "the scenario ends at 1 s; after that its last values are held",
+    )
+
+
 @pytest.mark.parametrize("how", [2, 3, 4])
 def test_a_failure_keeps_what_was_recorded(fmus, how):
     """Discard, error and fatal in the middle of a run."""
@@ -188,8 +199,18 @@ def test_error_estimate_is_close_to_the_error(oscillator, exact, master):
     assert "change at half the step" in result.card.text()
 
 
-def test_tolerance_and_notes_reach_the_card(fmus):
-    """A note of the system is shown once."""
+def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
+    """Nothing before the patience is over, a bar on stderr after that."""
+    run(oscillator, step=0.01, stop=10.0, progress=True)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    run(oscillator, step=0.01, stop=10.0, progress=True)
+    assert "10 s simulated" in capsys.readouterr().err
+
+
+def test_notes_of_the_system_reach_the_card(fmus):
+    """Shown once."""
     files = {"s": fmus.make("source", "note_s", units={"y": "odd"}), "g": fmus["gain"]}
     card = run(assemble(files, ["s.y -> g.u"]), step=0.1, stop=0.2).card
     assert card.text().count("not both defined") == 1

@@ -1,0 +1,104 @@
+"""Run, compare with a reference, report: what `harvester validate` does."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from orchestrator.errors import Problem
+from orchestrator.simulation import Result
+from orchestrator.system import Component, System
+from orchestrator.trace import Trace
+from orchestrator.validation import report as reporting
+from orchestrator.validation.compare import Validation, compare
+from orchestrator.validation.figures import FigureSpec, Panel
+from orchestrator.validation.layout import Layout
+from orchestrator.validation.reference import Reference
+
+
+def judge(
+    result: Result,
+    reference: Reference,
+    layout: Layout,
+    out: Path,
+    facts: Mapping[str, Any],
+    rate: bool = True,
+) -> tuple[Validation, Path, Path]:
+    """Compare a run with a reference and write report.html and report.json into the folder `out`.
+
+    facts   what ran, in the order to show
+    rate    with the ISO/TS 18571 rating (its library takes some seconds to start)
+    """
+    validation = compare(result.trace, reference, rate=rate)
+    ghost = Trace(reference.time, {name: s.values for name, s in reference.signals.items()})
+    report = reporting.Report(
+        title=layout.title or f"Validation of {result.system.name}",
+        validation=validation,
+        figures=layout.figures or _figures(validation),
+        trace=result.trace,
+        facts=facts,
+        components=[describe(c) for c in result.system.components.values()],
+        parameters=list(parameters(result.system)),
+        card=card(result),
+        motion=layout.motion(result.trace),
+        ghost=layout.motion(ghost),
+        warnings=result.card.warnings,
+    )
+    return validation, *reporting.write_report(out / "report.html", report)
+
+
+def describe(component: Component) -> reporting.Component:
+    """One FMU of the run."""
+    source = component.source
+    file = source.inside[-1] if source and source.inside else source.path.name if source else ""
+    return reporting.Component(component.name, file, guid=component.interface.guid, fmi="2.0 CS")
+
+
+def parameters(system: System) -> Iterable[reporting.Parameter]:
+    """All parameters of a run; with provenance where the FMU carries its `resources/parameters.toml`."""
+    for component in system.components.values():
+        known = _provenance(component)
+        for v in component.interface.of("parameter"):
+            number = known.get(v.name, {})
+            value = component.start.get(v.name, v.start if v.start is not None else "")
+            yield reporting.Parameter(
+                component=component.name,
+                name=v.name,
+                value=float(value) if v.is_real else value,
+                unit=v.unit.name if v.unit else "",
+                source=str(number.get("source", "")),
+                note=str(number.get("note", "")),
+                changed=v.name in component.start,
+            )
+
+
+def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
+    if component.source is None:
+        return {}
+    try:
+        text = component.source.member("resources/parameters.toml").read().decode("utf-8")
+        tables = tomllib.loads(text).get("parameters", {})
+    except (Problem, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return {}  # FMUs from elsewhere carry no such file, or another one of that name
+    return tables if isinstance(tables, dict) else {}
+
+
+def card(result: Result) -> Mapping[str, Any]:
+    """The accuracy card for the report."""
+    c = result.card
+    return {
+        "wall time [s]": round(c.wall, 3),
+        "real-time factor": round(c.real_time_factor, 1),
+        "steps": c.steps,
+        "energy residual of the power bonds, share of the exchanged energy": {
+            b.name: f"{b.residual:.3g} J of {b.exchanged:.4g} J ({b.relative:.1e})" for b in c.bonds
+        },
+    }
+
+
+def _figures(validation: Validation) -> tuple[FigureSpec, ...]:
+    """Without a layout: one figure, a row per compared signal."""
+    panels = tuple(Panel(row.title, (row.signal,)) for row in validation.rows)
+    return (FigureSpec("Signals", panels),) if panels else ()
