@@ -11,7 +11,7 @@ from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.scenarios import WORK_CYCLE_STOP
 
 STEP = 1e-3  # default communication step [s]
-DATA = ("scenarios/work_cycle.csv", "reference/work_cycle.csv", "reference/work_cycle.toml")
+DATA = ("scenarios/work_cycle.csv",)
 
 
 def data(name: str) -> Path:
@@ -33,6 +33,6 @@ def build_machine(folder: Path) -> list[Path]:
         CONNECTIONS,
         inputs=INPUTS,
         stop=WORK_CYCLE_STOP,
-        resources={name: data(name) for name in DATA},
+        resources={Path(name).name: data(name) for name in DATA},
     )
     return [*fmus, system]

@@ -88,6 +88,8 @@ def _content(sub: Subsystem, numbers: Values, step: float, stop: float) -> dict[
     content = {f"sources/{name}": text.replace(_PLACEHOLDER, guid).encode() for name, text in code.items()}
     content["modelDescription.xml"] = draft.replace(_PLACEHOLDER, guid).encode()
     content["documentation/index.html"] = page(sub, face).encode()
+    if sub.values.is_file():  # provenance of the numbers
+        content["resources/parameters.toml"] = sub.values.read_bytes()
     icon = sub.values.parent / "icon.png"
     if icon.is_file():
         content["model.png"] = icon.read_bytes()

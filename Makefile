@@ -1,0 +1,40 @@
+# Two commands do everything on a machine that has Python 3.11 or newer with pip, and make:
+#   make demo    install into .venv, build the FMUs, co-simulate the work cycle, validate, write a report
+#   make test    the tests
+# On Windows, without make: see "Windows" in README.md.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/installed
+TESTING := .venv/testing
+
+.PHONY: demo test lint bench clean
+
+demo: $(INSTALLED)
+	$(BIN)/harvester build
+	$(BIN)/harvester validate
+
+test: $(TESTING)
+	$(BIN)/python -m pytest -n 2
+
+lint: $(TESTING)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(INSTALLED)
+	$(BIN)/python -m benchmarks.speed
+
+clean:
+	rm -rf build .venv
+
+# the stamps make a second call skip the installation
+$(INSTALLED): pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+$(TESTING): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	touch $@
