@@ -1,0 +1,1 @@
+"""Measurements that are repeated by hand, never in a timed test."""
