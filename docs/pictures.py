@@ -1,0 +1,33 @@
+"""Makes the pictures of README.md from a fresh run: `python docs/pictures.py`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from fmus.build import build_machine, data
+from orchestrator import load, run
+from orchestrator.validation import compare, draw, read_reference, strobe
+from orchestrator.validation.figures import png
+from orchestrator.validation.layout import read_layout
+
+IMAGES = Path(__file__).parent / "images"
+
+
+def main() -> None:
+    """Run the work cycle; draw the motion, and the boom against the reference."""
+    layout = read_layout(data("reference/work_cycle.layout.toml"))
+    with tempfile.TemporaryDirectory() as folder:
+        build_machine(Path(folder))
+        result = run(load(Path(folder) / "harvester.ssp"), data("scenarios/work_cycle.csv"))
+    motion = layout.motion(result.trace)
+    assert motion is not None
+    IMAGES.mkdir(exist_ok=True)
+    (IMAGES / "motion.png").write_bytes(png(strobe(motion, poses=11)))
+    validation = compare(result.trace, read_reference(data("reference/work_cycle.csv")), rate=False)
+    boom = next(figure for figure in layout.figures if figure.title == "Boom")
+    (IMAGES / "validation.png").write_bytes(png(draw(boom, validation, result.trace)))
+
+
+if __name__ == "__main__":
+    main()
