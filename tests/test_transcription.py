@@ -1,0 +1,120 @@
+"""The project's monolith and a second, independent writing of docs/equations.md are the same machine."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.monolith import join, simulate
+from tests import transcription
+
+DATA = Path(__file__).parents[1] / "data"
+# parameters that are zero by choice get a size here, so that a wrong term with them shows
+SIZE_OF_ZEROS = {"swing.line_turbulent_resistance": 1e10}
+STRIDE = 4  # the reference trace keeps every fourth sample
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The project's joined ODE."""
+    return join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+
+
+def random_numbers(rng):
+    """All parameters, each moved by up to 20 %; zeros get a size."""
+    return {
+        name: value * rng.uniform(0.8, 1.2) if value else SIZE_OF_ZEROS.get(name, 0.1)
+        for name, value in transcription.numbers().items()
+    }
+
+
+def random_point(rng):
+    """States (18,) and inputs (5,) in and around the working range: also voids, end stops, full commands."""
+    oil = [[*rng.uniform(-1e5, 21e6, 2), *rng.uniform(-3e-3, 3e-3, 2)] for _ in range(3)]
+    if rng.random() < 0.3:  # beyond -0.22 MPa the void's exponent is cut off
+        oil[rng.integers(3)][rng.integers(2)] = rng.uniform(-3e5, 0.0)
+    if rng.random() < 0.3:  # around the transition flow
+        oil[rng.integers(3)][2 + rng.integers(2)] = rng.uniform(-2e-5, 2e-5)
+    angles = [rng.uniform(-3.0, 3.0), rng.uniform(-0.7, 1.3), rng.uniform(-2.4, -0.4)]
+    x = np.array([*oil[0], *oil[1], *oil[2], *angles, *rng.uniform(-1.0, 1.0, 3)])
+    return x, np.array([*rng.uniform(-11.0, 11.0, 3), rng.uniform(10e6, 25e6), rng.uniform(0.0, 1e6)])
+
+
+def samples(count):
+    """Random parameters, states and inputs, the same in every run."""
+    rng = np.random.default_rng(1998)
+    for _ in range(count):
+        yield random_numbers(rng), *random_point(rng)
+
+
+def test_names_and_numbers_are_those_of_the_project(model):
+    """Both writings have the same states in the same order, and read the same parameters."""
+    assert model.states == transcription.STATES
+    np.testing.assert_array_equal(model.nominal, transcription.NOMINAL)
+    assert dict(zip(model.parameters, model.p.tolist(), strict=True)) == transcription.numbers()
+
+
+def test_right_hand_sides_agree(model):
+    """At random parameters, states and inputs both writings give the same rates of all states."""
+    for table, x, u in samples(500):
+        ours, _ = transcription.evaluate(transcription.Machine(table), x.tolist(), u.tolist())
+        theirs = np.array(model.right_hand_side(x, u, [table[name] for name in model.parameters])).ravel()
+        # same equations, other order of rounding: a pressure of 2e7 Pa is rounded to 4e-9 Pa, and the
+        # swing lines (R C = 6e-6 s) make 1e-3 Pa/s of it, a tenth of the absolute tolerance
+        np.testing.assert_allclose(ours / model.nominal, theirs / model.nominal, rtol=1e-9, atol=1e-9)
+
+
+def test_observables_agree(model):
+    """Forces, torque, rates, flows, positions and accelerations are those of the project's outputs."""
+    for table, x, u in samples(500):
+        ours = transcription.observe(transcription.Machine(table), x.tolist(), u.tolist())
+        values = np.array(model.outputs(x, u, [table[name] for name in model.parameters])).ravel()
+        theirs = dict(zip(model.output_names, values, strict=True))
+        # rounding as above; the torque rate is a difference of the pressure rates of two stiff lines
+        np.testing.assert_allclose([*ours.values()], [theirs[name] for name in ours], rtol=1e-8)
+
+
+def test_consistent_start_agrees(model):
+    """From any pose of the work space both writings start with the same pressures, at rest."""
+    rng = np.random.default_rng(9)
+    for boom, stick in poses(5):
+        table, tank, angles = random_numbers(rng), rng.uniform(0.0, 5e5), [rng.uniform(-3, 3), boom, stick]
+        given, inputs = model.x.copy(), model.u.copy()
+        given[12:15], inputs[-1] = angles, tank
+        theirs = np.array(model.start(given, inputs, [table[name] for name in model.parameters])).ravel()
+        ours = transcription.start(transcription.Machine(table), angles, tank)
+        # exact identity: rounding only, up to 1e3 of it where the holding force crosses zero
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    """Time (n,) and the three commands (n, 3) of the work cycle."""
+    path = DATA / "scenarios" / "work_cycle.csv"
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return table["time"], np.column_stack([table[f"{name}_command"] for name in ("swing", "boom", "stick")])
+
+
+@pytest.fixture(scope="module")
+def trajectory(scenario):
+    """States (n, 18) of the transcription over the work cycle."""
+    return transcription.simulate(*scenario)
+
+
+def test_trajectories_agree_over_the_work_cycle(model, scenario, trajectory):
+    """Each state follows the same path in both writings, within 1e-7 of its range."""
+    time, commands = scenario
+    inputs = np.column_stack([commands, np.tile(model.u[3:], (len(time), 1))])
+    states, _ = simulate(model, time, inputs, tolerance=1e-12)
+    error = np.abs(states - trajectory).max(axis=0) / np.ptp(trajectory, axis=0)
+    # integrator error: each side moves by about 2e-9 when its tolerance goes from 1e-12 to 1e-13
+    assert error.max() < 1e-7, f"{model.states[error.argmax()]} differs by {error.max():.2g} of its range"
+
+
+def test_reference_trace_is_this_trajectory(trajectory):
+    """The shipped reference trace of the work cycle holds the states of the transcription."""
+    trace = np.genfromtxt(DATA / "reference" / "work_cycle.csv", delimiter=",", names=True, deletechars="")
+    for name, ours in zip(transcription.STATES, trajectory[::STRIDE].T, strict=True):
+        # integrator error 2e-8 of range at the trace's tolerance of 1e-11, and its nine digits
+        assert np.abs(trace[name] - ours).max() < 1e-7 * np.ptp(ours), name
