@@ -14,115 +14,13 @@ seen from above; a positive command drives the positive way. The torque depends 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow, Valve
-from fmus.contract import Quantity, Scalar, Subsystem
-
-
-@dataclass(frozen=True)
-class SwingParameters:
-    """Constants; their numbers and sources are in parameters.toml."""
-
-    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0)]
-    valve_area: Annotated[
-        Scalar, Quantity("m2", "Area of a metering edge at full command", 1e-5, minimum=0.0)
-    ]
-    valve_discharge_coefficient: Annotated[
-        Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
-    ]
-    valve_dead_band: Annotated[
-        Scalar, Quantity("V", "Command up to which the valve stays closed", minimum=0.0)
-    ]
-    valve_full_command: Annotated[
-        Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
-    ]
-    valve_command_rounding: Annotated[
-        Scalar, Quantity("V", "Width over which the foot of the opening curve is rounded", minimum=1e-3)
-    ]
-    valve_leakage: Annotated[
-        Scalar, Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
-    ]
-    valve_transition_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow below which metering edges and lines are laminar", 1e-5, minimum=1e-8)
-    ]
-    initial_preload: Annotated[
-        Scalar, Quantity("Pa", "Pressure of both lines at the start", 1e6, minimum=1e3)
-    ]
-    line_inertance: Annotated[Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0)]
-    line_capacitance: Annotated[
-        Scalar, Quantity("m3/Pa", "Capacitance C of each line with its motor side", 1e-12, minimum=1e-18)
-    ]
-    line_resistance: Annotated[
-        Scalar, Quantity("Pa.s/m3", "Laminar resistance R_1 = R_2 of each swing line", 1e6, minimum=1.0)
-    ]
-    line_turbulent_resistance: Annotated[
-        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each swing line", 1e10, minimum=0.0)
-    ]
-    motor_displacement: Annotated[
-        Scalar, Quantity("m3/rad", "Displacement D_m of the motor", 1e-5, minimum=1e-9)
-    ]
-    gear_ratio: Annotated[
-        Scalar, Quantity("1", "Gear ratio N, motor speed over swing speed", 10.0, minimum=0.1)
-    ]
-    internal_leakage_resistance: Annotated[
-        Scalar, Quantity("Pa.s/m3", "Cross-port leakage resistance R_in of the motor", 1e12, minimum=1e6)
-    ]
-    external_leakage_resistance: Annotated[
-        Scalar,
-        Quantity("Pa.s/m3", "Leakage resistance R_ex of each motor port to the drain", 1e12, minimum=1e6),
-    ]
-
-
-@dataclass(frozen=True)
-class SwingState:
-    """Pressures and flows of both lines."""
-
-    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of line A", 1e7)]
-    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of line B", 1e7)]
-    swing_flow_a: Annotated[Scalar, Quantity("m3/s", "Flow into line A", 1e-3)]
-    swing_flow_b: Annotated[Scalar, Quantity("m3/s", "Flow into line B", 1e-3)]
-
-
-@dataclass(frozen=True)
-class SwingInputs:
-    """Command, supply and the motion of the column; the rate input carries an exact time derivative."""
-
-    swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
-    tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
-    swing_speed: Annotated[Scalar, Quantity("rad/s", "Swing speed", 1.0, rate="swing_acceleration")]
-    swing_acceleration: Annotated[
-        Scalar, Quantity("rad/s2", "Rate port: time derivative of swing_speed, may stay unconnected")
-    ]
-
-
-@dataclass(frozen=True)
-class SwingOutputs(SwingState):
-    """The state; torque and its rate for the mechanics; flows for the supply; and what a user looks at."""
-
-    swing_torque: Annotated[Scalar, Quantity("N.m", "Hydraulic torque on the swing column", 1e4)]
-    swing_torque_rate: Annotated[
-        Scalar, Quantity("N.m/s", "Rate port: exact time derivative of swing_torque", 1e5)
-    ]
-    supply_flow: Annotated[Scalar, Quantity("m3/s", "Flow taken from the supply line", 1e-3)]
-    return_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow given to the return line, with the case drain", 1e-3)
-    ]
-    swing_motor_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure P_1 at motor port A", 1e7)]
-    swing_motor_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure P_2 at motor port B", 1e7)]
-    swing_drain_flow: Annotated[Scalar, Quantity("m3/s", "External leakage of the motor to the drain", 1e-5)]
-    swing_void_volume: Annotated[
-        Scalar, Quantity("m3", "Void in the swing lines: above 1e-7 the oil has torn", 1e-6, warn_above=1e-7)
-    ]
-    stored_energy: Annotated[
-        Scalar, Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
-    ]
-    dissipated_power: Annotated[Scalar, Quantity("W", "Heat of metering edges, lines and leakage", 1e4)]
+from fmus.contract import Scalar, Subsystem
+from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
 
 def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[PortFlow, PortFlow]:

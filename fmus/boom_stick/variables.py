@@ -1,0 +1,154 @@
+"""Variables of the boom and stick drives: parameters, states, inputs, outputs; signs as in model.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fmus.contract import Quantity, Scalar
+
+
+@dataclass(frozen=True)
+class BoomStickParameters:
+    """Constants; their numbers and sources are in parameters.toml."""
+
+    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0)]
+    bulk_modulus: Annotated[Scalar, Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)]
+    valve_area: Annotated[
+        Scalar, Quantity("m2", "Area of a metering edge at full command", 1e-5, minimum=0.0)
+    ]
+    valve_discharge_coefficient: Annotated[
+        Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
+    ]
+    valve_dead_band: Annotated[
+        Scalar, Quantity("V", "Command up to which the valve stays closed", minimum=0.0)
+    ]
+    valve_full_command: Annotated[
+        Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
+    ]
+    valve_command_rounding: Annotated[
+        Scalar, Quantity("V", "Width over which the foot of the opening curve is rounded", minimum=1e-3)
+    ]
+    valve_leakage: Annotated[
+        Scalar, Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
+    ]
+    valve_transition_flow: Annotated[
+        Scalar, Quantity("m3/s", "Flow below which metering edges and hoses are laminar", 1e-5, minimum=1e-8)
+    ]
+    initial_preload: Annotated[
+        Scalar, Quantity("Pa", "Pressure of the unloaded side of a cylinder at the start", 1e6, minimum=1e3)
+    ]
+    boom_bore: Annotated[Scalar, Quantity("m", "Bore of the boom cylinder", 0.1, minimum=1e-3)]
+    boom_rod: Annotated[Scalar, Quantity("m", "Rod diameter of the boom cylinder", 0.1, minimum=0.0)]
+    boom_stroke: Annotated[Scalar, Quantity("m", "Stroke of the boom cylinder", minimum=1e-3)]
+    boom_dead_volume: Annotated[
+        Scalar, Quantity("m3", "Volume of each chamber of the boom cylinder at its end", 1e-4, minimum=1e-9)
+    ]
+    boom_hose_inertance: Annotated[Scalar, Quantity("kg/m4", "Inertance of each boom hose", 1e7, minimum=1.0)]
+    boom_hose_capacitance: Annotated[
+        Scalar, Quantity("m3/Pa", "Capacitance of each boom hose", 1e-12, minimum=0.0)
+    ]
+    boom_hose_resistance: Annotated[
+        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each boom hose", 1e10, minimum=0.0)
+    ]
+    stick_bore: Annotated[Scalar, Quantity("m", "Bore of the stick cylinder", 0.1, minimum=1e-3)]
+    stick_rod: Annotated[Scalar, Quantity("m", "Rod diameter of the stick cylinder", 0.1, minimum=0.0)]
+    stick_stroke: Annotated[Scalar, Quantity("m", "Stroke of the stick cylinder", minimum=1e-3)]
+    stick_dead_volume: Annotated[
+        Scalar, Quantity("m3", "Volume of each chamber of the stick cylinder at its end", 1e-4, minimum=1e-9)
+    ]
+    stick_hose_inertance: Annotated[
+        Scalar, Quantity("kg/m4", "Inertance of each stick hose", 1e7, minimum=1.0)
+    ]
+    stick_hose_capacitance: Annotated[
+        Scalar, Quantity("m3/Pa", "Capacitance of each stick hose", 1e-12, minimum=0.0)
+    ]
+    stick_hose_resistance: Annotated[
+        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each stick hose", 1e10, minimum=0.0)
+    ]
+
+
+@dataclass(frozen=True)
+class BoomStickState:
+    """Pressures and line flows of both drives."""
+
+    boom_head_pressure: Annotated[
+        Scalar, Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
+    ]
+    boom_rod_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at the rod side of the boom cylinder", 1e7)]
+    boom_head_flow: Annotated[Scalar, Quantity("m3/s", "Flow into the head side of the boom cylinder", 1e-3)]
+    boom_rod_flow: Annotated[Scalar, Quantity("m3/s", "Flow into the rod side of the boom cylinder", 1e-3)]
+    stick_head_pressure: Annotated[
+        Scalar, Quantity("Pa", "Pressure at the head side of the stick cylinder", 1e7)
+    ]
+    stick_rod_pressure: Annotated[
+        Scalar, Quantity("Pa", "Pressure at the rod side of the stick cylinder", 1e7)
+    ]
+    stick_head_flow: Annotated[
+        Scalar, Quantity("m3/s", "Flow into the head side of the stick cylinder", 1e-3)
+    ]
+    stick_rod_flow: Annotated[Scalar, Quantity("m3/s", "Flow into the rod side of the stick cylinder", 1e-3)]
+
+
+@dataclass(frozen=True)
+class BoomStickInputs:
+    """Commands, supply, and the motion of the pistons; the rate inputs carry exact time derivatives."""
+
+    boom_command: Annotated[
+        Scalar, Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
+    ]
+    stick_command: Annotated[Scalar, Quantity("V", "Command to the stick valve, positive extends", 10.0)]
+    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
+    tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
+    boom_position: Annotated[
+        Scalar,
+        Quantity("m", "Piston position of the boom cylinder from its closed end", rate="boom_velocity"),
+    ]
+    boom_velocity: Annotated[
+        Scalar, Quantity("m/s", "Piston velocity of the boom cylinder", 0.1, rate="boom_acceleration")
+    ]
+    boom_acceleration: Annotated[
+        Scalar, Quantity("m/s2", "Rate port: time derivative of boom_velocity, may stay unconnected")
+    ]
+    stick_position: Annotated[
+        Scalar,
+        Quantity("m", "Piston position of the stick cylinder from its closed end", rate="stick_velocity"),
+    ]
+    stick_velocity: Annotated[
+        Scalar, Quantity("m/s", "Piston velocity of the stick cylinder", 0.1, rate="stick_acceleration")
+    ]
+    stick_acceleration: Annotated[
+        Scalar, Quantity("m/s2", "Rate port: time derivative of stick_velocity, may stay unconnected")
+    ]
+    boom_holding_force: Annotated[
+        Scalar, Quantity("N", "Force that holds the boom at the start; used only to initialise", 1e5)
+    ]
+    stick_holding_force: Annotated[
+        Scalar, Quantity("N", "Force that holds the stick at the start; used only to initialise", 1e5)
+    ]
+
+
+@dataclass(frozen=True)
+class BoomStickOutputs(BoomStickState):
+    """The state; forces and their rates for the mechanics; flows for the supply; and what a user looks at."""
+
+    boom_force: Annotated[Scalar, Quantity("N", "Hydraulic force of the boom cylinder", 1e5)]
+    stick_force: Annotated[Scalar, Quantity("N", "Hydraulic force of the stick cylinder", 1e5)]
+    boom_force_rate: Annotated[Scalar, Quantity("N/s", "Rate port: exact time derivative of boom_force", 1e6)]
+    stick_force_rate: Annotated[
+        Scalar, Quantity("N/s", "Rate port: exact time derivative of stick_force", 1e6)
+    ]
+    supply_flow: Annotated[Scalar, Quantity("m3/s", "Flow taken from the supply line", 1e-3)]
+    return_flow: Annotated[Scalar, Quantity("m3/s", "Flow given to the return line", 1e-3)]
+    boom_void_volume: Annotated[
+        Scalar,
+        Quantity("m3", "Void in the boom cylinder: above 1e-7 the oil has torn", 1e-6, warn_above=1e-7),
+    ]
+    stick_void_volume: Annotated[
+        Scalar,
+        Quantity("m3", "Void in the stick cylinder: above 1e-7 the oil has torn", 1e-6, warn_above=1e-7),
+    ]
+    stored_energy: Annotated[
+        Scalar, Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
+    ]
+    dissipated_power: Annotated[Scalar, Quantity("W", "Heat of metering edges and hoses", 1e4)]
