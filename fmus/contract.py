@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import casadi as ca
@@ -78,11 +78,15 @@ class Subsystem:
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
 
 
-@cache
-def quantities(group: type[Any]) -> dict[str, Quantity]:
-    """The declared quantities of a variable group, in field order; do not change the returned dict."""
-    hints = get_type_hints(group, include_extras=True)
-    return {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
+_DECLARED: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve
+
+
+def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
+    """The declared quantities of a variable group, in field order."""
+    if group not in _DECLARED:
+        hints = get_type_hints(group, include_extras=True)
+        _DECLARED[group] = MappingProxyType({f.name: hints[f.name].__metadata__[0] for f in fields(group)})
+    return _DECLARED[group]
 
 
 def symbols(group: type[G]) -> G:
