@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import transcription
 
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
 from fmus.monolith import join, simulate
-from tests import transcription
 
 DATA = Path(__file__).parents[1] / "data"
 # parameters that are zero by choice get a size here, so that a wrong term with them shows

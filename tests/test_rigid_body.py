@@ -1,0 +1,265 @@
+"""The manipulator's mechanics against Pinocchio, pendulums, conservation laws and plane geometry."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+from fmus.contract import quantities, symbolic, symbols
+from fmus.manipulator import MANIPULATOR
+from fmus.manipulator.model import mechanics
+from fmus.parameters import values
+
+NUMBERS = dict(values(MANIPULATOR).p)
+CYLINDERS = ("boom", "stick")
+
+
+def _mechanics():
+    """(q, w, p) -> (M, V, G, T, U)."""
+    x, p = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
+    motion = mechanics(x, p)
+    terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
+    columns = [ca.vertcat(*vars(group).values()) for group in (x, p)]
+    return ca.Function("mechanics", [columns[0][:3], columns[0][3:], columns[1]], terms)
+
+
+MECHANICS = _mechanics()
+MODEL = symbolic(MANIPULATOR).function()
+
+
+def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=NUMBERS):
+    """Rates (6,) and outputs by name at states x (6,), forces: swing torque, boom force, stick force."""
+    u = dict.fromkeys(quantities(MANIPULATOR.inputs), 0.0)
+    u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
+    dx, y = MODEL(x, list(u.values()), list(numbers.values()))
+    return np.array(dx).ravel(), dict(zip(quantities(MANIPULATOR.outputs), np.array(y).ravel(), strict=True))
+
+
+def random_numbers(rng):
+    """All parameters, each moved by up to 20 %; zeros become 0.1, so that a wrong term with them shows."""
+    return {name: value * rng.uniform(0.8, 1.2) if value else 0.1 for name, value in NUMBERS.items()}
+
+
+def random_states(rng):
+    """Angles [rad] around the whole circle and speeds [rad/s] up to 1."""
+    return rng.uniform(-math.pi, math.pi, 3), rng.uniform(-1.0, 1.0, 3)
+
+
+@pytest.fixture(scope="module")
+def pin():
+    """Pinocchio, a rigid-body library with algorithms of its own."""
+    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+
+
+def arm(pin, p):
+    """The arm as a tree of bodies: x forward, y to the left, z up; positive boom and stick angles are up."""
+    model, up, nowhere = pin.Model(), np.array([0.0, -1.0, 0.0]), np.zeros(3)
+    model.gravity.linear = np.array([0.0, 0.0, -p["gravity"]])
+
+    def link(parent, joint, place, *parts):
+        number = model.addJoint(parent, joint, pin.SE3(np.eye(3), place), f"joint {parent}")
+        for mass, centre, inertia in parts:
+            body = pin.Inertia(mass, np.array(centre), np.diag(inertia))
+            model.appendBodyToJoint(number, body, pin.SE3.Identity())
+        return number
+
+    column = link(0, pin.JointModelRZ(), nowhere, (0.0, nowhere, (0.0, 0.0, p["column_inertia"])))
+    along = [(0.0, p[f"{name}_inertia"], p[f"{name}_inertia"]) for name in CYLINDERS]  # slender links
+    centres = [(p[f"{name}_centre_x"], 0.0, p[f"{name}_centre_z"]) for name in CYLINDERS]
+    pivots = [np.array([p[f"{name}_pivot_x"], 0.0, p[f"{name}_pivot_z"]]) for name in CYLINDERS]
+    head = (p["head_mass"], (p["stick_length"], 0.0, 0.0), (0.0, 0.0, 0.0))
+    boom = link(
+        column, pin.JointModelRevoluteUnaligned(up), pivots[0], (p["boom_mass"], centres[0], along[0])
+    )
+    link(boom, pin.JointModelRevoluteUnaligned(up), pivots[1], (p["stick_mass"], centres[1], along[1]), head)
+    return model, model.createData()
+
+
+def test_mass_matrix_coriolis_gravity_and_energies_are_pinocchio_s(pin):
+    """M by composite bodies, V and G by Newton-Euler and both energies: the same at any state and numbers."""
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        numbers, (q, w) = random_numbers(rng), random_states(rng)
+        model, data = arm(pin, numbers)
+        upper = np.triu(pin.crba(model, data, q))
+        gravity = pin.computeGeneralizedGravity(model, data, q).copy()
+        coriolis = pin.rnea(model, data, q, w, np.zeros(3)) - gravity
+        theirs = [upper + np.triu(upper, 1).T, coriolis, gravity]
+        theirs += [pin.computeKineticEnergy(model, data, q, w), pin.computePotentialEnergy(model, data, q)]
+        for ours, expected in zip(MECHANICS(q, w, [*numbers.values()]), theirs, strict=True):
+            # exact identity; 1e-9 is 1e2 rounding errors of terms up to 7e4 that cancel
+            np.testing.assert_allclose(np.array(ours).squeeze(), expected, rtol=1e-11, atol=1e-9)
+
+
+def test_acceleration_is_pinocchio_s(pin):
+    """Under hydraulic forces and friction the joints accelerate as articulated bodies do."""
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        numbers, (q, w) = random_numbers(rng) | {"stop_stiffness": 0.0}, random_states(rng)
+        model, data = arm(pin, numbers)
+        forces = rng.uniform(-1.0, 1.0, 3) * (3e4, 1e5, 1e5)
+        dx, y = evaluate([*q, *w], forces, numbers)
+        torque = [forces[0] - numbers["swing_damping"] * w[0], y["boom_torque"], y["stick_torque"]]
+        for i, name in enumerate(CYLINDERS, start=1):
+            lever = y[f"{name}_velocity"] / w[i]
+            torque[i] -= lever * numbers[f"{name}_piston_damping"] * y[f"{name}_velocity"]
+            torque[i] -= numbers[f"{name}_joint_damping"] * w[i]
+        # exact identity; rounding times the condition of M, which is below 1e3
+        np.testing.assert_allclose(dx[3:], pin.aba(model, data, q, w, np.array(torque)), rtol=1e-9, atol=1e-9)
+
+
+def test_elbow_and_tip_are_where_pinocchio_s_kinematics_put_them(pin):
+    """Stick pivot and stick end by chained frames, and the end's velocity in the plane of the arm."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        numbers, (q, w) = random_numbers(rng), random_states(rng)
+        model, data = arm(pin, numbers)
+        pin.forwardKinematics(model, data, q, w)
+        offset = pin.SE3(np.eye(3), np.array([numbers["stick_length"], 0.0, 0.0]))
+        tip = data.oMi[3].act(offset).translation
+        velocity = data.oMi[3].rotation @ offset.actInv(data.v[3]).linear
+        _, y = evaluate([*q, *w], numbers=numbers)
+        forward = np.array([math.cos(q[0]), math.sin(q[0]), 0.0])
+        elbow = data.oMi[3].translation
+        ours = ["elbow_radius", "elbow_height", "tip_x", "tip_y", "tip_height", "tip_radius"]
+        ours += ["tip_radial_velocity", "tip_vertical_velocity"]
+        theirs = [forward @ elbow, elbow[2], *tip, forward @ tip, forward @ velocity, velocity[2]]
+        # exact identity, rounding only
+        np.testing.assert_allclose([y[name] for name in ours], theirs, rtol=1e-12, atol=1e-12)
+
+
+def first_moment_and_inertia(joint):
+    """Sum of m r [kg.m] and inertia [kg.m2] about a joint, the others locked, the stick at -1.4 rad."""
+    p, fold = NUMBERS, -1.4
+    stick = [
+        (p["stick_mass"], complex(p["stick_centre_x"], p["stick_centre_z"])),
+        (p["head_mass"], p["stick_length"]),
+    ]
+    inertia = p["stick_inertia"]
+    if joint == "boom":
+        elbow, turn = complex(p["stick_pivot_x"], p["stick_pivot_z"]), complex(math.cos(fold), math.sin(fold))
+        stick = [(m, elbow + turn * r) for m, r in stick]
+        stick.append((p["boom_mass"], complex(p["boom_centre_x"], p["boom_centre_z"])))
+        inertia += p["boom_inertia"]
+    return sum(m * r for m, r in stick), inertia + sum(m * abs(r) ** 2 for m, r in stick)
+
+
+@pytest.mark.parametrize("amplitude", [5.0, 30.0, 90.0])
+@pytest.mark.parametrize("joint", CYLINDERS)
+def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitude):
+    """T = 4 sqrt(I / (g |m r|)) K(sin^2(A/2)) about boom and stick pivot, all other joints locked."""
+    moment, inertia = first_moment_and_inertia(joint)
+    swing, i = math.radians(amplitude), 1 if joint == "boom" else 2
+    weight = NUMBERS["gravity"] * abs(moment)
+    period = 4 * math.sqrt(inertia / weight) * ellipk(math.sin(swing / 2) ** 2)
+    rest = -math.pi / 2 - np.angle(moment)  # the centre of mass hangs below the pivot
+
+    def rates(_, y):
+        q, w = np.array([0.0, 0.0, -1.4]), np.zeros(3)
+        q[i], w[i] = y[0] + rest, y[1]
+        mass, coriolis, gravity, _, _ = MECHANICS(q, w, [*NUMBERS.values()])
+        return [y[1], -(float(coriolis[i]) + float(gravity[i])) / float(mass[i, i])]
+
+    def crossing(_, y):
+        return y[0]
+
+    run = solve_ivp(rates, (0, 0.3 * period), [swing, 0.0], "DOP853", events=crossing, rtol=1e-11, atol=1e-12)
+    # integrator error: 1e-11 per step over a quarter of a period, 1e2 steps at most
+    assert 4 * run.t_events[0][0] == pytest.approx(period, rel=1e-9)
+
+
+def test_free_arm_keeps_its_energy_and_its_angular_momentum():
+    """Without forces and friction the falling, turning arm keeps T + U and its momentum about the column."""
+    friction = [name for name in NUMBERS if name.endswith("damping")]
+    free = NUMBERS | dict.fromkeys([*friction, "stop_stiffness"], 0.0)
+    start = [0.0, 0.4, -1.2, 0.7, 0.0, 0.0]
+
+    def kept(x):
+        mass, _, _, kinetic, potential = MECHANICS(x[:3], x[3:], [*free.values()])
+        return float(kinetic), float(kinetic + potential), float(mass[0, 0] * x[3])
+
+    run = solve_ivp(
+        lambda _, x: evaluate(x, numbers=free)[0], (0, 3), start, "DOP853", rtol=1e-11, atol=1e-11
+    )
+    rows = np.array([kept(x) for x in run.y.T])
+    exchanged = np.ptp(rows[:, 0])
+    assert exchanged > 2e4  # the arm does fall: most of its potential energy passes through the kinetic
+    # integrator error: 1e-11 per step, a few hundred steps
+    assert np.ptp(rows[:, 1]) < 1e-8 * exchanged
+    assert np.ptp(rows[:, 2]) < 1e-8 * abs(rows[0, 2])
+
+
+def poses(name, count=25):
+    """Angles [rad] of a joint over the cylinder's stroke, as states (6,) with speed 0.3 rad/s there."""
+    i = 1 + CYLINDERS.index(name)
+    for angle in np.linspace(-0.5, 1.0, count) if name == "boom" else np.linspace(-2.2, -0.6, count):
+        x = np.array([0.1, 0.2, -1.4, 0.0, 0.0, 0.0])
+        x[i], x[i + 3] = angle, 0.3
+        yield i, x
+
+
+def pins(name, angle):
+    """Base and rod pin [m] of a cylinder as complex numbers (along, across) from the joint."""
+    base, pin = (complex(NUMBERS[f"{name}_{n}_x"], NUMBERS[f"{name}_{n}_z"]) for n in ("base", "pin"))
+    return base, pin * complex(math.cos(angle), math.sin(angle))
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_cylinder_length_is_the_third_side_of_its_triangle(name):
+    """Position = distance of the pins less the closed length, by the law of cosines, inside the stroke."""
+    for i, x in poses(name):
+        base, rod = pins(name, x[i])
+        corner = np.angle(rod / base)
+        length = math.sqrt(abs(base) ** 2 + abs(rod) ** 2 - 2 * abs(base) * abs(rod) * math.cos(corner))
+        position = evaluate(x)[1][f"{name}_position"]
+        # exact identity, rounding only
+        assert position == pytest.approx(length - NUMBERS[f"{name}_closed_length"], abs=1e-13)
+        assert 0 < position < NUMBERS[f"{name}_stroke"]
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_moment_arm_is_slope_of_the_length_and_distance_to_the_cylinder_line(name):
+    """J = dx/dq by differences; |J| = distance of the pivot from the cylinder line; J > 0 for the boom only."""
+    step = 1e-4
+    for i, x in poses(name):
+        lever = evaluate(x)[1][f"{name}_velocity"] / x[i + 3]
+        ends = [evaluate(x + d * np.eye(6)[i])[1][f"{name}_position"] for d in (-step, step)]
+        # truncation step^2/6 of the third derivative (below 1 m), rounding 1e-16/step
+        assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(lever, abs=1e-8)
+        base, rod = pins(name, x[i])
+        along = (rod - base) / abs(rod - base)
+        # exact identity, rounding only
+        assert abs((base.conjugate() * along).imag) == pytest.approx(abs(lever), rel=1e-12)
+        assert (lever > 0) == (name == "boom")
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_piston_acceleration_is_the_slope_of_its_velocity(name):
+    """x'' = J q'' + dJ/dq q'^2 along the motion, by differences of the velocity."""
+    step = 1e-5
+    for _, x in poses(name):
+        dx, y = evaluate(x, (5e3, 8e4, -1e4))
+        ends = [evaluate(x + d * dx)[1][f"{name}_velocity"] for d in (-step, step)]
+        # truncation step^2 times a third derivative below 1e2 m/s3, rounding 1e-16/step
+        assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(y[f"{name}_acceleration"], abs=1e-7)
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_cylinder_does_the_work_that_the_joint_receives(name):
+    """Virtual power F x' = tau q', and under the holding forces the resting arm stays at rest."""
+    for i, x in poses(name):
+        forces = {"boom": 8e4, "stick": -1e4}
+        _, y = evaluate(x, (0.0, *forces.values()))
+        # exact identity, rounding only
+        assert y[f"{name}_torque"] * x[i + 3] == pytest.approx(
+            forces[name] * y[f"{name}_velocity"], rel=1e-12
+        )
+        resting = [*x[:3], 0.0, 0.0, 0.0]
+        dx, _ = evaluate(resting, (0.0, y["boom_holding_force"], y["stick_holding_force"]))
+        # exact identity; rounding of moments up to 4e4 N.m over inertias above 1e3 kg.m2
+        assert np.abs(dx).max() < 1e-12
