@@ -224,7 +224,7 @@ def test_cylinder_length_is_the_third_side_of_its_triangle(name):
 
 @pytest.mark.parametrize("name", CYLINDERS)
 def test_moment_arm_is_slope_of_the_length_and_distance_to_the_cylinder_line(name):
-    """J = dx/dq by differences; |J| = distance of the pivot from the cylinder line; J > 0 for the boom only."""
+    """J = dx/dq by differences; |J| = distance of the pivot from the cylinder line; J > 0 for the boom."""
     step = 1e-4
     for i, x in poses(name):
         lever = evaluate(x)[1][f"{name}_velocity"] / x[i + 3]
