@@ -107,10 +107,14 @@ def join(
     )
 
 
-def breakpoints(samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
-    """Indices of samples, shape (n, m), where a piecewise linear signal changes slope; with both ends."""
-    bend = np.abs(np.diff(samples, 2, axis=0)).max(axis=1) > tolerance
-    return np.concatenate([[0], 1 + np.nonzero(bend)[0], [len(samples) - 1]])
+def breakpoints(time: Array, samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
+    """Indices where piecewise linear samples (n, m) over time (n,) change slope; with both ends.
+
+    tolerance   largest distance of a sample from the line through its neighbours that counts as none
+    """
+    gaps = np.diff(time)[:, None]
+    kink = np.abs(np.diff(np.diff(samples, axis=0) / gaps, axis=0)) * np.minimum(gaps[1:], gaps[:-1])
+    return np.concatenate([[0], 1 + np.nonzero((kink > tolerance).any(axis=1))[0], [len(samples) - 1]])
 
 
 def simulate(
@@ -118,7 +122,7 @@ def simulate(
     time: Array,
     inputs: Array,
     x_start: Array | None = None,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-12,
 ) -> tuple[Array, Array]:
     """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
 
@@ -135,7 +139,7 @@ def simulate(
     options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
     x = model.start(model.x if x_start is None else x_start, inputs[0], model.p).full()[:, 0]
     states = [x]
-    corners = breakpoints(inputs)
+    corners = breakpoints(time, inputs)
     for first, last in pairwise(corners):
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]

@@ -201,7 +201,10 @@ def test_breakpoints_are_the_corners_of_a_piecewise_linear_signal():
     """Only samples where the slope changes, and both ends, split the integration."""
     t = np.linspace(0, 1, 101)
     bent = np.interp(t, [0, 0.2, 0.5, 1.0], [0, 1, 1, 0])[:, None]
-    assert list(breakpoints(bent)) == [0, 20, 50, 100]
+    assert list(breakpoints(t, bent)) == [0, 20, 50, 100]
+    uneven = np.array([0.0, 0.2, 0.201, 0.5, 1.0])
+    line = np.interp(uneven, [0, 0.2, 0.5, 1.0], [0, 1, 1, 0])[:, None]
+    assert list(breakpoints(uneven, line)) == [0, 1, 3, 4]
 
 
 def test_monolith_reaches_its_tolerance():

@@ -78,7 +78,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="The hydraulic manipulator benchmark as two FMUs.")
     parser.add_argument("--manoeuvre", type=Path, default=M1, help="CSV with time [s] and kappa [1]")
     parser.add_argument("--step", type=float, default=1e-3, help="communication step [s]")
-    parser.add_argument("--master", default="jacobi", help="jacobi or gauss-seidel")
+    parser.add_argument("--master", default="gauss-seidel", help="jacobi or gauss-seidel")
     parser.add_argument(
         "--ports", choices=("rates", "held"), default="rates", help="with rate ports or without"
     )
