@@ -13,6 +13,7 @@ from lxml import etree
 from fmus.contract import ModelError
 from fmus.export.build import pack
 from fmus.export.model_description import package_version
+from fmus.export.vendor import NAMESPACES, annotate
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 _NAMESPACES = {"ssc": f"{_SSP}Common", "ssd": f"{_SSP}Description", "ssv": f"{_SSP}ParameterValues"}
@@ -39,15 +40,17 @@ def write_ssp(
     start: Mapping[str, float] | None = None,
     stop: float = 10.0,
     resources: Mapping[str, Path] | None = None,
+    step: float = 1e-3,
 ) -> Path:
     """Write the system `name` to `path` and return it.
 
     fmus         component -> its .fmu file
     connections  ("swing.swing_torque", "manipulator.swing_torque"): output to input
-    inputs       input of the system -> inputs of components that it feeds
+    inputs       input of the system -> inputs of components that it feeds; starts with the value of the first
     start        "component.variable" -> start value
-    stop         stop time of the default experiment [s]; SSP 1.0 has no place for a step, the FMUs have
+    stop         stop time of the default experiment [s]
     resources    name under resources/ -> file to include
+    step         communication step [s]; tools that read no vendor annotation find it in the FMUs
     """
     inputs, start, resources = inputs or {}, start or {}, resources or {}
     descriptions = {c: fmpy.read_model_description(str(file), validate=False) for c, file in fmus.items()}
@@ -56,7 +59,7 @@ def write_ssp(
     _check(name, variables, wires, inputs)
     _check_start(name, variables, start)
     elements = {c: _element(c, d, variables[c], wires) for c, d in descriptions.items()}
-    root = _description(name, elements, wires, inputs, start, stop)
+    root = _description(name, elements, wires, inputs, start, stop, step)
     content = {
         "SystemStructure.ssd": etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     }
@@ -149,18 +152,15 @@ def _description(
     inputs: Mapping[str, Sequence[str]],
     start: Mapping[str, float],
     stop: float,
+    step: float,
 ) -> etree._Element:
-    root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_NAMESPACES)
+    root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_NAMESPACES | NAMESPACES)
     root.attrib.update(
         {"version": "1.0", "name": name, "generationTool": f"harvester-cosim {package_version()}"}
     )
     system = _add(root, "ssd:System", name=name)
     if inputs:
-        connectors = _add(system, "ssd:Connectors")
-        for i, (port, ends) in enumerate(inputs.items()):
-            component, variable = _split(ends[0])
-            unit = elements[component].variables[variable].unit
-            _connector(connectors, port, "input", unit, 0.0, (i + 1) / (len(inputs) + 1))
+        _system_inputs(system, name, elements, inputs)
     parent = _add(system, "ssd:Elements")
     corners = _layout(elements, wires, inputs)
     for component, element in elements.items():
@@ -168,11 +168,26 @@ def _description(
     connections = _add(system, "ssd:Connections") if wires else system
     for source, end in wires:
         _connection(connections, source, end, inputs)
-    right, top = (max(c[k] for c in corners.values()) + _GAP for k in (2, 3))
-    _add(system, "ssd:SystemGeometry", x1=-_GAP, y1=-_GAP, x2=right, y2=top)
-    _units(root, elements)
-    _add(root, "ssd:DefaultExperiment", startTime=0.0, stopTime=float(stop))
+    _units(root, elements)  # no SystemGeometry: OMSimulator 3.0 refuses it
+    experiment = _add(root, "ssd:DefaultExperiment", startTime=0.0, stopTime=float(stop))
+    annotate(system, experiment, step)
     return root
+
+
+def _system_inputs(
+    system: etree._Element,
+    name: str,
+    elements: Mapping[str, _Element],
+    inputs: Mapping[str, Sequence[str]],
+) -> None:
+    """Connectors of the system and their start values: a tool that got none would feed zeros."""
+    connectors = _add(system, "ssd:Connectors")
+    first = {
+        port: elements[_split(ends[0])[0]].variables[_split(ends[0])[1]] for port, ends in inputs.items()
+    }
+    for i, (port, variable) in enumerate(first.items()):
+        _connector(connectors, port, "input", variable.unit, 0.0, (i + 1) / (len(inputs) + 1))
+    _start_values(system, name, first, {port: float(v.start) for port, v in first.items()})
 
 
 def _component(
@@ -200,7 +215,7 @@ def _component(
     _add(component, "ssd:ElementGeometry", **dict(zip(("x1", "y1", "x2", "y2"), corners, strict=True)))
     values = {_split(port)[1]: value for port, value in start.items() if _split(port)[0] == name}
     if values:
-        _start_values(component, name, element, values)
+        _start_values(component, name, element.variables, values)
 
 
 def _connector(parent: etree._Element, name: str, kind: str, unit: str | None, x: float, y: float) -> None:
@@ -209,12 +224,14 @@ def _connector(parent: etree._Element, name: str, kind: str, unit: str | None, x
     _add(connector, "ssd:ConnectorGeometry", x=x, y=y)
 
 
-def _start_values(parent: etree._Element, name: str, element: _Element, values: Mapping[str, float]) -> None:
+def _start_values(
+    parent: etree._Element, name: str, variables: Mapping[str, Any], values: Mapping[str, float]
+) -> None:
     binding = _add(_add(parent, "ssd:ParameterBindings"), "ssd:ParameterBinding")
     holder = _add(binding, "ssd:ParameterValues")
     parameters = _add(_add(holder, "ssv:ParameterSet", version="1.0", name=f"{name}_start"), "ssv:Parameters")
     for variable, value in values.items():
-        unit = element.variables[variable].unit
+        unit = variables[variable].unit
         parameter = _add(parameters, "ssv:Parameter", name=variable)
         _add(parameter, "ssv:Real", value=float(value), **({"unit": unit} if unit else {}))
 
