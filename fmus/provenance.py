@@ -12,7 +12,7 @@ from fmus.parameters import Number, numbers
 
 LEGEND = """\
 paper       printed in the paper: the only FERIC data
-derived     follows from such numbers by a named formula
+derived     follows by a named formula from such numbers or, for start values, from the model
 literature  published for a comparable machine
 assumed     a free choice
 identified  fitted to measurements"""

@@ -18,7 +18,7 @@ from fmus.monolith import join, simulate
 from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 
 TOLERANCE = 1e-11  # relative, of CVODES
-EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (12 Hz)
+EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (17 Hz)
 SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
     *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),

@@ -38,6 +38,7 @@ class Move:
 
 
 # Two trees: slew out and reach, place the head, grip and cut, lift and fold, slew back, set down.
+# The motion of the arm only: the mass at its end does not change, no stem hangs there.
 WORK_CYCLE: tuple[Move, ...] = (
     Move("boom", 1.0, 3.2, 0.30, 0.70, 0.50),  # lift the head off the ground
     Move("swing", 1.5, 3.6, 0.50, 1.50, 1.50),  # slew out to the left ...

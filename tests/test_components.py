@@ -169,7 +169,7 @@ def test_void_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
 
 
 def test_void_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
-    """At tank pressure the void adds 2 % of a hose, from 0.1 MPa up less than 1e-10."""
+    """At tank pressure the void adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
     assert number(chamber.void_capacitance(0.0)) / 7e-13 < 0.03
     assert number(chamber.void_capacitance(1e5)) / 7e-13 < 1e-10
 

@@ -72,8 +72,8 @@ def test_start_is_consistent_at_every_pose():
 def test_closed_valves_hold_every_pose_for_5_s(pose):
     """No piston moves farther than its leakage flow times time over its area.
 
-    Each chamber gains at most G_leak P_s t of oil (and loses at most as much at intensified pressure):
-    dx < t G_leak P_max / A_rod. The joint follows by 1/J. The swing has no load, so it stands.
+    Each chamber gains or loses at most G_leak P_s t of oil, its pressure being between tank and supply:
+    dx < t G_leak P_s / A_rod. The joint follows by 1/J. The swing has no load, so it stands.
     """
     time, u = constant(5.0)
     _, y = simulate(MODEL, time, u, start_at(*pose))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fmus.components import hose
-from fmus.contract import ModelError, quantities
+from fmus.contract import ModelError, quantities, symbolic
 from fmus.machine import SUBSYSTEMS
 from fmus.parameters import Number, numbers, read, values, write
 
@@ -60,6 +60,40 @@ def test_derived_numbers_follow_from_their_formulas():
     s = values(SWING).p
     assert s["line_resistance"] == pytest.approx(hose.laminar_resistance(1.0, diameter, 0.02), rel=0.01)
     assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-4)
+
+
+def test_only_what_follows_from_paper_numbers_is_called_derived():
+    """A length, mass or viscosity that somebody chose makes what follows from it assumed, not FERIC data."""
+    derived = {
+        name
+        for s in SUBSYSTEMS.values()
+        for name, n in numbers(s)["parameters"].items()
+        if n.source == "derived"
+    }
+    assert derived == {"stick_hose_inertance", "stick_hose_capacitance"}  # 4 m, 3/4 in, rho, beta
+
+
+def test_formulas_named_in_notes_give_the_numbers():
+    """Bars m l^2 / 12, line inertance, and the transition flow of Re 260 through 4.7 mm2 at 20 mm2/s."""
+    m, s = values(MANIPULATOR).p, values(SWING).p
+    # rounded to two or three digits
+    assert m["boom_inertia"] == pytest.approx(m["boom_mass"] * 3.6**2 / 12, rel=2e-3)
+    assert m["stick_inertia"] == pytest.approx(m["stick_mass"] * 2.9**2 / 12, rel=2e-3)
+    assert s["line_inertance"] == pytest.approx(hose.inertance(1.0, 0.75 * 0.0254, 970.0), rel=5e-4)
+    area = 4.7e-6
+    assert s["valve_transition_flow"] == pytest.approx(260 * 20e-6 * math.sqrt(math.pi * area) / 2, rel=0.01)
+
+
+def test_start_values_of_the_parts_belong_to_one_pose():
+    """What boom_stick and manipulator start from when alone is x(q) and G(q)/J of the nominal pose."""
+    s, v = symbolic(MANIPULATOR), values(MANIPULATOR)
+    outputs = s.function()(list(v.x.values()), list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
+    y, start = dict(zip(quantities(MANIPULATOR.outputs), outputs, strict=True)), values(BOOM_STICK).u
+    for joint in ("boom", "stick"):
+        # stated with nine digits
+        assert start[f"{joint}_position"] == pytest.approx(y[f"{joint}_position"], rel=1e-8)
+        assert start[f"{joint}_holding_force"] == pytest.approx(y[f"{joint}_holding_force"], rel=1e-8)
+        assert v.u[f"{joint}_force"] == start[f"{joint}_holding_force"]
 
 
 def test_printed_hose_resistance_is_read_as_a_reciprocal_near_blasius():

@@ -8,7 +8,7 @@ opens that takes up volume at nearly constant pressure; it is modelled as a capa
 which conserves oil: what left the chamber has to come back before the pressure rises.
 With C_ref = 1e-12 m3/Pa, P_v = -20 kPa, dP = 5 kPa (gauge) a void of 1 litre lies at
 -81 kPa, and 50 kPa above P_v the void is 2e-13 m3. Assumed: a smooth stand-in for vapour and
-released air, not a bubble model. Valid while the pressure stays above -0.2 MPa of P_v.
+released air, not a bubble model. Valid down to 0.2 MPa below P_v, where the exponent is cut off.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fmus.contract import Scalar
 VOID_CAPACITANCE = 1e-12  # C_ref [m3/Pa], about that of a 4 m hose: the void is felt from P_v on
 VOID_PRESSURE = -20e3  # P_v [Pa] gauge
 VOID_SCALE = 5e3  # dP [Pa]
-_LARGEST_EXPONENT = 40.0  # keeps trial steps of a solver finite: a void of 1e9 litres
+_LARGEST_EXPONENT = 40.0  # keeps trial steps of a solver finite: a void of 1e9 m3
 _SMALLEST_EXPONENT = -60.0  # keeps exp() out of the slow denormal numbers: 1e-26 of C_ref
 
 

@@ -33,8 +33,8 @@ def force(head: Scalar, rod: Scalar, pressure_head: Scalar, pressure_rod: Scalar
 def holding_pressures(load: Scalar, head: Scalar, rod: Scalar, preload: Scalar) -> tuple[Scalar, Scalar]:
     """Pressures [Pa] of a standing piston under a load [N], head and rod side.
 
-    The unloaded side stays near `preload` [Pa] and never below it; the balance
-    A_head P_head - A_rod P_rod = load is exact.
+    The rod side stays above `preload` [Pa], the head side above what balances that without a load,
+    preload A_rod / A_head; the balance A_head P_head - A_rod P_rod = load is exact.
     """
     width = 0.1 * preload * rod  # rounds the change of sides over loads of 10 % of the preload
     p_rod = preload + positive(-load, width) / rod

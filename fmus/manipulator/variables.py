@@ -17,8 +17,8 @@ class ManipulatorParameters:
         Scalar, Quantity("kg.m2", "Inertia of column and gear about the swing axis", 1e3, minimum=1e-3)
     ]
     boom_pivot_x: Annotated[Scalar, Quantity("m", "Boom pivot on the column, radius from the swing axis")]
-    boom_pivot_z: Annotated[Scalar, Quantity("m", "Boom pivot on the column, height")]
-    boom_mass: Annotated[Scalar, Quantity("kg", "Mass of the boom with its cylinder", 1e2, minimum=1e-3)]
+    boom_pivot_z: Annotated[Scalar, Quantity("m", "Boom pivot on the column, height above the column's foot")]
+    boom_mass: Annotated[Scalar, Quantity("kg", "Mass of the boom", 1e2, minimum=1e-3)]
     boom_inertia: Annotated[
         Scalar,
         Quantity("kg.m2", "Inertia of the boom about its centre of mass, across its axis", 1e2, minimum=0.0),
@@ -31,7 +31,7 @@ class ManipulatorParameters:
     ]
     stick_pivot_x: Annotated[Scalar, Quantity("m", "Stick pivot, along the boom from the boom pivot")]
     stick_pivot_z: Annotated[Scalar, Quantity("m", "Stick pivot, across the boom from the boom pivot")]
-    stick_mass: Annotated[Scalar, Quantity("kg", "Mass of the stick with its cylinder", 1e2, minimum=1e-3)]
+    stick_mass: Annotated[Scalar, Quantity("kg", "Mass of the stick", 1e2, minimum=1e-3)]
     stick_inertia: Annotated[
         Scalar,
         Quantity("kg.m2", "Inertia of the stick about its centre of mass, across its axis", 1e2, minimum=0.0),
@@ -187,9 +187,9 @@ class ManipulatorOutputs(ManipulatorState):
         ),
     ]
     elbow_radius: Annotated[Scalar, Quantity("m", "Stick pivot, radius from the swing axis")]
-    elbow_height: Annotated[Scalar, Quantity("m", "Stick pivot, height above ground")]
+    elbow_height: Annotated[Scalar, Quantity("m", "Stick pivot, height above the foot of the column")]
     tip_radius: Annotated[Scalar, Quantity("m", "Stick end, radius from the swing axis")]
-    tip_height: Annotated[Scalar, Quantity("m", "Stick end, height above ground")]
+    tip_height: Annotated[Scalar, Quantity("m", "Stick end, height above the foot of the column")]
     tip_x: Annotated[Scalar, Quantity("m", "Stick end, forward at swing angle zero")]
     tip_y: Annotated[Scalar, Quantity("m", "Stick end, to the left at swing angle zero")]
     tip_radial_velocity: Annotated[
@@ -197,5 +197,7 @@ class ManipulatorOutputs(ManipulatorState):
     ]
     tip_vertical_velocity: Annotated[Scalar, Quantity("m/s", "Velocity of the stick end upwards")]
     kinetic_energy: Annotated[Scalar, Quantity("J", "Kinetic energy", 1e3)]
-    potential_energy: Annotated[Scalar, Quantity("J", "Potential energy of gravity, zero at the ground", 1e4)]
+    potential_energy: Annotated[
+        Scalar, Quantity("J", "Potential energy of gravity, zero at the column's foot", 1e4)
+    ]
     dissipated_power: Annotated[Scalar, Quantity("W", "Heat of joint and piston friction", 1e3)]

@@ -9,7 +9,7 @@ and C_R,line is zero unless somebody measures one.
 
 Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
 seen from above; a positive command drives the positive way. The torque depends on the speed by
-2 D^2 R_line only (about 27 N.m.s/rad); it has to, or the port would not conserve power.
+2 D^2 R_line only (28 N.m.s/rad); it has to, or the port would not conserve power.
 """
 
 from __future__ import annotations
