@@ -17,9 +17,41 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SYSTEM = Path("build/harvester.ssp")
-OUT = Path("build/run.csv")
-MASTER = "gauss-seidel"
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise typer.BadParameter(f"expected a number of seconds, got {text!r}") from None
+
+
+SYSTEM, BUILD = Path("build/harvester.ssp"), Path("build")
+
+# What `run` and `validate` share.
+System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
+Scenario = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Inputs over time (.csv, .parquet); default: the work cycle, for the built system.",
+    ),
+]
+Master = Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")]
+Step = Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].", parser=_seconds)]
+RecordStep = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        help="Time between recorded points [s], a multiple of the step; default: 0.005, at least a step.",
+        parser=_seconds,
+    ),
+]
+Start = Annotated[float | None, typer.Option(metavar="T", help="Start time [s].", parser=_seconds)]
+Stop = Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].", parser=_seconds)]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
+]
 
 
 @app.callback()
@@ -29,23 +61,17 @@ def _group() -> None:
 
 @app.command()
 def run(
-    system: Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")] = SYSTEM,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: the work cycle, for the built system.",
-        ),
-    ] = None,
-    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = MASTER,
-    step: Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].")] = None,
-    start: Annotated[float | None, typer.Option(metavar="T", help="Start time [s].")] = None,
-    stop: Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].")] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")] = OUT,
+    system: System = SYSTEM,
+    scenario: Scenario = None,
+    master: Master = "gauss-seidel",
+    step: Step = None,
+    record_step: RecordStep = None,
+    start: Start = None,
+    stop: Stop = None,
+    set_: Set = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")
+    ] = BUILD / "run.csv",
     error_estimate: Annotated[
         bool, typer.Option("--error-estimate", help="Run again at half and twice the step, and compare.")
     ] = False,
@@ -59,6 +85,7 @@ def run(
         out,
         master=master,
         step=step,
+        record_step=record_step,
         start=start,
         stop=stop,
         set=commands.assignments(set_ or []),
@@ -68,11 +95,13 @@ def run(
 
 @app.command()
 def build(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")] = Path("build"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")] = BUILD,
 ) -> None:
     """Build swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
     from fmus.build import build_machine
+    from orchestrator import commands
 
+    commands.folder(out)
     for path in build_machine(out):
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 
@@ -91,31 +120,24 @@ def parameters(
 
 @app.command()
 def validate(
-    system: Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")] = SYSTEM,
+    system: System = SYSTEM,
     reference: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE", help="Reference or measurement, .csv with .toml; default: the work cycle."
         ),
     ] = None,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Inputs over time (.csv, .parquet); default: the work cycle."),
-    ] = None,
+    scenario: Scenario = None,
     layout: Annotated[
         Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
     ] = None,
-    master: Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")] = MASTER,
-    step: Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].")] = None,
-    start: Annotated[float | None, typer.Option(metavar="T", help="Start time [s].")] = None,
-    stop: Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].")] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where report.html and report.json go.")] = Path(
-        "build"
-    ),
+    master: Master = "gauss-seidel",
+    step: Step = None,
+    record_step: RecordStep = None,
+    start: Start = None,
+    stop: Stop = None,
+    set_: Set = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
 ) -> None:
     """Co-simulate, compare with a reference, write a report; exit status 1 if a limit is missed."""
     from fmus.build import data
@@ -130,6 +152,7 @@ def validate(
         out,
         master=master,
         step=step,
+        record_step=record_step,
         start=start,
         stop=stop,
         set=commands.assignments(set_ or []),
@@ -155,17 +178,23 @@ def _stopped() -> int:
 
 
 def _told(error: Exception) -> int:
-    """Tell a user's mistake in one line, or a wrong argument in the tool's words; re-raise defects."""
+    """Tell a user's mistake or a refusal of the operating system in one line; re-raise defects."""
     contract = sys.modules.get("fmus.contract")  # there if the models were used
     mistakes = (Problem,) if contract is None else (Problem, contract.ModelError)
-    if isinstance(error, mistakes):
-        print(f"harvester: {error}", file=sys.stderr)
-        return 2
-    show = getattr(error, "show", None)
-    if show is None:
+    show, message = getattr(error, "show", None), str(error)  # of the command-line library: show()
+    if show is not None:
+        message = error.format_message()  # type: ignore[attr-defined]
+        if "\n" in message:  # no command given: its message is the help
+            show()
+            return 2
+        context = getattr(error, "ctx", None)
+        message = f"{message.rstrip('.')}; see {context.command_path if context else 'harvester'} --help"
+    elif isinstance(error, OSError) and error.filename:
+        message = f"{error.filename}: {error.strerror}"
+    elif not isinstance(error, mistakes):
         raise error
-    show()
-    return int(getattr(error, "exit_code", 2))
+    print(f"harvester: {message}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ def judge(
     rate    with the ISO/TS 18571 rating (its library takes some seconds to start)
     """
     validation = compare(result.trace, reference, rate=rate)
+    layout.check(result.trace)
     ghost = Trace(reference.time, {name: s.values for name, s in reference.signals.items()})
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",

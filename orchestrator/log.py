@@ -41,8 +41,11 @@ class Log:
         self.messages.append(Message(self.time, self.component, label, " ".join(text.split())))
 
     def last(self, count: int = 3) -> str:
-        """The last messages as one line, to end an error with."""
-        texts = list(dict.fromkeys(m.text for m in self.messages[-count:]))
+        """The last messages of the latest step, or its errors, as one line to end an error with."""
+        recent = self.messages[-count:]
+        recent = [m for m in recent if m.time == self.time] or recent
+        recent = [m for m in recent if m.status not in ("ok", "warning")] or recent
+        texts = list(dict.fromkeys(m.text for m in recent))
         return "".join(f"; it says: {text}" for text in texts)
 
     def warnings(self) -> list[str]:

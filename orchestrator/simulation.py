@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from orchestrator.log import Message
 from orchestrator.masters import find
 from orchestrator.network import Network
 from orchestrator.progress import Progress
-from orchestrator.recorder import Recorder
+from orchestrator.recorder import BLOCK, Recorder
 from orchestrator.slave import Slave
 from orchestrator.system import Component, System
 from orchestrator.trace import Trace, read
@@ -33,7 +33,7 @@ Opener = Callable[[Component], Slave]
 class Result:
     """What a run leaves behind.
 
-    trace      all outputs and fed inputs (or the chosen signals) at each communication point
+    trace      all outputs and fed inputs (or the chosen signals) at each recorded point
     card       the accuracy card
     messages   what the FMUs logged
     complete   False when the run ended early; the trace then holds what was recorded until there
@@ -80,6 +80,7 @@ def run(
     stop: float | None = None,
     set: Mapping[str, Value | str] | None = None,
     record: Sequence[str] | None = None,
+    record_step: float | None = None,
     bonds: Iterable[tuple[str, str]] | None = None,
     tolerance: float | None = None,
     error_estimate: bool = False,
@@ -96,9 +97,12 @@ def run(
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
     set             start values {component.variable: value}, in the FMU's units
     record          names of the signals to record; default: all outputs and fed inputs
+    record_step     interval between recorded points [s], a multiple of the step; the first and the last point
+                    are always recorded; default: every communication point
     bonds           power bonds as pairs of input names; default: found from the units
     tolerance       relative tolerance handed to the FMUs
-    error_estimate  run again at half and at twice the step to estimate the error of each signal
+    error_estimate  run again at half and at twice the step to estimate the error of each signal at the
+                    recorded points
     progress        show a progress bar when the run takes longer than a second
     open            makes the slave of a component (for tests and other kinds of components)
 
@@ -108,20 +112,26 @@ def run(
 
     whole = (system if isinstance(system, System) else load(system)).with_start(set or {})
     driven = _scenario(whole, scenario)
-    times = grid(whole, driven[1] if driven else None, step, start, stop)
+    times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
     job = _Job(whole, driven[0] if driven else None, master, record, bonds, tolerance, open)
     result = job.run(times, progress)
-    if not error_estimate:
-        return result
-    fine = job.run(replace(times, step=times.step / 2, steps=2 * times.steps), progress)
-    coarse = None
-    if times.steps >= 4:
-        try:
-            coarse = job.run(replace(times, step=times.step * 2, steps=times.steps // 2), progress)
-        except RunFailed:
-            coarse = None
-    errors = compare(fine.trace, result.trace, coarse.trace if coarse else None)
-    return replace(result, card=replace(result.card, errors=errors))
+    return replace(result, card=_estimate(job, times, result, progress)) if error_estimate else result
+
+
+def _estimate(job: _Job, times: Grid, result: Result, progress: bool) -> Card:
+    """The card of a complete run with error estimates; what happens to the other runs does not harm it."""
+    try:
+        fine = job.run(times.finer(), progress).trace
+        coarse = None
+        if times.steps >= 4:
+            with suppress(RunFailed):
+                coarse = job.run(times.coarser(), progress).trace
+    except RunFailed as failed:
+        note = f"no error estimate, the run at half the step failed: {failed}"
+        return replace(result.card, notes=(*result.card.notes, note))
+    except Interrupted:
+        raise Interrupted(result) from None
+    return replace(result.card, errors=compare(fine, result.trace, coarse))
 
 
 def _scenario(system: System, scenario: Trace | str | Path | Location | None) -> tuple[Drive, Trace] | None:
@@ -157,7 +167,7 @@ class _Job:
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
             monitor = Monitor(network, self._bonds())
-            recorder = Recorder(network, times.steps + 1, chosen)
+            recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
             loop = _Loop(network, recorder, monitor, times, bar)
             return self._judge(loop, lambda: loop.go(prepare(network)))
@@ -181,10 +191,11 @@ class _Job:
     def _result(self, loop: _Loop, began: float, complete: bool) -> Result:
         logs = [s.log for s in loop.network.slaves.values()]
         trace = loop.recorder.trace(list(self.system.outputs.values()))
-        done = max(len(trace.time) - 1, 0)
+        done = max(loop.recorder.points - 1, 0)
         card = Card(
             master=self.master,
             step=loop.times.step,
+            record_step=loop.times.every * loop.times.step,
             steps=done,
             simulated=done * loop.times.step,
             wall=time.perf_counter() - began,
@@ -194,9 +205,6 @@ class _Job:
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
         return Result(self.system, trace, card, tuple(messages), complete)
-
-
-BLOCK = 256  # steps between looks at the clock and checks for NaN
 
 
 @dataclass
@@ -210,17 +218,18 @@ class _Loop:
     bar: Progress
 
     def go(self, step: Callable[[float, float], None]) -> None:
-        """From the start to the stop time; records the first instant and every step."""
+        """From the start to the stop time; the recorder sees the first instant and every step."""
         times, record = self.times, self.recorder.add
         self.network.exchange(times.start)
         self.monitor.begin()
         record(times.start)
-        checked, t = self.recorder.check(0), times.start
+        self.recorder.settle()
+        t = times.start
         for first in range(1, times.steps + 1, BLOCK):
             for n in range(first, min(first + BLOCK, times.steps + 1)):
                 after = times.start + n * times.step
                 step(t, after - t)
                 t = after
                 record(t)
-            checked = self.recorder.check(checked)
+            self.recorder.settle()
             self.bar.update(t - times.start)

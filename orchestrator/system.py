@@ -88,7 +88,10 @@ class System:
             rest = name.removeprefix(component + ".")
             if rest != name and rest in self.components[component].interface.variables:
                 return Port(component, rest)
-        raise Problem(f"unknown variable {name!r}{suggest(name, self.names())}")
+        near = (
+            suggest(name, self.names()) or f"; expected one of {', '.join(self.components)}, a dot and a name"
+        )
+        raise Problem(f"unknown variable {name!r}{near}")
 
     def targets(self, name: str) -> tuple[tuple[Port, Linear], ...]:
         """What a name stands for: the targets of an input of the system, or one `component.variable`."""

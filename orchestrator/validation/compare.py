@@ -95,6 +95,12 @@ class Validation:
 
 def compare(trace: Trace, reference: Reference, *, rate: bool = True) -> Validation:
     """Compare every signal of the reference with the run; rate=False leaves the ISO rating out."""
+    for name in reference.signals:
+        if name not in trace.signals:
+            near = get_close_matches(name, trace.signals, 3) or sorted(trace.signals)[:8]
+            raise Problem(
+                f"{reference.source}: {name}: expected among the signals of the run, got {', '.join(near)}"
+            )
     grid, notes = common_grid(trace.time, reference)
     return Validation(
         rows=tuple(_row(signal, trace, reference, grid, rate) for signal in reference.signals.values()),
@@ -112,8 +118,7 @@ def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...
     start = max(run[0], reference.time[0], -np.inf if reference.start is None else reference.start)
     stop = min(run[-1], reference.time[-1], np.inf if reference.stop is None else reference.stop)
     spans = "; ".join(f"the {name} covers {t[0]:g} to {t[-1]:g} s" for name, t in sides.items())
-    slack = 1e-9 * max(1.0, abs(start), abs(stop))  # rounding of times in a text file
-    inside = {name: t[(t >= start - slack) & (t <= stop + slack)] for name, t in sides.items()}
+    inside = {name: t[_inside(t, start, stop)] for name, t in sides.items()}
     coarse = min(inside, key=lambda name: len(inside[name]))
     if len(inside[coarse]) < 2:
         asked = [f"{b:g}" for b in (reference.start, reference.stop) if b is not None]
@@ -124,20 +129,32 @@ def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...
         )
     grid = inside[coarse]
     notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
-    if (
-        grid[0] > min(t[0] for t in sides.values()) + slack
-        or grid[-1] < max(t[-1] for t in sides.values()) - slack
-    ):
+    fine = "reference" if coarse == "run" else "run"
+    if between := _between(grid, sides[fine]):
+        notes.append(f"{between} of them lie between the samples of the {fine}: interpolated linearly")
+    if any(not _inside(t, grid[0], grid[-1]).all() for t in sides.values()):
         notes.append(f"the window was cut: {spans}")
     return grid, tuple(notes)
+
+
+def _inside(time: Array, start: float | None, stop: float | None) -> NDArray[np.bool_]:
+    """Which samples lie in a window [s], with room for the rounding of times in a text file."""
+    first, last = -np.inf if start is None else start, np.inf if stop is None else stop
+    slack = 1e-9 * max([1.0, *(abs(t) for t in (first, last) if np.isfinite(t))])
+    inside: NDArray[np.bool_] = (time >= first - slack) & (time <= last + slack)
+    return inside
+
+
+def _between(grid: Array, time: Array) -> int:
+    """How many points of a grid meet no sample, apart from rounding."""
+    slack = 1e-6 * float(np.median(np.diff(time)))
+    at_or_after = np.minimum(np.searchsorted(time, grid - slack), len(time) - 1)
+    return int(np.sum(np.abs(time[at_or_after] - grid) > slack))
 
 
 def _row(signal: Signal, trace: Trace, reference: Reference, grid: Array, rate: bool) -> Row:
     """One signal on the common samples, measured and judged."""
     where = f"{reference.source}: {signal.name}"
-    if signal.name not in trace.signals:
-        near = get_close_matches(signal.name, trace.signals, 3) or sorted(trace.signals)[:8]
-        raise Problem(f"{where}: expected among the signals of the run, got {', '.join(near)}")
     unit = trace.units.get(signal.name, "")
     notes: tuple[str, ...] = ()
     if not unit:
@@ -148,9 +165,11 @@ def _row(signal: Signal, trace: Trace, reference: Reference, grid: Array, rate: 
         tolerance = replace(tolerance, limit=tolerance.limit * factor)
     _finite(trace.time, trace[signal.name], f"run: {signal.name}")
     simulated = np.interp(grid, trace.time, trace[signal.name])
-    truth = np.interp(grid, reference.time, factor * signal.values + offset)
+    recorded = factor * signal.values + offset
+    truth = np.interp(grid, reference.time, recorded)
     span = None if signal.span is None else signal.span * factor
-    metrics = measure(grid, simulated, truth, span=span, rate=rate, where=where)
+    whole = recorded[_inside(reference.time, reference.start, reference.stop)]
+    metrics = measure(grid, simulated, truth, span=span, whole=whole, rate=rate, where=where)
     return Row(
         signal=signal.name,
         label=signal.label,

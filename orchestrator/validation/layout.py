@@ -14,6 +14,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,15 @@ from orchestrator.trace import Trace
 from orchestrator.validation.figures import FigureSpec, Panel
 from orchestrator.validation.motion import Motion
 
-_KEYS = {
-    "": {"title", "figure", "motion"},
-    "figure": {"title", "caption", "panels"},
-    "panel": {"label", "signals", "names"},
-    "motion": {"angle", "tip", "points", "lines"},
-    "point": {"label", "radius", "height"},
+_NUMBER = (int, float)
+_KEYS: Mapping[str, Mapping[str, Any]] = {
+    "": {"title": str, "figure": list, "motion": dict},
+    "figure": {"title": str, "caption": str, "panels": list},
+    "panel": {"label": str, "signals": list, "names": list},
+    "motion": {"angle": str, "tip": str, "points": list, "lines": list},
+    "point": {"label": str, "radius": (str, *_NUMBER), "height": (str, *_NUMBER)},
 }
+_KINDS = {str: "text", list: "a list", dict: "a table", (str, *_NUMBER): "a signal or a number"}
 
 
 @dataclass(frozen=True)
@@ -42,10 +45,15 @@ class MovingPoint:
     radius: str | float
     height: str | float
 
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals that move it."""
+        return tuple(v for v in (self.radius, self.height) if isinstance(v, str))
+
 
 @dataclass(frozen=True)
 class Layout:
-    """Title, figures and moving points of a report."""
+    """Title, figures and moving points of a report; `source` is the file it comes from."""
 
     title: str = ""
     figures: tuple[FigureSpec, ...] = ()
@@ -53,16 +61,30 @@ class Layout:
     angle: str = ""
     tip: str = ""
     lines: tuple[tuple[str, ...], ...] = ()
+    source: str = "layout"
+
+    def check(self, trace: Trace) -> None:
+        """Refuse a layout that names a signal the run does not have."""
+        named = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
+        named += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
+        named += [("[motion] angle", self.angle)] if self.angle else []
+        for where, signal in named:
+            if signal not in trace.signals:
+                near = get_close_matches(signal, trace.signals, 3) or sorted(trace.signals)[:8]
+                raise Problem(
+                    f"{self.source}: {where}: expected a signal of the run, got {signal!r}; "
+                    f"there are {', '.join(near)}"
+                )
 
     def motion(self, trace: Trace) -> Motion | None:
-        """The moving points during a run; None when the layout has none or the run lacks a signal of them."""
-        named = {v for p in self.points for v in (p.radius, p.height, self.angle) if isinstance(v, str) and v}
+        """The moving points over time; None when the layout has none or the trace lacks a signal of them."""
+        named = {s for p in self.points for s in p.signals} | ({self.angle} - {""})
         if not self.points or named - set(trace.signals):
             return None
         turn = trace[self.angle] if self.angle else np.zeros_like(trace.time)
 
         def values(of: str | float) -> NDArray[np.float64]:
-            return trace[of] if isinstance(of, str) else np.full(trace.time.shape, of)
+            return trace[of] if isinstance(of, str) else np.full(trace.time.shape, float(of))
 
         points = {
             p.label: np.column_stack(
@@ -74,42 +96,68 @@ class Layout:
 
 
 def read_layout(path: Path) -> Layout:
-    """Read a layout; an unknown or missing key is a Problem."""
+    """Read a layout; a key that is unknown, missing or of the wrong type is a Problem."""
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise Problem(f"{path}: no such file") from None
+    except OSError as error:
+        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise Problem(f"{path}: expected TOML: {error}") from None
+        raise Problem(f"{path}: expected TOML, got {error}") from None
     _check(tables, "", f"{path}")
     motion = tables.get("motion", {})
-    _check(motion, "motion", f"{path}: [motion]")
+    where = f"{path}: [motion]"
+    _check(motion, "motion", where)
     points = motion.get("points", [])
     for point in points:
-        _check(point, "point", f"{path}: [motion] points", required=("label", "radius", "height"))
+        _check(point, "point", f"{where} points", required=("label", "radius", "height"))
+    labels = [point["label"] for point in points]
+    lines = tuple(_texts(line, f"{where} lines") for line in motion.get("lines", []))
+    for label in (*(label for line in lines for label in line), motion.get("tip", "")):
+        if label and label not in labels:
+            raise Problem(f"{where}: expected one of the points {', '.join(labels)}, got {label!r}")
     return Layout(
         title=tables.get("title", ""),
         figures=tuple(_figure(entry, path) for entry in tables.get("figure", [])),
         points=tuple(MovingPoint(**point) for point in points),
         angle=motion.get("angle", ""),
         tip=motion.get("tip", ""),
-        lines=tuple(tuple(line) for line in motion.get("lines", [])),
+        lines=lines,
+        source=str(path),
     )
 
 
 def _figure(entry: Mapping[str, Any], path: Path) -> FigureSpec:
     where = f"{path}: [[figure]]"
     _check(entry, "figure", where, required=("title", "panels"))
-    for panel in entry["panels"]:
-        _check(panel, "panel", f"{where} {entry['title']!r}", required=("label", "signals"))
-    panels = tuple(Panel(p["label"], tuple(p["signals"]), tuple(p.get("names", ()))) for p in entry["panels"])
+    panels = tuple(_panel(panel, f"{where} {entry['title']!r} panels") for panel in entry["panels"])
+    if not panels:
+        raise Problem(f"{where} {entry['title']!r}: expected at least one panel, got none")
     return FigureSpec(entry["title"], panels, entry.get("caption", ""))
 
 
+def _panel(entry: Mapping[str, Any], where: str) -> Panel:
+    _check(entry, "panel", where, required=("label", "signals"))
+    texts = (_texts(entry.get(key, []), f"{where} {entry['label']!r} {key}") for key in ("signals", "names"))
+    return Panel(entry["label"], *texts)
+
+
 def _check(table: Any, kind: str, where: str, required: Sequence[str] = ()) -> None:
+    """Refuse what is not a table, an unknown or missing key and a value of the wrong type."""
     if not isinstance(table, dict):
         raise Problem(f"{where}: expected a table, got {table!r}")
-    if unknown := sorted(set(table) - _KEYS[kind]):
-        raise Problem(f"{where}: unknown key {unknown[0]!r}, expected {', '.join(sorted(_KEYS[kind]))}")
+    known = _KEYS[kind]
+    for key, value in table.items():
+        if key not in known:
+            raise Problem(f"{where}: unknown key {key!r}, expected one of {', '.join(known)}")
+        if not isinstance(value, known[key]) or isinstance(value, bool):
+            raise Problem(f"{where}: {key} is {value!r}, expected {_KINDS[known[key]]}")
     if missing := [key for key in required if key not in table]:
         raise Problem(f"{where}: {missing[0]} is missing")
+
+
+def _texts(values: Any, where: str) -> tuple[str, ...]:
+    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
+        raise Problem(f"{where}: expected a list of names, got {values!r}")
+    return tuple(values)

@@ -4,7 +4,7 @@ With the error e = simulation - reference y over n common samples:
 
     maximum error   max |e|                             [unit of the signal]
     RMSE            sqrt(mean(e^2))                     [unit of the signal]
-    NRMSE           RMSE / (max y - min y)              over the range of the reference
+    NRMSE           RMSE / (max y - min y)              over the range of the whole reference
     fit             100 (1 - ||e|| / ||y - mean y||)    [%]
     VAF             100 (1 - var e / var y)             [%]  variance accounted for: blind to an offset
     ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope, by objective-rating-metrics
@@ -76,12 +76,14 @@ def measure(
     reference: Array,
     *,
     span: float | None = None,
+    whole: Array | None = None,
     rate: bool = True,
     where: str,
 ) -> Metrics:
     """Metrics of one signal on common samples, all arrays of shape (n,).
 
     span    what NRMSE divides by instead of the range of the reference
+    whole   the recording, shape (m,), of which `reference` is a part: its range is the range of the reference
     rate    compute the ISO/TS 18571 rating too
     where   file and signal, for messages
     """
@@ -89,9 +91,12 @@ def measure(
     error = simulation - reference
     worst = int(np.argmax(np.abs(error)))
     rmse = float(np.sqrt(np.mean(error**2)))
-    by, notes = _normaliser(reference, span)
+    whole = reference if whole is None else whole
+    by, notes = _normaliser(whole, span)
     spread = float(np.linalg.norm(reference - reference.mean()))
-    flat = constant(reference)
+    flat = constant(reference, whole)
+    if flat and not constant(whole):
+        notes = (*notes, "the reference stands still in this window: no fit, VAF or ISO rating")
     return Metrics(
         maximum_error=float(abs(error[worst])),
         time_of_maximum=float(time[worst]),
@@ -101,14 +106,19 @@ def measure(
         normalised_by=by,
         fit=None if flat else 100 * (1 - float(np.linalg.norm(error)) / spread),
         vaf=None if flat else 100 * (1 - float(np.var(error) / np.var(reference))),
-        iso=iso_rating(time, simulation, reference) if rate else Rating(reason="not asked for"),
+        iso=_iso(time, simulation, reference, flat) if rate else Rating(reason="not asked for"),
         notes=notes,
     )
 
 
-def constant(signal: Array) -> bool:
-    """Whether the signal stands still but for the rounding of a text file."""
-    return bool(np.ptp(signal) <= max(TINY, CONSTANT * float(np.max(np.abs(signal)))))
+def constant(signal: Array, whole: Array | None = None) -> bool:
+    """Whether the signal, perhaps a part of a whole, stands still but for the rounding of a text file."""
+    magnitude = float(np.max(np.abs(signal if whole is None else whole)))
+    return bool(np.ptp(signal) <= max(TINY, CONSTANT * magnitude))
+
+
+def _iso(time: Array, simulation: Array, reference: Array, flat: bool) -> Rating:
+    return Rating(reason="the reference is constant") if flat else iso_rating(time, simulation, reference)
 
 
 def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:

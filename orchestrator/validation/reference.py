@@ -105,6 +105,9 @@ def read_reference(path: Path | str, csv: Path | str | None = None) -> Reference
     path   the CSV, whose meta file has the same name with .toml, or the TOML itself
     csv    the CSV, when the TOML is a mapping for many recordings
     """
+    if not Path(path).is_file():
+        found = "a folder" if Path(path).is_dir() else "no such file"
+        raise Problem(f"{path}: expected a .csv or .toml file, got {found}")
     meta = Path(path) if Path(path).suffix == ".toml" else Path(path).with_suffix(".toml")
     tables = _load(meta)
     _keys(tables, _TABLES, f"{meta}")

@@ -159,29 +159,16 @@ def _row(row: Row) -> dict[str, Any]:
 
 def _tile(name: str, rows: Sequence[Row]) -> dict[str, Any]:
     """A group in one line: how many are within limits, and the one that comes closest to its limit."""
-    judged = [row for row in rows if row.tolerance is not None]
-    worst = max(judged, key=_use, default=None)
+    judged = [(row.tolerance.use(row.metrics), row) for row in rows if row.tolerance is not None]
+    use, worst = max(judged, key=lambda entry: entry[0], default=(None, None))
     return {
         "name": name or "signals",
         "count": len(rows),
-        "failed": sum(row.passed is False for row in judged),
+        "failed": sum(row.passed is False for _, row in judged),
         "judged": len(judged),
         "worst": worst,
-        "use": None if worst is None else min(_use(worst), 1.0),
+        "use": None if use is None else min(use, 1.0),
     }
-
-
-def _use(row: Row) -> float:
-    """How much of its limit a signal uses: 1 at the limit, above it when it fails."""
-    if row.tolerance is None:
-        return 0.0
-    value, limit = row.tolerance.value(row.metrics), row.tolerance.limit
-    if value is None:
-        return float("inf")
-    if row.tolerance.upper:
-        return value / limit
-    best = 1.0 if row.tolerance.metric == "iso" else 100.0
-    return (best - value) / (best - limit) if best > limit else float(value < limit)
 
 
 def _plain(values: Any) -> Any:

@@ -47,6 +47,16 @@ class Tolerance:
         found: float | None = getattr(metrics, self.metric)
         return found
 
+    def use(self, metrics: Metrics) -> float:
+        """How much of the limit a signal uses: 1 at the limit, above it when it fails."""
+        value = self.value(metrics)
+        if value is None:
+            return float("inf")
+        if self.upper:
+            return value / self.limit
+        best = 1.0 if self.metric == "iso" else 100.0
+        return (best - value) / (best - self.limit) if best > self.limit else float(value < self.limit)
+
     def holds(self, metrics: Metrics) -> bool:
         """Whether the signal is within its limit; an undefined number is not."""
         value = self.value(metrics)

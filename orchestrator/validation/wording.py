@@ -42,10 +42,19 @@ def percent(value: float | None) -> str:
     return NONE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
 
 
+def finer(unit: str) -> str:
+    """The unit in which errors of a signal in `unit` are shown, such as `mm` for `m` and `bar` for `Pa`."""
+    return _FINER.get(unit) or shown(unit)
+
+
+def plain(value: float, unit: str) -> str:
+    """An error in the display unit, without the unit's name; an offset of the unit does not count."""
+    return number(value * linear(unit, finer(unit), "display")[0])
+
+
 def difference(value: float, unit: str) -> str:
-    """An error in the display unit, such as `0.12 bar` or `0.05 mm`; an offset of the unit does not count."""
-    to = _FINER.get(unit) or shown(unit)
-    return f"{number(value * linear(unit, to, 'display')[0])} {to}".rstrip()
+    """An error with its display unit, such as `0.12 bar` or `0.05 mm`."""
+    return f"{plain(value, unit)} {finer(unit)}".rstrip()
 
 
 def judged(row: Row, value: float | None) -> str:
@@ -65,6 +74,22 @@ def limit(row: Row) -> str:
         return NONE
     sign = "≤" if METRICS[row.tolerance.metric] else "≥"
     return f"{NAMES[row.tolerance.metric]} {sign} {judged(row, row.tolerance.limit)}"
+
+
+def miss(row: Row) -> str:
+    """By how much a failed row misses, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
+    if row.tolerance is None or row.passed:
+        return ""
+    value, allowed = row.tolerance.value(row.metrics), row.tolerance.limit
+    limits = f"limit {judged(row, allowed)}"
+    if value is None:
+        why = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
+        return f"no {NAMES[row.tolerance.metric]}, {limits}" + (f" ({why})" if why else "")
+    says = f"{NAMES[row.tolerance.metric]} {judged(row, value)}, {limits}"
+    if not row.tolerance.upper:
+        return f"{says} ({judged(row, allowed - value)} short)"
+    ratio = value / allowed
+    return f"{says} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
 def outcome(row: Row) -> str:

@@ -65,6 +65,25 @@ def test_all_options_reach_the_run(capsys):
 
 
 @pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("options", "times"),
+    [
+        (["--step", "0.001"], [0, 0.005, 0.01, 0.012]),
+        (["--step", "0.002"], [0, 0.004, 0.008, 0.012]),
+        (["--step", "0.006"], [0, 0.006, 0.012]),
+        (["--step", "0.001", "--record-step", "0.006"], [0, 0.006, 0.012]),
+        (["--step", "0.004", "--record-step", "0.004"], [0, 0.004, 0.008, 0.012]),
+    ],
+)
+def test_records_at_200_hz_unless_told(options, times, capsys):
+    """The default interval is 5 ms or just below, at least a step; the steps of the card stay all steps."""
+    assert main(["run", "--stop", "0.012", *options]) == 0
+    # point n is start + n * step: rounding only
+    np.testing.assert_allclose(read("build/run.csv").time, times, rtol=0, atol=1e-15)
+    assert f"{round(0.012 / float(options[1]))} steps" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("folder")
 def test_a_single_fmu_runs(fmus):
     """`harvester run some.fmu`."""
     assert main(["run", str(fmus["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
@@ -87,8 +106,20 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--set", "g.fctor=1"], "harvester: unknown variable 'g.fctor'; did you mean g.factor"),
         (["run", "--scenario", "none.csv"], "harvester: none.csv: no such file"),
         (["run", "--out", "run.xls"], "harvester: run.xls: expected a file name ending in .csv or .parquet"),
-        (["run", "--step", "fast"], "--step"),
-        (["walk"], "walk"),
+        (
+            ["run", "--out", "cycle.csv/run.csv"],
+            "harvester: cycle.csv: expected a folder, and none can be made",
+        ),
+        (
+            ["run", "--step", "fast"],
+            "'--step': expected a number of seconds, got 'fast'; see harvester run --help",
+        ),
+        (["run", "--stop", "inf"], "harvester: stop time: expected a finite time, got inf s"),
+        (
+            ["run", "--step", "2e-3", "--record-step", "5e-3"],
+            "harvester: record step: expected a multiple of the step 0.002 s, got 0.005 s",
+        ),
+        (["walk"], "harvester: No such command 'walk'; see harvester --help"),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
@@ -96,7 +127,7 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
     assert main(arguments) == 2
     told = capsys.readouterr().err
     assert message in told
-    assert "Traceback" not in told
+    assert told.count("\n") == 1
 
 
 @pytest.mark.usefixtures("folder")
@@ -125,13 +156,12 @@ INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
 from orchestrator.recorder import Recorder
-check = Recorder.check
-def interrupt(self, since):
-    rows = check(self, since)
-    if rows > 1000:
+settle = Recorder.settle
+def interrupt(self):
+    settle(self)
+    if self.points > 1000:
         os.kill(os.getpid(), signal.SIGINT)
-    return rows
-Recorder.check = interrupt
+Recorder.settle = interrupt
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -140,7 +170,7 @@ sys.exit(main(sys.argv[1:]))
 @pytest.mark.usefixtures("folder")
 def test_ctrl_c_leaves_the_record(fmus):
     """A signal in the middle of a run: exit status 130, the record readable and whole."""
-    arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--out", "o.parquet"]
+    arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
     ended = python(INTERRUPTED, *arguments)
     assert ended.returncode == 130, ended.stderr
     assert "is kept in o.parquet" in ended.stdout

@@ -96,6 +96,8 @@ def test_a_time_that_is_no_multiple_of_the_step_is_told():
         ({"step": 2.0, "stop": 1.0}, r"step: expected at most the time from 0 to 1 s, got 2 s"),
         ({"step": 0.1, "stop": -1.0}, r"stop time: expected more than the start time 0 s, got -1 s"),
         ({"step": 0.1}, r"no stop time"),
+        ({"step": 0.1, "stop": float("inf")}, r"stop time: expected a finite time, got inf s"),
+        ({"start": float("nan"), "stop": 1.0}, r"start time: expected a finite time, got nan s"),
         ({"step": 0.1, "stop": 1.0, "master": "jakobi"}, r"unknown master 'jakobi', expected one of jacobi"),
         ({"step": 0.1, "stop": 1.0, "record": ["a.q"]}, r"unknown variable 'a.q'"),
     ],
@@ -156,7 +158,9 @@ def test_not_a_number_ends_the_run(fmus):
     """An FMU that says OK but returns NaN is named, with signal and time."""
     with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
         run(str(fmus["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.25, "fails.how": 5})
-    assert caught.value.result.trace.time[-1] >= 0.4
+    trace = caught.value.result.trace
+    np.testing.assert_allclose(trace.time, np.arange(4) * 0.1)  # up to the last point with numbers
+    assert np.isfinite(trace["fails.y"]).all()
 
 
 def test_ctrl_c_keeps_what_was_recorded():
@@ -197,6 +201,18 @@ def test_error_estimate_is_close_to_the_error(oscillator, exact, master):
     assert estimate.largest == pytest.approx(true / 2, rel=0.1)
     assert estimate.order == pytest.approx(1, abs=0.15)  # as above
     assert "change at half the step" in result.card.text()
+
+
+def test_a_failure_at_half_the_step_keeps_the_run():
+    """The run that was asked for is complete; only its error estimate is missing, and that is told."""
+
+    def fail(t):
+        if t == 0.25:
+            raise Problem("m: too small a step")
+
+    result, _ = mocked(fail, step=0.5, stop=2.0, error_estimate=True)
+    assert (result.complete, len(result.trace.time), result.card.errors) == (True, 5, ())
+    assert result.card.notes == ("no error estimate, the run at half the step failed: m: too small a step",)
 
 
 def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):

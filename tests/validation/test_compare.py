@@ -84,6 +84,43 @@ def test_rounded_times_do_not_cut_the_last_sample() -> None:
     assert len(found.notes) == 1
 
 
+def test_coincident_samples_are_compared_as_they_are() -> None:
+    """A 50 Hz reference meets every fourth point of a 200 Hz record; nothing is interpolated."""
+    run_time, time = np.arange(2101) * 5e-3, np.array([float(f"{k * 0.02:.9g}") for k in range(526)])
+    rough = np.random.default_rng(0).standard_normal(len(run_time))
+    found = compare(Trace(run_time, {"a.x": rough}, {"a.x": "m"}), made(time, rough[::4]), rate=False)
+    # times of the file are rounded in their last bit: an ulp of time times the slope of the noise
+    assert found["a.x"].metrics.maximum_error < 1e-11
+    assert len(found.notes) == 1
+
+
+def test_interpolation_is_said() -> None:
+    """Where the samples of the two do not meet, a note says how many lie between."""
+    t = np.linspace(0, 1, 101)
+    found = compare(Trace(t, {"a.x": t}, {"a.x": "m"}), made(np.array([0.0, 0.25, 0.333, 1.0]), np.zeros(4)))
+    assert found.notes[1] == "1 of them lie between the samples of the run: interpolated linearly"
+
+
+def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
+    """A run that is cut where the signal still stands is not judged by the range of its rounding errors."""
+    t = np.linspace(0, 10, 1001)
+    moves = np.where(t < 5, 0.0, t - 5)
+    run = Trace(t[:200], {"a.x": moves[:200] + 1e-15}, {"a.x": "m"})
+    row = compare(run, made(t, moves))["a.x"]
+    assert row.metrics.normalised_by == 5.0
+    assert row.metrics.nrmse == pytest.approx(2e-16)  # 1e-15 m over 5 m
+    assert (row.metrics.fit, row.metrics.vaf, row.metrics.iso.overall) == (None, None, None)
+    assert row.notes == ("the reference stands still in this window: no fit, VAF or ISO rating",)
+
+
+def test_the_range_is_that_of_the_window_of_the_file() -> None:
+    """What the file cuts off as no part of the measurement does not widen the range."""
+    t = np.linspace(0, 10, 101)
+    wild = np.where(t < 2, 99.0, t)
+    run = Trace(t[:50], {"a.x": t[:50]}, {"a.x": "m"})
+    assert compare(run, made(t, wild, start=2.0), rate=False)["a.x"].metrics.normalised_by == 8.0
+
+
 def test_no_common_window_is_refused() -> None:
     """Recordings that do not overlap are named with their spans and the window asked for."""
     run = Trace(np.array([0.0, 1.0]), {"a.x": np.zeros(2)}, {"a.x": "m"})

@@ -110,8 +110,13 @@ def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
 
 
 def test_missing_and_empty_files(tmp_path: Path) -> None:
-    """A missing meta file, one without signals and a CSV without numbers are named."""
+    """A missing file, a folder, a missing meta file, one without signals, a CSV without numbers are named."""
     csv, toml = tmp_path / "a.csv", tmp_path / "a.toml"
+    with pytest.raises(Problem, match=r"a.csv: expected a .csv or .toml file, got no such file"):
+        read_reference(csv)
+    with pytest.raises(Problem, match=r"expected a .csv or .toml file, got a folder"):
+        read_reference(tmp_path)
+    csv.write_text("time,x\n0,1\n", encoding="utf-8")
     with pytest.raises(
         Problem, match=r"a.toml: expected a TOML file that describes the columns, got no such"
     ):
@@ -120,7 +125,6 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
     with pytest.raises(Problem, match=r"a.toml: expected at least one table \[signals.NAME\], got none"):
         read_reference(csv)
     toml.write_text('[signals.x]\nunit = "m"\n', encoding="utf-8")
-    csv.write_text("time,x\n0,1\n", encoding="utf-8")
     with pytest.raises(Problem, match=r"a.csv: expected two or more rows of numbers, got 1"):
         read_reference(csv)
     csv.write_text("", encoding="utf-8")

@@ -1,0 +1,136 @@
+"""Judging a run: comparison, report, and what the report tells about the run."""
+
+import json
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, System, Trace, assemble, load, run
+from orchestrator.judge import card, describe, judge, parameters
+from orchestrator.validation import FigureSpec, Panel, Reference, Signal, Tolerance
+from orchestrator.validation.layout import Layout, MovingPoint
+
+PROVENANCE = """
+[parameters.factor]
+value = 1.0
+unit = "1"
+source = "assumed"
+note = "a free choice"
+"""
+
+
+@pytest.fixture
+def ramp() -> Trace:
+    """The input of the gain: 0 to 4 m in 1 s."""
+    return Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 4.0])})
+
+
+@pytest.fixture
+def reference() -> Reference:
+    """What the gain should do, in mm: y = 2 u."""
+    t = np.linspace(0, 1, 11)
+    signal = Signal("gain.y", 8e3 * t, "mm", label="Out", group="out", tolerance=Tolerance("nrmse", 0.01))
+    return Reference(t, {"gain.y": signal}, "ref.csv", about={"title": "Gain", "kind": "measurement"})
+
+
+def judged(fmu, ramp, reference, out, layout=None, factor=2.0):
+    """Run the gain and judge it; returns the validation and the report's data."""
+    result = run(str(fmu), ramp, step=0.1, set={"gain.factor": factor})
+    facts = {"system": "gain.fmu", "steps asked for": 10}
+    validation, html, data = judge(result, reference, layout or Layout(), out, facts, rate=False)
+    assert html.read_text(encoding="utf-8").startswith("<!")
+    return validation, json.loads(data.read_text(encoding="utf-8"))
+
+
+def test_a_run_within_its_limits(fmus, ramp, reference, tmp_path):
+    """The folder is made, both files are in it, and they tell what ran."""
+    validation, data = judged(fmus["gain"], ramp, reference, tmp_path / "new" / "folder")
+    assert validation.passed
+    assert validation["gain.y"].metrics.maximum_error < 1e-12  # straight lines, a few roundings of 8 m
+    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == ["report.html", "report.json"]
+    assert data["title"] == "Validation of gain"
+    assert data["passed"]
+    assert data["facts"] == {"system": "gain.fmu", "steps asked for": 10}
+    assert data["accuracy"]["steps"] == 10
+    assert [(c["name"], c["file"], c["guid"]) for c in data["components"]] == [("gain", "gain.fmu", "gain")]
+
+
+def test_a_run_that_misses_its_limit(fmus, ramp, reference, tmp_path):
+    """The report is written all the same, and says so."""
+    validation, data = judged(fmus["gain"], ramp, reference, tmp_path, factor=2.1)
+    assert not validation.passed
+    assert not data["passed"]
+    # the error is 5 % of a ramp from 0 to 8 m: 0.05 times the root mean square of 0, 0.1 ... 1
+    assert data["signals"][0]["metrics"]["nrmse"] == pytest.approx(0.05 * np.sqrt(0.35), rel=1e-9)
+
+
+def test_parameters_tell_their_source_where_the_fmu_knows_it(fmus):
+    """Value of this run, unit, source and note, and whether it was set for this run."""
+    fmu = fmus.make("gain", "known", extra={"resources/parameters.toml": PROVENANCE})
+    system = load(fmu).with_start({"known.offset": 0.5})
+    found = {p.name: p for p in parameters(system)}
+    assert (found["factor"].value, found["factor"].source, found["factor"].note) == (
+        1.0,
+        "assumed",
+        "a free choice",
+    )
+    assert (found["offset"].value, found["offset"].unit, found["offset"].source) == (0.5, "m", "")
+    assert (found["factor"].changed, found["offset"].changed) == (False, True)
+
+
+@pytest.mark.parametrize("text", ["x = ", "parameters = 3", "[parameters.other]\nvalue = 1\n", "\udcff"])
+def test_another_file_of_that_name_does_no_harm(fmus, text):
+    """FMUs from elsewhere may carry anything under resources/parameters.toml."""
+    content = text.encode("utf-8", "surrogateescape")
+    fmu = fmus.make("gain", "other", extra={"resources/parameters.toml": content})
+    assert [(p.name, p.source) for p in parameters(load(fmu))] == [("factor", ""), ("offset", "")]
+
+
+def test_the_machines_parameters_carry_their_sources(fmu_dir):
+    """Every number of the three FMUs is told with source and note."""
+    found = list(parameters(load(fmu_dir / "harvester.ssp")))
+    assert {p.component for p in found} == {"swing", "boom_stick", "manipulator"}
+    assert all(p.source and p.note for p in found)
+
+
+def test_components_are_described_by_their_files(fmu_dir):
+    """The FMU's place in the SSP, and its GUID."""
+    for name, component in load(fmu_dir / "harvester.ssp").components.items():
+        assert describe(component).file == f"resources/{name}.fmu"
+        assert describe(component).guid == component.interface.guid != ""
+
+
+def test_the_card_in_the_report(oscillator):
+    """Times, steps and energies of the power bonds, by name."""
+    result = run(oscillator, step=0.01, stop=0.5)
+    told = card(result)
+    assert told["steps"] == 50
+    assert told["real-time factor"] == round(0.5 / result.card.wall, 1)
+    bonds = told["energy residual of the power bonds, share of the exchanged energy"]
+    assert list(bonds) == [b.name for b in result.card.bonds]
+
+
+def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path):
+    """Instead of the defaults: one figure per signal and no motion."""
+    figures = (FigureSpec("Both", (Panel("In", ("gain.u",)), Panel("Out", ("gain.y",)))),)
+    layout = Layout("My gain", figures, (MovingPoint("tip", "gain.y", 1.0),))
+    _, data = judged(fmus["gain"], ramp, reference, tmp_path, layout)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert data["title"] == "My gain"
+    assert "motion-data" in page
+    assert "Both" in page
+
+
+def test_a_layout_for_another_system_is_told(fmus, ramp, reference, tmp_path):
+    """File, place and signal."""
+    layout = Layout("x", (FigureSpec("F", (Panel("a", ("gain.z",)),)),), source="my.toml")
+    with pytest.raises(Problem, match=r"my.toml: figure 'F': expected a signal of the run, got 'gain.z'"):
+        judged(fmus["gain"], ramp, reference, tmp_path, layout)
+
+
+def test_a_system_in_memory_can_be_judged(fmus, reference, tmp_path):
+    """Also one of two components, without a scenario."""
+    system: System = assemble({"s": fmus["source"], "gain": fmus["gain"]}, ["s.y -> gain.u"])
+    result = run(system, step=0.1, stop=1.0)
+    validation, *_ = judge(result, reference, Layout(), tmp_path, {}, rate=False)
+    assert [row.signal for row in validation.failed] == ["gain.y"]

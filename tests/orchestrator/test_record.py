@@ -1,0 +1,121 @@
+"""The record of a run: which points are kept, and that everything else still sees all of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, RunFailed, assemble, run
+from orchestrator.grid import thinned
+
+
+def whole_and_thin(system, record_step, **options):
+    """The traces with every point and with some of them."""
+    return run(system, **options).trace, run(system, record_step=record_step, **options).trace
+
+
+def agree(thin, whole, kept):
+    """The thin trace is the whole one at the kept points, bit for bit."""
+    np.testing.assert_array_equal(thin.time, whole.time[kept])
+    assert list(thin.signals) == list(whole.signals)
+    for name, values in thin.signals.items():
+        np.testing.assert_array_equal(values, whole[name][kept])
+
+
+@pytest.mark.parametrize("every", [1, 2, 7, 256, 300])
+def test_every_so_many_points_are_kept(oscillator, every):
+    """Also where the interval does not fit into the blocks in which points are looked at."""
+    whole, thin = whole_and_thin(oscillator, every * 1e-3, step=1e-3, stop=1.5)
+    agree(thin, whole, np.union1d(np.arange(0, 1501, every), 1500))
+
+
+@pytest.mark.parametrize(("stop", "kept"), [(0.24, [0, 10, 20, 24]), (0.09, [0, 9]), (0.1, [0, 10])])
+def test_first_and_last_point_are_always_kept(oscillator, stop, kept):
+    """Whether or not the record interval meets the stop time."""
+    whole, thin = whole_and_thin(oscillator, 0.1, step=0.01, start=0.0, stop=stop)
+    agree(thin, whole, kept)
+
+
+def test_other_kinds_of_numbers_are_kept_too(fmus):
+    """Integers and Booleans keep their rows beside the reals."""
+    whole, thin = whole_and_thin(str(fmus["types"]), 0.3, step=0.1, stop=1.0, set={"types.int_in": 3})
+    agree(thin, whole, [0, 3, 6, 9, 10])
+
+
+@pytest.mark.parametrize("record_step", [0.025, 0.005, 0.0, -0.01, math.nan, math.inf])
+def test_an_interval_that_is_no_multiple_is_refused(oscillator, record_step):
+    """Between two steps there is nothing to record."""
+    with pytest.raises(
+        Problem, match=f"record step: expected a multiple of the step 0.01 s, got {record_step:g} s"
+    ):
+        run(oscillator, step=0.01, stop=1.0, record_step=record_step)
+
+
+def test_decimal_steps_are_multiples(oscillator):
+    """0.3 is three times 0.1, whatever binary fractions say."""
+    assert len(run(oscillator, step=0.1, stop=0.9, record_step=0.3).trace.time) == 4
+
+
+def test_the_card_sees_every_step(oscillator):
+    """Steps and energies do not depend on what is recorded."""
+    whole, thin = (run(oscillator, step=1e-2, stop=2.0, record_step=r).card for r in (None, 0.1))
+    assert (thin.steps, thin.simulated, thin.bonds) == (whole.steps, whole.simulated, whole.bonds)
+    assert (whole.record_step, thin.record_step) == (0.01, 0.1)
+
+
+@pytest.mark.parametrize(("every", "steps"), [(4, 2000), (5, 2000), (4, 2001), (5, 2003)])
+def test_the_error_estimate_compares_recorded_points(oscillator, every, steps):
+    """It is the change at half the step at the recorded points, and the order stays that of the master."""
+    step = 5e-4
+    card = run(oscillator, step=step, stop=steps * step, record_step=every * step, error_estimate=True).card
+    estimate = {e.name: e for e in card.errors}["a.x"]
+    whole, fine = (run(oscillator, step=h, stop=steps * step).trace for h in (step, step / 2))
+    kept = np.union1d(np.arange(0, steps + 1, every), steps)
+    change = np.abs(fine["a.x"][2 * kept] - whole["a.x"][kept]).max()
+    assert estimate.largest == pytest.approx(
+        change / np.ptp(fine["a.x"][2 * kept]), rel=1e-12
+    )  # same numbers
+    # first order; the second-order term is 5 % of the error at this step
+    assert estimate.order == pytest.approx(1, abs=0.15)
+
+
+def test_a_failure_keeps_the_last_point_reached(fmus):
+    """The point before the failure is there, though it is not due."""
+    system = assemble({"bad": fmus["fails"]}, [])
+    with pytest.raises(RunFailed) as caught:
+        run(system, step=0.1, stop=1.0, record_step=0.2, set={"bad.when": 0.55, "bad.how": 3})
+    result = caught.value.result
+    np.testing.assert_allclose(result.trace.time, [0, 0.2, 0.4, 0.6])
+    with pytest.raises(RunFailed) as caught:
+        run(system, step=0.1, stop=1.0, record_step=0.2, set={"bad.when": 0.45, "bad.how": 3})
+    result = caught.value.result
+    np.testing.assert_allclose(result.trace.time, [0, 0.2, 0.4, 0.5])
+    assert result.card.steps == 5
+
+
+def test_not_a_number_between_recorded_points_is_found(fmus):
+    """With the time at which it came up; the record ends at the last point with numbers."""
+    with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
+        run(str(fmus["fails"]), step=0.1, stop=9.0, record_step=0.9, set={"fails.when": 0.25, "fails.how": 5})
+    np.testing.assert_allclose(caught.value.result.trace.time, [0, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("step", "interval"),
+    [
+        (1e-3, 5e-3),
+        (5e-4, 5e-3),
+        (2e-3, 4e-3),
+        (7e-4, 4.9e-3),
+        (3e-3, 3e-3),
+        (5e-3, None),
+        (2e-2, None),
+        (0.0, None),
+        (-1e-3, None),
+        (math.nan, None),
+    ],
+)
+def test_default_interval_of_the_command_line(step, interval):
+    """5 ms, or the most steps that fit into it; wrong steps are left to others to refuse."""
+    # products of the step: rounding only
+    assert thinned(step) == (None if interval is None else pytest.approx(interval, rel=1e-12))

@@ -1,0 +1,206 @@
+"""The command line on the machine itself: build, parameters, run, validate."""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.build import data
+from orchestrator import commands, read
+from orchestrator.__main__ import main
+
+REFERENCE = data("reference/work_cycle.csv")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, fmu_dir):
+    """A working directory with build/harvester.ssp; no ISO rating, whose library takes seconds to start."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(commands, "validate", partial(commands.validate, rate=False))
+    (tmp_path / "build").mkdir()
+    shutil.copy(fmu_dir / "harvester.ssp", "build")
+    return tmp_path
+
+
+def own_reference(old: str = "", new: str = "") -> str:
+    """A copy of the reference in the working directory, with one change in its meta file."""
+    shutil.copy(REFERENCE, "own.csv")
+    text = REFERENCE.with_suffix(".toml").read_text(encoding="utf-8")
+    assert old in text
+    Path("own.toml").write_text(text.replace(old, new, 1) if old else text, encoding="utf-8")
+    return "own.csv"
+
+
+def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
+    """Three FMUs and the system that connects them, each told with its size."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["build", "--out", "new/folder"]) == 0
+    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", "harvester.ssp"]
+    printed = capsys.readouterr().out.splitlines()
+    assert [Path(line.split()[0]) for line in printed] == [Path("new/folder") / name for name in names]
+    assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
+
+
+@pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator"])
+def test_parameters_are_printed_with_their_sources(capsys, only):
+    """One subsystem, or all of them; the words for the sources are explained."""
+    assert main(["parameters", *([only] if only else [])]) == 0
+    printed = capsys.readouterr().out
+    for name in ("swing", "boom_stick", "manipulator"):
+        assert (f"\n{name}: " in f"\n{printed}") is (only in (None, name))
+    assert "printed in the paper" in printed
+
+
+@pytest.mark.usefixtures("here")
+def test_validate_passes_and_writes_its_files(capsys):
+    """Exit status 0; trace and report in build/, the trace at 200 Hz, compared where the samples coincide."""
+    assert main(["validate", "--stop", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("Compared with: Work cycle, monolithic solution\n")
+    assert "pass: 27 of 27 signals within their limits" in printed
+    assert "compared at the 101 samples of the reference, 0 to 2 s" in printed
+    assert "interpolated" not in printed
+    assert "build/run.csv: 81 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
+    assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
+    time = read("build/run.csv").time
+    # point n is n times the step: rounding only
+    np.testing.assert_allclose(time, np.arange(401) * 5e-3, rtol=0, atol=1e-15)
+
+
+@pytest.mark.usefixtures("here")
+def test_the_reference_meets_the_record_over_the_whole_cycle():
+    """Each of its samples at 50 Hz is one of the points that the default run records at 200 Hz."""
+    time = np.loadtxt(REFERENCE, delimiter=",", skiprows=1, usecols=0)
+    # both are decimal numbers to the nearest binary one, or a product of such: a few ulp of 42 s
+    np.testing.assert_allclose(np.arange(0, 42001, 5)[::4] * 1e-3, time, rtol=0, atol=3e-14)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_changed_machine_misses_its_limits(capsys):
+    """Exit status 1; the first lines say which signals missed what; the report is written."""
+    options = ["--stop", "2", "--set", "manipulator.boom_piston_damping=1e5", "--out", "new"]
+    assert main(["validate", *options]) == 1
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("FAIL: ")
+    assert any(line.startswith("! manipulator.boom_angle: NRMSE ") for line in printed)
+    assert Path("new/report.html").is_file()
+    assert "set manipulator.boom_piston_damping" in Path("new/report.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("here")
+def test_a_tighter_limit_is_missed(capsys):
+    """The limits are those of the reference's meta file: exit status 1 if one is missed."""
+    reference = own_reference("limit = 0.005", "limit = 1e-12")
+    assert main(["validate", "--stop", "2", "--reference", reference]) == 1
+    missed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("! manipulator")]
+    assert [line.split()[1] for line in missed if "limit 1e-10 %" in line] != []
+
+
+@pytest.mark.usefixtures("here")
+def test_all_options_reach_the_validation(capsys):
+    """Master, step, record step, start, scenario, layout."""
+    Path("flat.csv").write_text(
+        "time,swing_command,boom_command,stick_command\n0,0,0,0\n9,0,0,0\n", encoding="utf-8"
+    )
+    Path("l.toml").write_text('title = "Mine"', encoding="utf-8")
+    options = ["--master", "jacobi", "--step", "2e-3", "--record-step", "0.02", "--stop", "0.5"]
+    options += ["--scenario", "flat.csv", "--layout", "l.toml", "--reference", own_reference()]
+    assert main(["validate", "build/harvester.ssp", *options]) == 0
+    printed = capsys.readouterr().out
+    assert "master jacobi, step 0.002 s, 250 steps, 0.5 s simulated" in printed
+    assert "26 rows, every 0.02 s" in printed
+    assert "<title>Mine" in Path("build/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["validate", "none.ssp"], "none.ssp: no such file"),
+        (
+            ["validate", "--reference", "none.csv"],
+            "none.csv: expected a .csv or .toml file, got no such file",
+        ),
+        (["validate", "--layout", "none.toml"], "none.toml: no such file"),
+        (["validate", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
+        (["validate", "--stop", "1", "--set", "manipulator.boom_mas=1"], "manipulator.boom_mass"),
+        (["validate", "--stop", "1", "--set", "gravity=1"], "manipulator.gravity"),
+        (
+            ["validate", "--stop", "1", "--set", "manipulator.boom_mass=-1"],
+            "boom_mass cannot be set to -1 kg",
+        ),
+        (["validate", "--start", "99", "--stop", "99.1"], "the reference covers 0 to 42 s"),
+        (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),
+        (["validate", "--stop", "1", "--master", "magic"], "expected one of jacobi, gauss-seidel"),
+        (["run", "--scenario", "file.txt"], "file.txt: expected a file name ending in .csv or .parquet"),
+        (["build", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
+        (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
+        (["parameters", "swing", "boom"], "boom"),
+    ],
+)
+def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
+    """Named with what was expected and found, without a traceback."""
+    Path("file.txt").write_text("", encoding="utf-8")
+    assert main(arguments) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith("harvester: ")
+    assert printed.count("\n") == 1
+    assert told in printed
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            'unit = "Pa"',
+            'unit = "bear"',
+            "own.toml: [signals.'swing.swing_pressure_a']: unit 'bear' is unknown",
+        ),
+        ('unit = "Pa"', 'unit = "m"', "unit 'm' cannot be converted, expected a unit like 'Pa'"),
+        (
+            "limit = 0.005",
+            "limit = -1",
+            "own.toml: [tolerances] speed: limit is -1, expected a number above 0",
+        ),
+        ("manipulator.boom_speed", "manipulator.speed", "own.csv: column 'manipulator.speed' expected, got "),
+    ],
+)
+def test_a_bad_reference_is_told(capsys, old, new, told):
+    """File, signal, expected and found."""
+    assert main(["validate", "--stop", "0.1", "--reference", own_reference(old, new)]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert told in printed
+
+
+@pytest.mark.parametrize("command", ["run", "validate"])
+def test_a_machine_that_is_not_built_yet(tmp_path, monkeypatch, capsys, command):
+    """The command that makes it is told."""
+    monkeypatch.chdir(tmp_path)
+    assert main([command]) == 2
+    missing = Path("build/harvester.ssp")
+    assert capsys.readouterr().err == f"harvester: {missing}: no such file; make it with: harvester build\n"
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("command", "option"), [("run", ["--out", "new/run.csv"]), ("validate", ["--out", "new"])]
+)
+def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
+    """A supply pressure beyond reason breaks the linkage: the record stays, the FMU's own words are told."""
+    Path("burst.csv").write_text(
+        "time,supply_pressure\n0,21e6\n0.1,21e6\n0.11,1e15\n0.5,1e15\n", encoding="utf-8"
+    )
+    assert main([command, "--scenario", "burst.csv", *option]) == 2
+    printed = capsys.readouterr()
+    trace = read("new/run.csv")
+    assert 0.1 < trace.time[-1] < 0.5
+    assert "the run ended early; what was recorded up to t = " in printed.out
+    assert printed.err.startswith("harvester: manipulator: the step failed at t = ")
+    assert "is violated" in printed.err
+    assert printed.err.count("it says") == 1
