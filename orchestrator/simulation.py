@@ -74,7 +74,7 @@ def open_slave(component: Component) -> Slave:
 def run(
     system: System | str | Path,
     scenario: Trace | str | Path | Location | None = None,
-    master: str = "jacobi",
+    master: str = "gauss-seidel",
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,

@@ -31,10 +31,16 @@ _KEYS: Mapping[str, Mapping[str, Any]] = {
     "": {"title": str, "figure": list, "motion": dict},
     "figure": {"title": str, "caption": str, "panels": list},
     "panel": {"label": str, "signals": list, "names": list},
-    "motion": {"angle": str, "tip": str, "points": list, "lines": list},
+    "motion": {"angle": str, "tip": str, "points": list, "lines": list, "ground": _NUMBER},
     "point": {"label": str, "radius": (str, *_NUMBER), "height": (str, *_NUMBER)},
 }
-_KINDS = {str: "text", list: "a list", dict: "a table", (str, *_NUMBER): "a signal or a number"}
+_KINDS = {
+    _NUMBER: "a number",
+    str: "text",
+    list: "a list",
+    dict: "a table",
+    (str, *_NUMBER): "a signal or a number",
+}
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,7 @@ class Layout:
     angle: str = ""
     tip: str = ""
     lines: tuple[tuple[str, ...], ...] = ()
+    ground: float = 0.0
     source: str = "layout"
 
     def check(self, trace: Trace) -> None:
@@ -92,7 +99,7 @@ class Layout:
             )
             for p in self.points
         }
-        return Motion(trace.time, points, self.lines, self.tip, turning=bool(self.angle))
+        return Motion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
 
 
 def read_layout(path: Path) -> Layout:
@@ -123,6 +130,7 @@ def read_layout(path: Path) -> Layout:
         points=tuple(MovingPoint(**point) for point in points),
         angle=motion.get("angle", ""),
         tip=motion.get("tip", ""),
+        ground=float(motion.get("ground", 0.0)),
         lines=lines,
         source=str(path),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class Motion:
     lines    polylines, each a sequence of labels; none given: all points in their order
     tip      label of the point that leaves a trail; none given: the last one
     turning  the side view looks at the plane of the machine's axis (z) and its tip; else at the x-z plane
+    ground   height of the ground [m], drawn in the side view
     """
 
     time: Array
@@ -37,6 +38,7 @@ class Motion:
     lines: tuple[tuple[str, ...], ...] = ()
     tip: str = ""
     turning: bool = True
+    ground: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit and numbers that are none."""
@@ -84,7 +86,7 @@ class Motion:
             label: np.column_stack([np.interp(time, self.time, axis) for axis in values.T])
             for label, values in self.points.items()
         }
-        return Motion(time, points, self.lines, self.tip, self.turning)
+        return replace(self, time=time, points=points)
 
 
 def frames(motion: Motion, ghost: Motion | None = None) -> dict[str, Any]:
@@ -104,6 +106,7 @@ def frames(motion: Motion, ghost: Motion | None = None) -> dict[str, Any]:
         "labels": list(motion.points),
         "lines": [[list(motion.points).index(label) for label in line] for line in motion.drawn],
         "tip": list(motion.points).index(motion.leader),
+        "ground": motion.ground,
         "bounds": bounds,
         "views": views,
         "deviation": _deviation(machines) if len(machines) == 2 else None,
@@ -146,7 +149,8 @@ def _view(motion: Motion, name: str) -> list[list[float]]:
 
 def _bounds(machines: Sequence[Motion], name: str) -> list[float]:
     """Left, right, lower and upper edge of a view [m]; the ground and the axis are in it."""
-    every = np.vstack([getattr(m, name)(label) for m in machines for label in m.points] + [np.zeros((1, 2))])
+    origin = np.array([[0.0, machines[0].ground if name == "side" else 0.0]])
+    every = np.vstack([getattr(m, name)(label) for m in machines for label in m.points] + [origin])
     low, high = every.min(axis=0), every.max(axis=0)
     margin = 0.06 * max(high - low)
     low, high = low - margin, high + margin
@@ -173,7 +177,7 @@ def _scene(axes: Axes, motion: Motion, view: str) -> None:
     axes.grid(True, color=PALETTE.grid, linewidth=0.6)
     axes.set_axisbelow(True)
     if view == "side":
-        axes.axhline(0, color=PALETTE.faint, linewidth=1.2)
+        axes.axhline(motion.ground, color=PALETTE.faint, linewidth=1.2)
         axes.set_xlabel("along the arm [m]" if motion.turning else "x [m]")
         axes.set_ylabel("height [m]")
     else:

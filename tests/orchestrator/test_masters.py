@@ -39,7 +39,7 @@ def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
     """At a step of 1e-2 the error stays near 1; masters that read the force too early reach 60."""
     # 0.94795 is the error of the scheme itself, from exact solutions of each mass over each step; the FMUs'
     # own integration error at 1/13 of a step per radian is below 1e-4 of that
-    assert worst(run(oscillator, step=1e-2, stop=10.0), exact) == pytest.approx(0.94795, rel=1e-3)
+    assert worst(run(oscillator, master="jacobi", step=1e-2, stop=10.0), exact) == pytest.approx(0.94795, rel=1e-3)
 
 
 def test_jacobi_is_what_it_should_be(oscillator):
@@ -51,7 +51,7 @@ def test_jacobi_is_what_it_should_be(oscillator):
         found.append((a[0], b[0]))
         position, force = b[0], 100 * (b[0] - a[0])
         a, b = (first @ [*a, position])[:2], (second @ [*b, force])[:2]
-    trace = run(oscillator, step=0.01, stop=2.0).trace
+    trace = run(oscillator, master="jacobi", step=0.01, stop=2.0).trace
     # the FMUs' Runge-Kutta steps are 0.008 rad long: an error of 0.008^4 / 120 per rad over 66 rad
     np.testing.assert_allclose(np.stack([trace["a.x"], trace["b.x"]], axis=1), found, rtol=0, atol=1e-6)
 
@@ -68,7 +68,7 @@ def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, os
     """Without dependencies two FMUs look like a loop: they are read repeatedly, and a note says so."""
     files = {m[-1]: fmus.make(m, f"{m}_silent", undeclared=True) for m in ("mass_a", "mass_b")}
     silent = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
-    result, declared = (run(s, step=1e-2, stop=0.5) for s in (silent, oscillator))
+    result, declared = (run(s, master="jacobi", step=1e-2, stop=0.5) for s in (silent, oscillator))
     np.testing.assert_array_equal(result.trace["b.x"], declared.trace["b.x"])
     assert "direct dependencies are not declared" in result.card.notes[0]
 

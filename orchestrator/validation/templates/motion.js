@@ -26,7 +26,7 @@ function view(name) {
   const x = v => ((v - (left + right) / 2) * scale + 270).toFixed(1);
   const y = v => (170 - (v - (low + high) / 2) * scale).toFixed(1);
   const at = (frame, k) => x(frame[2 * k]) + "," + y(frame[2 * k + 1]);
-  line(svg, "ground").setAttribute("points", name === "side" ? `0,${y(0)} 540,${y(0)}`
+  line(svg, "ground").setAttribute("points", name === "side" ? `0,${y(data.ground)} 540,${y(data.ground)}`
     : `${x(0) - 8},${y(0)} ${+x(0) + 8},${y(0)} ${x(0)},${y(0)} ${x(0)},${y(0) - 8} ${x(0)},${+y(0) + 8}`);
   const trail = line(svg, "trail");
   const kinds = ["machine", "ghost"].slice(0, data.views[name].length);
