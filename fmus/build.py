@@ -24,15 +24,20 @@ def data(name: str) -> Path:
 
 
 def build_machine(folder: Path) -> list[Path]:
-    """Write swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp; returns the four paths."""
-    fmus = build_all(list(SUBSYSTEMS.values()), folder, STEP, WORK_CYCLE_STOP)
-    system = write_ssp(
-        Path(folder) / "harvester.ssp",
-        "harvester",
-        dict(zip(SUBSYSTEMS, fmus, strict=True)),
-        CONNECTIONS,
-        inputs=INPUTS,
-        stop=WORK_CYCLE_STOP,
-        resources={Path(name).name: data(name) for name in DATA},
+    """Write swing.fmu, boom_stick.fmu, manipulator.fmu and two systems of them; returns the five paths.
+
+    harvester.ssp              with inputs of the system: commands, supply and tank pressure
+    harvester_components.ssp   without, for tools that refuse them (Ecos, libcosim)
+    """
+    fmus = dict(
+        zip(SUBSYSTEMS, build_all(list(SUBSYSTEMS.values()), folder, STEP, WORK_CYCLE_STOP), strict=True)
     )
-    return [*fmus, system]
+    # some tools initialise in the order of the file: the manipulator's holding forces come first
+    ordered = {name: fmus[name] for name in ("manipulator", "boom_stick", "swing")}
+    resources = {Path(name).name: data(name) for name in DATA}
+    systems = []
+    for name, inputs in (("harvester", INPUTS), ("harvester_components", {})):
+        path = Path(folder) / f"{name}.ssp"
+        write_ssp(path, "harvester", ordered, CONNECTIONS, inputs, None, WORK_CYCLE_STOP, resources, STEP)
+        systems.append(path)
+    return [*fmus.values(), *systems]

@@ -39,7 +39,8 @@ def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
     """Three FMUs and the system that connects them, each told with its size."""
     monkeypatch.chdir(tmp_path)
     assert main(["build", "--out", "new/folder"]) == 0
-    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", "harvester.ssp"]
+    systems = ["harvester.ssp", "harvester_components.ssp"]
+    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", *systems]
     printed = capsys.readouterr().out.splitlines()
     assert [Path(line.split()[0]) for line in printed] == [Path("new/folder") / name for name in names]
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)

@@ -14,15 +14,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from lxml import etree
 from work_cycle import COMMANDS, JACOBI, ORDER, SIGNALS, STEP, agree, command, load, step_through
 
-from fmus.export.ssp import write_ssp
 from fmus.machine import CONNECTIONS, INPUTS
-
-
-@pytest.fixture(scope="module")
-def bare_system(fmu_dir, tmp_path_factory):
-    """The system without inputs of its own: Ecos and libcosim refuse connections from those."""
-    fmus = {name: fmu_dir / f"{name}.fmu" for name in ORDER}
-    return write_ssp(tmp_path_factory.mktemp("bare") / "harvester.ssp", "harvester", fmus, CONNECTIONS)
 
 
 def test_fmpy_runs_the_ssp(fmu_dir):
@@ -40,12 +32,12 @@ def test_fmpy_runs_the_ssp(fmu_dir):
 
 
 @pytest.mark.parametrize("source", ["ssp", "python"])
-def test_ecos_runs_the_system(fmu_dir, bare_system, source):
+def test_ecos_runs_the_system(fmu_dir, source):
     """Ecos, from an SSP and from its Python interface, over the whole work cycle."""
     ecos = load("ecospy")
     ecos.EcosLib.set_log_level("err")
     if source == "ssp":
-        made = {"ssp_path": str(bare_system)}
+        made = {"ssp_path": str(fmu_dir / "harvester_components.ssp")}
     else:
         made = {"structure": ecos.EcosSimulationStructure()}
         for name in ORDER:
@@ -66,11 +58,11 @@ def test_ecos_runs_the_system(fmu_dir, bare_system, source):
     agree(time, found, JACOBI)
 
 
-def test_libcosim_runs_the_system(bare_system):
+def test_libcosim_runs_the_system(fmu_dir):
     """libcosim, from an SSP, with the step that the SSP states."""
     cosim, logging = load("libcosimpy.CosimExecution"), load("libcosimpy.CosimLogging")
     logging.log_output_level(logging.CosimLogLevel.WARNING)
-    execution = cosim.CosimExecution.from_ssp_file(str(bare_system))
+    execution = cosim.CosimExecution.from_ssp_file(str(fmu_dir / "harvester_components.ssp"))
     manipulator = load("libcosimpy.CosimManipulator").CosimManipulator.create_override()
     observer = load("libcosimpy.CosimObserver").CosimObserver.create_last_value()
     assert execution.add_manipulator(manipulator)

@@ -15,28 +15,18 @@ from pathlib import Path
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, BoomStickParameters, BoomStickState
 from fmus.components import cylinder, cylinder_drive
 from fmus.components.cylinder_drive import Drive, Oil, Surroundings
-from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
 
 
 def drives(p: BoomStickParameters) -> tuple[Drive, Drive]:
     """The two drives, boom and stick, from the flat parameters."""
-    valve = Valve(
-        p.valve_area,
-        p.valve_discharge_coefficient,
-        p.valve_dead_band,
-        p.valve_full_command,
-        p.valve_command_rounding,
-        p.valve_leakage,
-        p.valve_transition_flow,
-    )
     own = ("bore", "rod", "stroke", "dead_volume", "hose_inertance", "hose_capacitance", "hose_resistance")
     boom, stick = (
         Drive(
             **{n: getattr(p, f"{a}_{n}") for n in own},
             bulk_modulus=p.bulk_modulus,
             density=p.density,
-            valve=valve,
+            valve=p.valve,
         )
         for a in ("boom", "stick")
     )

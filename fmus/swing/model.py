@@ -18,24 +18,14 @@ from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow, Valve
+from fmus.components.spool_valve import PortFlow
 from fmus.contract import Scalar, Subsystem
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
 
 def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[PortFlow, PortFlow]:
-    valve = Valve(
-        p.valve_area,
-        p.valve_discharge_coefficient,
-        p.valve_dead_band,
-        p.valve_full_command,
-        p.valve_command_rounding,
-        p.valve_leakage,
-        p.valve_transition_flow,
-    )
-    return spool_valve.ports(
-        valve, u.swing_command, x.swing_flow_a, x.swing_flow_b, u.supply_pressure, u.tank_pressure, p.density
-    )
+    flows, pressures = (x.swing_flow_a, x.swing_flow_b), (u.supply_pressure, u.tank_pressure)
+    return spool_valve.ports(p.valve, u.swing_command, *flows, *pressures, p.density)
 
 
 def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:

@@ -5,35 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from fmus.components.valve_parameters import ValveParameters
 from fmus.contract import Quantity, Scalar
 
 
 @dataclass(frozen=True)
-class SwingParameters:
+class SwingParameters(ValveParameters):
     """Constants; their numbers and sources are in parameters.toml."""
 
-    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0)]
-    valve_area: Annotated[
-        Scalar, Quantity("m2", "Area of a metering edge at full command", 1e-5, minimum=0.0)
-    ]
-    valve_discharge_coefficient: Annotated[
-        Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
-    ]
-    valve_dead_band: Annotated[
-        Scalar, Quantity("V", "Command up to which the valve stays closed", minimum=0.0)
-    ]
-    valve_full_command: Annotated[
-        Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
-    ]
-    valve_command_rounding: Annotated[
-        Scalar, Quantity("V", "Width over which the foot of the opening curve is rounded", minimum=1e-3)
-    ]
-    valve_leakage: Annotated[
-        Scalar, Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
-    ]
-    valve_transition_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow below which metering edges and lines are laminar", 1e-5, minimum=1e-8)
-    ]
     initial_preload: Annotated[
         Scalar, Quantity("Pa", "Pressure of both lines at the start", 1e6, minimum=1e3)
     ]
