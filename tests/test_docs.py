@@ -1,0 +1,70 @@
+"""The documents: links lead somewhere, commands and snippets run, names exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from orchestrator import load
+from orchestrator.__main__ import main
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted(
+    p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
+)
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_relative_links_lead_to_files(document):
+    """Every link that is not on the web names a file of the project."""
+    text = document.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not link.startswith(("http", "#", "mailto:")):
+            assert (document.parent / link.split("#")[0]).exists(), link
+
+
+def commands() -> list[str]:
+    """The `harvester` lines of the README without comments, but those that need files of the user."""
+    lines = re.findall(r"^    (harvester .*?)(?:\s+#.*)?$", README, re.MULTILINE)
+    return [line for line in lines if "my_" not in line]
+
+
+@pytest.fixture
+def workplace(fmu_dir, tmp_path, monkeypatch):
+    """A folder like the project's root after `harvester build`."""
+    (tmp_path / "build").mkdir()
+    for file in fmu_dir.iterdir():
+        (tmp_path / "build" / file.name).symlink_to(file)
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands_of_the_readme_run(workplace, command):  # noqa: ARG001
+    """Each line works as it stands in the README, here over the first half second."""
+    arguments = shlex.split(command)[1:]
+    if arguments[0] in ("run", "validate"):
+        arguments += ["--stop", "0.5"]  # the last one counts
+    assert main(arguments) == 0
+
+
+def test_the_python_snippet_of_the_readme_runs(workplace):  # noqa: ARG001
+    """The lines under "In Python"."""
+    (snippet,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(compile(snippet, "README.md", "exec"), {})
+
+
+def test_signals_of_the_mapping_example_exist(fmu_dir):
+    """docs/reference-traces.md maps columns to signals of this machine."""
+    text = (ROOT / "docs" / "reference-traces.md").read_text(encoding="utf-8")
+    names = set(load(fmu_dir / "harvester.ssp").names())
+    examples = [tomllib.loads(t) for t in re.findall(r"```toml\n(.*?)```", text, re.DOTALL)]
+    signals = [name for example in examples for name in example.get("signals", {})]
+    assert signals
+    assert set(signals) <= names
