@@ -29,7 +29,8 @@ TARGETS = {
     "darwin64": (f"{'aarch64' if platform.machine() == 'arm64' else 'x86_64'}-macos", ".dylib"),
 }
 FLAGS = (
-    *("-std=c99", "-O3", "-Wall", "-Wextra", "-Werror", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-std=c99", "-O3", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
 )
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"

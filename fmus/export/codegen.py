@@ -60,7 +60,7 @@ def _sizes(face: Interface, common: int, guid: str) -> str:
 
 
 def _comment(text: str) -> str:
-    return text.replace("*/", "* /")
+    return text.replace("*/", "* /").replace("/*", "/ *")
 
 
 def _meaning(v: Variable) -> str:
@@ -122,7 +122,9 @@ def _routines(face: Interface) -> tuple[list[Routine], int]:
     """All functions of native/model.h, and how many quantities depend on parameters alone."""
     sym = face.equations
     x, u, p = sym.x, sym.u, sym.p
-    du, vx, vu = (ca.SX.sym(n, v.numel()) for n, v in (("du", u), ("vx", x), ("vu", u)))
+    du, vx, vu, vp = (ca.SX.sym(n, v.numel()) for n, v in (("du", u), ("vx", x), ("vu", u), ("vp", p)))
+    known, at_start = (x, u), (x, u, p)
+    vx0 = _along(sym.start, at_start, (vx, vu, vp))
     wanted = {
         "x0": sym.start,
         "dx": sym.dx,
@@ -130,9 +132,11 @@ def _routines(face: Interface) -> tuple[list[Routine], int]:
         "ft": ca.jtimes(sym.dx, u, du),
         "y": face.y,
         "require": sym.require,
-        "vdx": _along(sym.dx, x, u, vx, vu),
-        "vy": _along(face.y, x, u, vx, vu),
-        "vx0": _along(sym.start, x, u, vx, vu),
+        "vdx": _along(sym.dx, known, (vx, vu)),
+        "vy": _along(face.y, known, (vx, vu)),
+        "vx0": vx0,
+        "vdx0": _along(sym.dx, at_start, (vx0, vu, vp)),
+        "vy0": _along(face.y, at_start, (vx0, vu, vp)),
     }
     wanted, c, prepared = _hoist({name: ca.densify(value) for name, value in wanted.items()}, p)
     model = {"x": x, "u": u, "p": p, "c": c}
@@ -148,13 +152,13 @@ def _routines(face: Interface) -> tuple[list[Routine], int]:
         give("model_jacobian", model | {"du": du}, "dx", "jac", "ft"),
         give("model_observe", model, "y", "require"),
         give("model_forward", model | direction, "vdx", "vy"),
-        give("model_start_forward", model | direction, "vx0"),
+        give("model_start_forward", model | direction | {"vp": vp}, "vx0", "vdx0", "vy0"),
     ], c.numel()
 
 
-def _along(value: ca.SX, x: ca.SX, u: ca.SX, vx: ca.SX, vu: ca.SX) -> ca.SX:
-    """Directional derivative of `value` along (vx, vu)."""
-    return ca.jtimes(value, ca.vertcat(x, u), ca.vertcat(vx, vu))
+def _along(value: ca.SX, known: Sequence[ca.SX], direction: Sequence[ca.SX]) -> ca.SX:
+    """Directional derivative of `value` with respect to `known`."""
+    return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
 
 
 def _hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:

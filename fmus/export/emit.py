@@ -117,4 +117,5 @@ def _number(value: float) -> str:
     """A C literal that reads back as the same double; negative ones in parentheses."""
     if value != value or value in (float("inf"), float("-inf")):
         return {"nan": "NAN", "inf": "INFINITY", "-inf": "(-INFINITY)"}[str(float(value))]
-    return repr(float(value)) if value >= 0 else f"({float(value)!r})"
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text

@@ -6,6 +6,7 @@ relies on that order. An output that is a state is one variable, with the state'
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from fmus.contract import ModelError, Quantity, Subsystem, Symbolic, quantities,
 from fmus.parameters import Values
 from fmus.units import per_second
 
+_IDENTIFIER = r"[A-Za-z][A-Za-z0-9_]*"
 Kind = Literal["FIXED", "TUNABLE", "INPUT", "STATE", "CALCULATED_STATE", "DERIVATIVE", "OUTPUT"]
 
 
@@ -53,7 +55,7 @@ class Interface:
 
 
 def interface(sub: Subsystem, values: Values) -> Interface:
-    """The variables of a subsystem with start values; refuses names that cannot be in one FMU."""
+    """The variables of a subsystem with start values; refuses names and numbers that cannot be in an FMU."""
     sym = symbolic(sub)
     states, outputs = quantities(sub.states), quantities(sub.outputs)
     merged = [name for name in outputs if name in states]
@@ -72,6 +74,7 @@ def interface(sub: Subsystem, values: Values) -> Interface:
     parameters, inputs, x, dx, y = _numbered(groups)
     result = Interface(sub.name, sub.text, parameters, inputs, x, dx, y, sym, _pick(sym.y, keep))
     _check_names(result)
+    _check_numbers(result)
     return result
 
 
@@ -112,8 +115,10 @@ def _check_states_as_outputs(sub: Subsystem, sym: Symbolic, merged: Sequence[str
 
 def _check_names(face: Interface) -> None:
     seen: set[str] = set()
+    if not re.fullmatch(_IDENTIFIER, face.name):
+        raise ModelError(f'"{face.name}" is not an identifier of letters, digits and _, expected of a model')
     for v in face.variables:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", v.name):
+        if not re.fullmatch(_IDENTIFIER, v.name):
             raise ModelError(
                 f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _'
             )
@@ -126,8 +131,24 @@ def _check_names(face: Interface) -> None:
             raise ModelError(f"{face.name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
 
 
+def _check_numbers(face: Interface) -> None:
+    for v in face.variables:
+        low, high = v.quantity.minimum, v.quantity.maximum
+        if not 0 < v.quantity.nominal < math.inf:
+            raise ModelError(f"{face.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
+        if v.start is None:
+            continue
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        if not math.isfinite(v.start) or not low <= v.start <= high:
+            raise ModelError(f"{face.name}: {v.name} starts at {v.start:g}, expected {low:g} to {high:g}")
+
+
 # ---- dependencies ----------------------------------------------------------------------------------
 
+_STEPS = {
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO),
+    *(ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_SIGN, ca.OP_COPYSIGN),
+}
 Dependencies = Mapping[str, list[tuple[Variable, str]]]
 
 
@@ -161,10 +182,17 @@ def _table(
 ) -> dict[str, list[tuple[Variable, str]]]:
     jacobian = ca.jacobian(unknown, known)
     kinds = _kinds(jacobian, face) if face else ["dependent"] * jacobian.nnz()
+    stepwise = [_has_steps(unknown[i], known) for i in range(unknown.numel())]
     table: dict[str, list[tuple[Variable, str]]] = {v.name: [] for v in rows}
     for (row, column), kind in zip(_places(jacobian), kinds, strict=True):
-        table[rows[row].name].append((columns[column], kind))
+        table[rows[row].name].append((columns[column], "dependent" if stepwise[row] else kind))
     return table
+
+
+def _has_steps(value: ca.SX, known: ca.SX) -> bool:
+    """Is there a comparison or the like, whose derivative tells nothing of the dependency on it?"""
+    function = ca.Function("f", [known], [value], {"allow_free": True})
+    return any(function.instruction_id(k) in _STEPS for k in range(function.n_instructions()))
 
 
 def _places(matrix: ca.SX) -> list[tuple[int, int]]:

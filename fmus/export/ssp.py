@@ -17,6 +17,7 @@ from fmus.export.vendor import NAMESPACES, annotate
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 _NAMESPACES = {"ssc": f"{_SSP}Common", "ssd": f"{_SSP}Description", "ssv": f"{_SSP}ParameterValues"}
+_SCALE = {"factor": 1.0, "offset": 0.0}  # value in base units = factor * value + offset
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _WIDTH, _GAP, _PITCH = 60.0, 60.0, 4.0  # of the diagram [mm]
 
@@ -254,7 +255,7 @@ def _units(root: etree._Element, elements: Mapping[str, _Element]) -> None:
     for name in sorted(found):
         base = found[name].baseUnit
         exponents = {k: getattr(base, k) for k in _BASE if base is not None and getattr(base, k)}
-        scale = {"factor": base.factor} if base is not None and base.factor != 1.0 else {}
+        scale = {k: getattr(base, k) for k, v in _SCALE.items() if base is not None and getattr(base, k) != v}
         _add(_add(parent, "ssc:Unit", name=name), "ssc:BaseUnit", **exponents, **scale)
 
 

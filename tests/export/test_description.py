@@ -1,8 +1,11 @@
 """What an importer reads: modelDescription.xml, the layout of the archive, repeatable builds."""
 
 import re
+import shutil
 import struct
+import subprocess
 import zipfile
+from pathlib import Path
 
 import fmpy
 import fmpy.validation
@@ -115,6 +118,28 @@ def test_binary_needs_only_the_c_library(unpacked):
     """The shared library asks the loader for libc and libm and nothing else."""
     library = (unpacked["chamber"] / "binaries" / "linux64" / "chamber.so").read_bytes()
     assert set(_needed(library)) <= {"libc.so.6", "libm.so.6"}
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
+@pytest.mark.parametrize("name", ["path", "gain", "blowup"])
+def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
+    """Without parameters, states or inputs arrays have length zero in theory; another compiler than ours."""
+    sources = [str(path) for path in (unpacked[name] / "sources").glob("*.c")]
+    flags = [
+        "-std=c99",
+        "-O2",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Wconversion",
+        "-Werror",
+        "-fPIC",
+        "-shared",
+    ]
+    headers = Path(fmpy.__file__).parent / "c-code"
+    command = ["gcc", *flags, f"-I{headers}", *sources, "-o", "/dev/null", "-lm"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
 
 
 def _needed(elf: bytes) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import ModelError, Quantity
 from fmus.export.build import build
-from fmus.export.emit import Routine, routine
+from fmus.export.emit import Routine, _number, routine
 from fmus.parameters import Values
 
 OPERATIONS = {
@@ -71,3 +71,15 @@ def test_operation_without_c_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(ModelError, match="has no C here"):
         routine(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})
+
+
+def test_negative_zero_keeps_its_sign_and_its_parentheses():
+    """-(-0.0) is C only with parentheses; -0.0 is not 0.0."""
+    assert [_number(value) for value in (-0.0, 0.0, -2.5, 1e300)] == ["(-0.0)", "0.0", "(-2.5)", "1e+300"]
+
+
+def test_text_of_a_declaration_ends_no_comment(make_toy, tmp_path):
+    """Marks of a C comment in a description are broken up, or the sources would not compile."""
+    q = Quantity("1", "a /* b */ c")
+    sub = make_toy("comments", {}, {}, {"u": q}, {"y": q}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
+    assert build(sub, tmp_path, numbers=Values({}, {"u": 0.0}, {})).is_file()

@@ -95,3 +95,17 @@ def test_unit_mismatch_is_refused(toy_dir, tmp_path):
     fmus = {"path": toy_dir / "path.fmu", "chamber": toy_dir / "chamber.fmu"}
     with pytest.raises(ModelError, match=r"path.where is in m, chamber.supply in Pa"):
         write_ssp(tmp_path / "x.ssp", "x", fmus, [("path.where", "chamber.supply")])
+
+
+def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
+    """Degrees Celsius in an FMU are degrees Celsius in the system, not Kelvin."""
+    source, target = toy_dir / "gain.fmu", tmp_path / "warm.fmu"
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b"<BaseUnit/>", b'<BaseUnit K="1" offset="273.15"/>')
+            new.writestr(name, data)
+    system = write_ssp(tmp_path / "x.ssp", "x", {"warm": target}, [])
+    root = etree.fromstring(zipfile.ZipFile(system).read("SystemStructure.ssd"))
+    assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.14999999999998"}

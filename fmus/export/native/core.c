@@ -1,5 +1,6 @@
 #include "core.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -60,12 +61,16 @@ void core_outputs(Core *core) {
 
 void core_forward(Core *core) {
     core_start(core);
-    if (core->s.initial) {
+    const State *s = &core->s;
+    double *v = core->direction, *vx = v + FIRST_STATE, *vu = v + FIRST_INPUT;
+    double *vdx = v + FIRST_DERIVATIVE, *vy = v + FIRST_OUTPUT;
+    if (s->initial) {
         double start[ROOM(NX)];
-        model_start_forward(core->s.x, core->s.u, core->s.p, core->c, core->vx, core->vu, start);
-        memcpy(core->vx, start, NX * sizeof *start);
+        model_start_forward(s->x, s->u, s->p, core->c, vx, vu, v + FIRST_PARAMETER, start, vdx, vy);
+        memcpy(vx, start, NX * sizeof *start);
+    } else {
+        model_forward(s->x, s->u, s->p, core->c, vx, vu, vdx, vy);
     }
-    model_forward(core->s.x, core->s.u, core->s.p, core->c, core->vx, core->vu, core->vdx, core->vy);
 }
 
 /* ---- values ---------------------------------------------------------------------------------- */
@@ -140,14 +145,15 @@ int core_check(Core *core, unsigned reference, double value) {
 }
 
 void core_set(Core *core, unsigned reference, double value) {
-    const int r = (int)reference;
-    if (r < FIRST_INPUT) {
-        core->s.p[r - FIRST_PARAMETER] = value;
+    State *s = &core->s;
+    switch (model_variables[reference].kind) {
+    case FIXED:
+    case TUNABLE:
+        s->p[reference - FIRST_PARAMETER] = value;
         core->c_valid = 0;
-    } else if (r < FIRST_STATE) {
-        core->s.u[r - FIRST_INPUT] = core->s.set[r - FIRST_INPUT] = value;
-    } else {
-        core->s.x[r - FIRST_STATE] = value;
+        break;
+    case INPUT: s->u[reference - FIRST_INPUT] = s->set[reference - FIRST_INPUT] = value; break;
+    default: s->x[reference - FIRST_STATE] = value;
     }
     core->start_valid = core->dx_valid = core->y_valid = 0;
 }
@@ -173,7 +179,7 @@ double core_input_slope(const Core *core, int input) {
     const State *s = &core->s;
     if (s->is_given[input]) return s->given[input][0];
     const int rate = model_variables[FIRST_INPUT + input].rate;
-    return rate < 0 ? s->slope[input] : s->u[rate];
+    return rate < 0 || s->was_given[input] ? s->slope[input] : s->u[rate];
 }
 
 /* Taylor polynomials of the inputs over the next step. */
@@ -237,7 +243,8 @@ static void tell_failure(Core *core, const Report *report) {
         break;
     default:
         core_message(core, ERROR,
-                     "tolerance %g not reached with an inner step of %.3g s at t = %.9g s; worst is %s = %.6g %s",
+                     "tolerance %g not reached with an inner step of %.3g s at t = %.9g s; "
+                     "worst is %s = %.6g %s",
                      core->s.tolerance, report->step, time, state->name, value, state->unit);
     }
 }
@@ -245,7 +252,7 @@ static void tell_failure(Core *core, const Report *report) {
 int core_step(Core *core, double length) {
     State *s = &core->s;
     const double begin = s->time;
-    const double smallest = 1e-15 * fmax(fabs(s->time) + length, 1e3 * length);
+    const double smallest = fmax(1e-14 * length, DBL_MIN); /* with smaller ones the time stands still */
     prepare(core);
     plan_motion(s, &core->motion);
     core->start_valid = core->dx_valid = core->y_valid = 0;
@@ -260,6 +267,7 @@ int core_step(Core *core, double length) {
     s->time += length;
     motion_value(&core->motion, length, s->u);
     motion_slope(&core->motion, length, s->slope);
+    memcpy(s->was_given, s->is_given, sizeof s->is_given);
     memset(s->is_given, 0, sizeof s->is_given);
     if (core_sound(core)) return 1;
     s->time = begin;

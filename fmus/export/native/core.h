@@ -9,6 +9,9 @@
 #include "model.h"
 #include "rosenbrock.h"
 
+/* A looser one gains no time, and states on badly scaled curves get lost at it. */
+#define LOOSEST_TOLERANCE 1e-3
+
 typedef enum { EVENT, WARNING, DISCARD, ERROR } Severity;
 
 /* Everything that the future of an instance depends on: what a saved state holds. */
@@ -23,6 +26,7 @@ typedef struct {
     double slope[ROOM(NU)];   /* time derivative of the inputs at the end of the last step */
     double given[ROOM(NU)][3]; /* input derivatives of order 1 to 3 set for the next step */
     int is_given[ROOM(NU)];
+    int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
     int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched output is above its limit */
     int initial;          /* 1 until the initialisation is over: states follow from the start values */
     int phase, type;      /* of the FMI state machine, see fmi2_instance.h */
@@ -33,7 +37,7 @@ typedef struct Core {
     /* What follows from `s`; computed when needed. */
     int c_valid, start_valid, dx_valid, y_valid;
     double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
-    double vx[ROOM(NX)], vu[ROOM(NU)], vdx[ROOM(NX)], vy[ROOM(NY)]; /* directions */
+    double direction[ROOM(NUMBER_OF_VARIABLES)]; /* of each variable, by value reference */
     Motion motion;
     Work work;
     const char *call; /* name of the interface function at work, for messages */
@@ -70,7 +74,8 @@ void core_outputs(Core *core);     /* makes y and require valid */
 /* Requirements hold and everything is finite; else a message and 0. */
 int core_sound(Core *core);
 
-/* Along directions vx and vu: vdx and vy. At the start vx is first carried through the start equations. */
+/* From the directions of inputs and states those of derivatives and outputs. At the start from those of
+   parameters, inputs and start values, through the start equations, also those of the states. */
 void core_forward(Core *core);
 
 /* From the current time over `length` seconds; 0 and a message when it fails. */
@@ -80,5 +85,8 @@ int core_step(Core *core, double length);
 size_t snapshot_size(void);
 void snapshot_write(const State *state, char *bytes);
 int snapshot_read(Core *core, State *state, const char *bytes, size_t size);
+
+/* Before the bytes leave the process: adds a check sum, by which damage is noticed when they are read. */
+void snapshot_seal(char *bytes);
 
 #endif

@@ -20,14 +20,17 @@ static const Category CATEGORIES[] = {
 };
 enum { NUMBER_OF_CATEGORIES = sizeof CATEGORIES / sizeof *CATEGORIES };
 
-/* The logger takes a printf format: each "%" of the text is doubled. */
+/* Logged without debug logging, too: what goes with fmi2Warning and fmi2Error has to reach the user. */
+enum { ALWAYS = 1u << WARNING | 1u << ERROR };
+
+/* The logger takes a printf format in which "#" starts a reference: each "%" and "#" is doubled. */
 static void write_log(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char *name,
                       Severity severity, const char *text) {
     static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
     char format[1024];
     size_t n = 0;
     for (; *text && n < sizeof format - 2; text++) {
-        if (*text == '%') format[n++] = '%';
+        if (*text == '%' || *text == '#') format[n++] = *text;
         format[n++] = *text;
     }
     format[n] = '\0';
@@ -57,23 +60,32 @@ static const char *phase_name(int phase) {
     }
 }
 
-int fmi2_allowed(Instance *self, const char *function, int phases) {
+const char *fmi2_type_name(int type) {
+    return type == fmi2CoSimulation ? "co-simulation" : "model exchange";
+}
+
+int fmi2_allowed(Instance *self, const char *function, int mask) {
     if (!self) return 0;
+    const int type = self->core.s.type;
     self->core.call = function;
-    if (self->core.s.phase & phases) {
-        if (self->log & 1u << EVENT) core_message(&self->core, EVENT, "t = %.9g s", self->core.s.time);
-        return 1;
+    if (mask & (type == fmi2CoSimulation ? MODEL_EXCHANGE : CO_SIMULATION)) {
+        fmi2_refuse(self, "not allowed in an instance for %s", fmi2_type_name(type));
+        return 0;
     }
-    fmi2_refuse(self, "not allowed in state \"%s\"", phase_name(self->core.s.phase));
-    return 0;
+    if (!(self->core.s.phase & mask)) {
+        fmi2_refuse(self, "not allowed in state \"%s\"", phase_name(self->core.s.phase));
+        return 0;
+    }
+    if (self->log & 1u << EVENT) core_message(&self->core, EVENT, "t = %.9g s", self->core.s.time);
+    return 1;
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
     Instance *self = c;
     if (!fmi2_allowed(self, "fmi2SetDebugLogging", ANY)) return fmi2Error;
-    /* Without names everything is meant; errors can be silenced only by name. */
-    unsigned mask = nCategories == 0 ? (loggingOn ? ~0u : ~(1u << ERROR)) : 0u;
+    /* Without names everything is meant; warnings and errors can be silenced only by name. */
+    unsigned mask = nCategories == 0 ? (loggingOn ? ~0u : ~(unsigned)ALWAYS) : 0u;
     for (size_t i = 0; i < nCategories; i++) {
         int known = 0;
         for (int k = 0; k < NUMBER_OF_CATEGORIES; k++)
@@ -101,7 +113,9 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     const char *problem = NULL;
     (void)fmuResourceLocation;
     (void)visible;
-    if (!*name) problem = "fmi2Instantiate: the instance name is empty";
+    if (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation)
+        problem = "fmi2Instantiate: the type is neither model exchange nor co-simulation";
+    if (strspn(name, " \t\r\n") == strlen(name)) problem = "fmi2Instantiate: the instance name is empty";
     if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID) != 0)
         problem = "fmi2Instantiate: the GUID differs, expected \"" MODEL_GUID
                   "\" (modelDescription.xml and binary are of different builds)";
@@ -114,7 +128,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     strcpy(self->name, name);
     self->logger = logger;
     self->environment = environment;
-    self->log = loggingOn ? ~0u : ~(1u << EVENT);
+    self->log = loggingOn ? ~0u : ALWAYS;
     self->core.report = report;
     self->core.owner = self;
     core_reset(&self->core);
@@ -136,8 +150,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     if (toleranceDefined && !(tolerance > 0.0 && tolerance < 1.0))
         return fmi2_refuse(self, "the tolerance is out of range, expected > 0 and < 1%s", "");
     s->time = s->start_time = startTime;
-    s->stop_time = stopTimeDefined ? stopTime : INFINITY;
-    s->tolerance = toleranceDefined ? tolerance : DEFAULT_TOLERANCE;
+    s->stop_time = stopTimeDefined ? stopTime : HUGE_VAL;
+    s->tolerance = toleranceDefined ? fmin(tolerance, LOOSEST_TOLERANCE) : DEFAULT_TOLERANCE;
     return fmi2OK;
 }
 

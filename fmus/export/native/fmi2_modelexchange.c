@@ -5,7 +5,7 @@
 
 #include "fmi2_instance.h"
 
-enum { READABLE = INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED };
+enum { READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED };
 
 /* 1 if the caller's number of states is the model's. */
 static int right_size(Instance *self, size_t n) {
@@ -44,6 +44,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
     return core_sound(&self->core) ? fmi2OK : fmi2Error;
 }
 
+/* Times after the stop time are accepted: solvers step over it and interpolate. */
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     Instance *self = c;
     if (!fmi2_allowed(self, "fmi2SetTime", EVENT_MODE | CONTINUOUS_TIME)) return fmi2Error;
@@ -59,7 +60,7 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     for (int i = 0; i < NX; i++)
         if (!isfinite(x[i]))
             return fmi2_refuse(self, "%s is not a finite number", model_variables[FIRST_STATE + i].name);
-    memcpy(self->core.s.x, x, NX * sizeof *x);
+    for (int i = 0; i < NX; i++) self->core.s.x[i] = x[i];
     self->core.dx_valid = self->core.y_valid = 0;
     return fmi2OK;
 }
@@ -70,13 +71,14 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx
     if (!fmi2_allowed(self, "fmi2GetDerivatives", READABLE)) return fmi2Error;
     if (!right_size(self, nx)) return fmi2Error;
     core_derivatives(&self->core);
-    memcpy(derivatives, self->core.dx, NX * sizeof *derivatives);
-    for (int i = 0; i < NX; i++)
+    for (int i = 0; i < NX; i++) {
+        derivatives[i] = self->core.dx[i];
         if (!isfinite(derivatives[i])) {
             core_message(&self->core, DISCARD, "the derivative of %s is %g at t = %.9g s",
                          model_variables[FIRST_STATE + i].name, derivatives[i], self->core.s.time);
             return fmi2Discard;
         }
+    }
     return fmi2OK;
 }
 
@@ -91,14 +93,14 @@ fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
     Instance *self = c;
     if (!fmi2_allowed(self, "fmi2GetContinuousStates", READABLE)) return fmi2Error;
     if (!right_size(self, nx)) return fmi2Error;
-    core_start(&self->core);
-    memcpy(x, self->core.s.x, NX * sizeof *x);
+    for (int i = 0; i < NX; i++)
+        if (!core_get(&self->core, (unsigned)(FIRST_STATE + i), &x[i])) return fmi2Error;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
     Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2GetNominalsOfContinuousStates", READABLE)) return fmi2Error;
+    if (!fmi2_allowed(self, "fmi2GetNominalsOfContinuousStates", READABLE | INSTANTIATED)) return fmi2Error;
     if (!right_size(self, nx)) return fmi2Error;
     for (int i = 0; i < NX; i++) x_nominal[i] = model_variables[FIRST_STATE + i].nominal;
     return fmi2OK;

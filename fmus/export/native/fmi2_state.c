@@ -1,5 +1,6 @@
 /* FMI 2.0: saved states and directional derivatives. A saved state is the bytes of snapshot.c. */
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -22,7 +23,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     if (!snapshot_read(&self->core, &restored, FMUstate, snapshot_size())) return fmi2Error;
     if (restored.type != self->core.s.type)
         return fmi2_refuse(self, "the saved state is of an instance for %s",
-                           restored.type == fmi2CoSimulation ? "co-simulation" : "model exchange");
+                           fmi2_type_name(restored.type));
     memcpy(&self->core.s, &restored, sizeof restored);
     core_changed(&self->core);
     return fmi2OK;
@@ -53,6 +54,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     if (!FMUstate) return fmi2_refuse(self, "there is no saved state%s", "");
     if (size < snapshot_size()) return fmi2_refuse(self, "the memory is too small%s", "");
     memcpy(serializedState, FMUstate, snapshot_size());
+    snapshot_seal(serializedState);
     return fmi2OK;
 }
 
@@ -62,7 +64,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     State restored;
     if (!fmi2_allowed(self, "fmi2DeSerializeFMUstate", ANY)) return fmi2Error;
     if (!snapshot_read(&self->core, &restored, serializedState, size)) return fmi2Error;
-    if (!*FMUstate) *FMUstate = malloc(snapshot_size());
+    *FMUstate = malloc(snapshot_size()); /* what it held on entry is not defined */
     if (!*FMUstate) return fmi2_refuse(self, "out of memory%s", "");
     snapshot_write(&restored, *FMUstate);
     return fmi2OK;
@@ -70,24 +72,19 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
 
 /* ---- directional derivatives ------------------------------------------------------------------- */
 
-/* Puts one seed in its place; 0 if the variable is not a known: an input or a state. */
-static int seed(Core *core, fmi2ValueReference vr, double value) {
+/* A known is an input or a state; at the start it is an input, a start value or a parameter. */
+static int known(const Core *core, fmi2ValueReference vr) {
     if (vr >= NUMBER_OF_VARIABLES) return 0;
     const Kind kind = model_variables[vr].kind;
-    if (kind == INPUT) core->vu[vr - FIRST_INPUT] = value;
-    else if (kind == STATE || (kind == CALCULATED_STATE && !core->s.initial))
-        core->vx[vr - FIRST_STATE] = value;
-    else return 0;
-    return 1;
+    if (kind == INPUT || kind == STATE) return 1;
+    return core->s.initial ? kind == FIXED || kind == TUNABLE : kind == CALCULATED_STATE;
 }
 
-/* Reads one result; 0 if the variable is not an unknown: an output, a derivative or a state. */
-static int harvest(const Core *core, fmi2ValueReference vr, double *value) {
-    if (vr < FIRST_STATE || vr >= NUMBER_OF_VARIABLES) return 0;
-    if (vr < FIRST_DERIVATIVE) *value = core->vx[vr - FIRST_STATE];
-    else if (vr < FIRST_OUTPUT) *value = core->vdx[vr - FIRST_DERIVATIVE];
-    else *value = core->vy[vr - FIRST_OUTPUT];
-    return 1;
+/* An unknown is an output, a derivative or a state. */
+static int unknown(fmi2ValueReference vr) {
+    if (vr >= NUMBER_OF_VARIABLES) return 0;
+    const Kind kind = model_variables[vr].kind;
+    return kind != FIXED && kind != TUNABLE && kind != INPUT;
 }
 
 static const char *name_of(fmi2ValueReference vr) {
@@ -99,15 +96,20 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Real dvKnown[], fmi2Real dvUnknown[]) {
     Instance *self = c;
     if (!fmi2_allowed(self, "fmi2GetDirectionalDerivative", ANY & ~INSTANTIATED)) return fmi2Error;
-    memset(self->core.vx, 0, sizeof self->core.vx);
-    memset(self->core.vu, 0, sizeof self->core.vu);
-    for (size_t i = 0; i < nKnown; i++)
-        if (!seed(&self->core, vKnown_ref[i], dvKnown[i]))
+    Core *core = &self->core;
+    memset(core->direction, 0, sizeof core->direction);
+    for (size_t i = 0; i < nKnown; i++) {
+        if (!known(core, vKnown_ref[i]))
             return fmi2_refuse(self, "%s is not a known, expected an input or a state", name_of(vKnown_ref[i]));
-    core_forward(&self->core);
-    for (size_t i = 0; i < nUnknown; i++)
-        if (!harvest(&self->core, vUnknown_ref[i], &dvUnknown[i]))
-            return fmi2_refuse(self, "%s is not an unknown, expected an output or a derivative",
-                               name_of(vUnknown_ref[i]));
+        core->direction[vKnown_ref[i]] += dvKnown[i];
+    }
+    core_forward(core);
+    for (size_t i = 0; i < nUnknown; i++) {
+        const char *name = name_of(vUnknown_ref[i]);
+        if (!unknown(vUnknown_ref[i]))
+            return fmi2_refuse(self, "%s is not an unknown, expected an output or a derivative", name);
+        dvUnknown[i] = core->direction[vUnknown_ref[i]];
+        if (!isfinite(dvUnknown[i])) return fmi2_refuse(self, "the derivative of %s is not finite", name);
+    }
     return fmi2OK;
 }

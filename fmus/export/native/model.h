@@ -58,10 +58,13 @@ void model_jacobian(const double *x, const double *u, const double *p, const dou
 void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
                    double *require);
 
-/* directional derivatives of f, g and s along (vx, vu) */
+/* directional derivatives of f and g along (vx, vu) */
 void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
                    const double *vu, double *vdx, double *vy);
+
+/* directional derivatives of s and of f and g at the start along (vx, vu, vp); x are the states at the start */
 void model_start_forward(const double *x, const double *u, const double *p, const double *c,
-                         const double *vx, const double *vu, double *vx0);
+                         const double *vx, const double *vu, const double *vp, double *vx0, double *vdx0,
+                         double *vy0);
 
 #endif

@@ -1,17 +1,19 @@
 /* Saved states as bytes, to be restored in this or another process by the same model. */
 
+#include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "core.h"
 
-enum { VERSION = 1 };
+enum { VERSION = 2 };
 
 typedef struct {
     char magic[8];
     char guid[48];
     unsigned version, size;
-    double one; /* tells another byte order */
+    double one;    /* tells another byte order */
+    uint64_t seal; /* check sum of the state behind it, or 0 */
 } Header;
 
 static Header header(void) {
@@ -25,6 +27,13 @@ static Header header(void) {
     return h;
 }
 
+/* FNV-1a; never 0 */
+static uint64_t check_sum(const char *bytes, size_t size) {
+    uint64_t sum = 14695981039346656037u;
+    for (size_t i = 0; i < size; i++) sum = (sum ^ (unsigned char)bytes[i]) * 1099511628211u;
+    return sum | 1u;
+}
+
 size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
 
 void snapshot_write(const State *state, char *bytes) {
@@ -34,10 +43,10 @@ void snapshot_write(const State *state, char *bytes) {
 }
 
 int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
-    const Header expected = header();
-    Header found;
+    Header expected = header(), found;
     memset(&found, 0, sizeof found);
     memcpy(&found, bytes, size < sizeof found ? size : sizeof found);
+    expected.seal = found.seal;
     if (size >= sizeof found && memcmp(&found, &expected, sizeof found) != 0) {
         found.guid[sizeof found.guid - 1] = '\0';
         core_message(core, ERROR, "the saved state is of GUID \"%s\" version %u, expected \"%s\" version %u",
@@ -48,6 +57,17 @@ int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
         core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
         return 0;
     }
+    if (found.seal && found.seal != check_sum(bytes + sizeof found, sizeof *state)) {
+        core_message(core, ERROR, "the saved state is damaged: its check sum differs");
+        return 0;
+    }
     memcpy(state, bytes + sizeof found, sizeof *state);
     return 1;
+}
+
+void snapshot_seal(char *bytes) {
+    Header h;
+    memcpy(&h, bytes, sizeof h);
+    h.seal = check_sum(bytes + sizeof h, sizeof(State));
+    memcpy(bytes, &h, sizeof h);
 }

@@ -1,0 +1,219 @@
+"""Rules of FMI 2.0.4 on which an importer may rely, beyond the calls that every tool makes."""
+
+import ctypes
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+
+OK, DISCARD, ERROR = 0, 2, 3
+
+
+# ---- which function may be called when ---------------------------------------------------------------
+
+
+def test_nominals_are_known_before_the_initialisation(open_fmu):
+    """fmi2GetNominalsOfContinuousStates is allowed as soon as there is an instance (table in 3.2.3)."""
+    fmu = open_fmu("chamber", model_exchange=True)
+    nominals = (ctypes.c_double * 3)()
+    fmu.fmu.fmi2GetNominalsOfContinuousStates(fmu.fmu.component, nominals, 3)
+    assert list(nominals) == [1e7, 1e-4, 100.0]
+
+
+@pytest.mark.parametrize(
+    ("model_exchange", "function", "arguments"),
+    [
+        (False, "fmi2GetContinuousStates", ((ctypes.c_double * 3)(), 3)),
+        (False, "fmi2GetEventIndicators", (None, 0)),
+        (True, "fmi2SetRealInputDerivatives", (None, 0, None, None)),
+        (True, "fmi2DoStep", (ctypes.c_double(0.0), ctypes.c_double(1.0), 1)),
+        (True, "fmi2GetRealStatus", (2, ctypes.byref(ctypes.c_double()))),
+    ],
+)
+def test_functions_of_the_other_kind_are_refused(open_fmu, model_exchange, function, arguments):
+    """What only model exchange or only co-simulation has is an error in an instance of the other kind."""
+    fmu = open_fmu("chamber", model_exchange)
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    assert getattr(fmu.fmu.dll, function)(ctypes.c_void_p(fmu.fmu.component), *arguments) == ERROR
+    assert f"{function}: not allowed" in fmu.errors()[-1]
+
+
+def test_tunable_parameters_change_at_events(open_fmu):
+    """In model exchange a tunable parameter is set in event mode, an input at any time (3.2.3)."""
+    fmu = open_fmu("decay", model_exchange=True).start()
+    fmu.set(rate=3.0, target=5.0)
+    assert fmu.get("der_level") == 3.0 * (5.0 - 1.0)
+    fmu.fmu.newDiscreteStates()
+    fmu.fmu.enterContinuousTimeMode()
+    fmu.set(target=2.0)
+    assert fmu.get("der_level") == 3.0 * (2.0 - 1.0)
+    for call in (lambda: fmu.set(rate=1.0), lambda: fmu.set(level=1.0), lambda: fmu.set(gain=1.0)):
+        with pytest.raises(FMICallException):
+            call()
+    fmu.fmu.enterEventMode()
+    fmu.set(rate=1.0)
+    assert fmu.get("der_level") == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "word"), [(b" \t", 1, "name is empty"), (None, 1, "name is empty"), (b"a", 7, "type")]
+)
+def test_instance_without_a_name_or_a_kind_is_refused(open_fmu, name, kind, word):
+    """No instance, and a message that tells why."""
+    fmu = open_fmu("gain")
+    instantiate = fmu.fmu.dll.fmi2Instantiate
+    instantiate.restype = ctypes.c_void_p
+    made = instantiate(name, kind, fmu.fmu.guid.encode(), None, ctypes.byref(fmu.fmu.callbacks), 0, 0)
+    assert made is None
+    assert word in fmu.errors()[-1]
+
+
+# ---- messages ----------------------------------------------------------------------------------------
+
+
+def test_discard_is_told_in_debug_mode_only(open_fmu):
+    """A derivative outside its domain is fmi2Discard; a message only if debug logging is on (2.1.3)."""
+    told = {}
+    for logging in (False, True):
+        fmu = open_fmu("blowup", model_exchange=True, logging=logging)
+        fmu.set(fuel=-1.0)
+        fmu.fmu.setupExperiment()
+        fmu.fmu.enterInitializationMode()
+        values = (ctypes.c_double * 2)()
+        get = fmu.fmu.dll.fmi2GetDerivatives
+        assert get(ctypes.c_void_p(fmu.fmu.component), values, ctypes.c_size_t(2)) == DISCARD
+        told[logging] = [text for category, text in fmu.messages if category == "logStatusDiscard"]
+    assert told[False] == []
+    assert "fmi2GetDerivatives: the derivative of fuel is" in told[True][0]
+
+
+def test_escapes_of_the_logger_are_doubled(open_fmu):
+    """In a message "#" starts a variable and "%" a number, so each is written twice (2.1.5)."""
+    fmu = open_fmu("decay")
+    with pytest.raises(FMICallException):
+        fmu.fmu.setDebugLogging(True, ["#r1#"])
+    assert 'category "##r1##" is unknown' in fmu.errors()[-1]
+
+
+def test_debug_logging_off_leaves_warnings_and_errors(open_fmu):
+    """The same is logged after switching off as without switching on."""
+    fmu = open_fmu("decay", logging=True).start()
+    fmu.fmu.setDebugLogging(False, [])
+    fmu.messages.clear()
+    fmu.set(target=50.0, rate=20.0)
+    fmu.fmu.doStep(0.0, 1.0)
+    with pytest.raises(FMICallException):
+        fmu.set(target=101.0)
+    assert [category for category, _ in fmu.messages] == ["logStatusWarning", "logStatusError"]
+
+
+# ---- saved states ------------------------------------------------------------------------------------
+
+
+def test_deserialising_makes_a_new_state(open_fmu):
+    """fmi2DeSerializeFMUstate writes the pointer, whatever it held before."""
+    fmu = open_fmu("decay").start()
+    saved = fmu.fmu.getFMUstate()
+    data = fmu.fmu.serializeFMUstate(saved)
+    state = ctypes.c_void_p(1)  # no memory of ours
+    fmu.fmu.fmi2DeSerializeFMUstate(fmu.fmu.component, data, len(data), ctypes.byref(state))
+    assert state.value not in (None, 1, saved.value)
+    for s in (saved, state):
+        fmu.fmu.freeFMUstate(s)
+
+
+def test_damaged_state_is_refused(open_fmu):
+    """One bit of a serialised state turned over, wherever it is, and the state is not taken."""
+    fmu = open_fmu("decay").start()
+    saved = fmu.fmu.getFMUstate()
+    data = fmu.fmu.serializeFMUstate(saved)
+    fmu.fmu.freeFMUstate(saved)
+    for place in range(0, len(data), 7):
+        damaged = data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :]
+        with pytest.raises(FMICallException):
+            fmu.fmu.deSerializeFMUstate(damaged)
+    assert any("the saved state is damaged" in text for text in fmu.errors())
+
+
+@pytest.mark.parametrize("end", ["terminate", "reset"])
+def test_state_brings_an_ended_instance_back(open_fmu, end):
+    """After fmi2Terminate or fmi2Reset a saved state continues where it was taken."""
+    fmu = open_fmu("vanderpol").start().run(3, 0.1)
+    saved = fmu.fmu.getFMUstate()
+    expected = fmu.run(3, 0.1, 0.3).get("x", "v")
+    getattr(fmu.fmu, end)()
+    fmu.fmu.setFMUstate(saved)
+    fmu.fmu.freeFMUstate(saved)
+    assert fmu.run(3, 0.1, 0.3).get("x", "v") == expected
+
+
+# ---- derivatives -------------------------------------------------------------------------------------
+
+
+def test_output_derivatives_of_higher_order_are_zero(open_fmu):
+    """Orders that are not provided give 0, order 0 is an error (4.2.1)."""
+    fmu = open_fmu("decay").start()
+    assert list(fmu.fmu.getRealOutputDerivatives([fmu.refs["mixed"]] * 2, [2, 3])) == [0.0, 0.0]
+    with pytest.raises(FMICallException):
+        fmu.fmu.getRealOutputDerivatives([fmu.refs["mixed"]], [0])
+    assert "order of the derivative of mixed" in fmu.errors()[-1]
+
+
+def test_output_derivative_follows_the_given_input_derivative(open_fmu):
+    """After a step with a derivative from the master an output moves with it, not with the idle rate port."""
+    fmu = open_fmu("path").start()
+    fmu.slopes(position=2.0)
+    fmu.slopes(2, position=6.0)
+    fmu.run(1, 0.5)
+    assert fmu.output_slope("where") == [2.0 + 6.0 * 0.5]
+    fmu.set(velocity=1.5)
+    fmu.run(1, 0.5, 0.5)
+    assert fmu.output_slope("where") == [1.5]
+
+
+@pytest.mark.parametrize("known", ["volume", "conductance", "supply", "heat"])
+def test_directional_derivatives_at_the_start_have_all_knowns(open_fmu, known):
+    """In initialisation mode parameters, inputs and start values are knowns, through the start equations."""
+    fmu = open_fmu("chamber")
+    unknowns = ["pressure", "flow", "der_pressure", "der_flow", "der_heat", "force", "pressure_rate"]
+    point = {"volume": 1e-4, "conductance": 1e-11, "supply": 2e7, "heat": 3.0}
+    fmu.set(opening=0.9, **point)
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    delta = 1e-4 * point[known]
+    rows = []
+    for sign in (1, -1):
+        fmu.set(**{known: point[known] + sign * delta})
+        rows.append(fmu.get(*unknowns))
+    fmu.set(**{known: point[known]})
+    refs = [fmu.refs[n] for n in unknowns]
+    found = fmu.fmu.getDirectionalDerivative(refs, [fmu.refs[known]], [1.0])
+    twice = fmu.fmu.getDirectionalDerivative(refs, [fmu.refs[known]] * 2, [0.5, 0.5])
+    expected = (np.array(rows[0]) - np.array(rows[1])) / (2 * delta)
+    # central differences: curvature of relative size delta^2 = 1e-8; the pressure rate is a difference of
+    # flows, 16e12 Pa/m3 times 1e-4 m3/s, with rounding 1e-16 / 1e-4
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-3 / point[known])
+    assert list(twice) == list(found)
+
+
+def test_infinite_directional_derivative_is_an_error(open_fmu):
+    """The root of fuel at fuel = 0 has no finite slope: an error that names the unknown."""
+    fmu = open_fmu("blowup")
+    fmu.set(fuel=0.0)
+    fmu.start()
+    with pytest.raises(FMICallException):
+        fmu.fmu.getDirectionalDerivative([fmu.refs["der_fuel"]], [fmu.refs["fuel"]], [1.0])
+    assert "the derivative of der_fuel is not finite" in fmu.errors()[-1]
+
+
+def test_start_values_of_parameters_can_be_read_as_fmpy_does(toy_dir):
+    """FMPy's reader of start values skips fmi2SetupExperiment; it gets the same numbers as the XML has."""
+    from fmpy.util import get_start_values
+
+    found = get_start_values(str(toy_dir / "chamber.fmu"))
+    declared = fmpy.read_model_description(str(toy_dir / "chamber.fmu")).modelVariables
+    assert {v.name: float(found[v.name]) for v in declared if v.start} == {
+        v.name: float(v.start) for v in declared if v.start
+    }
