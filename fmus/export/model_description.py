@@ -84,7 +84,7 @@ def _units(root: etree._Element, face: Interface) -> None:
         etree.SubElement(unit, "BaseUnit", base_unit(name))
         shown = display(name)
         if shown:
-            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=f"{shown[1]:.17g}")
+            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=f"{shown[1]!r}")
     if not len(definitions):
         root.remove(definitions)
 
@@ -93,7 +93,7 @@ def base_unit(unit: str) -> dict[str, str]:
     """Attributes of FMI's and SSP's BaseUnit element."""
     parsed = parse(unit)
     attributes = {name: str(n) for name, n in parsed.base().items()}
-    return attributes if parsed.factor == 1.0 else attributes | {"factor": f"{parsed.factor:.17g}"}
+    return attributes if parsed.factor == 1.0 else attributes | {"factor": f"{parsed.factor!r}"}
 
 
 def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
