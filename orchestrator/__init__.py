@@ -4,7 +4,7 @@ from orchestrator import run, load, assemble, read, write
 
 result = run("build/harvester.ssp", scenario="data/scenarios/work_cycle.csv", step=1e-3)
 print(result.card.text())
-write(result.trace, "build/run.csv")
+write(result.trace, "build/trace.csv")
 """
 
 from __future__ import annotations

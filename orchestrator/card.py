@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,18 +11,27 @@ from numpy.typing import NDArray
 from orchestrator.energy import BondEnergy
 from orchestrator.trace import Trace
 
+ESTIMATE = "change when the step is halved; at order 2 the error is 4/3 of it"
+STILL = 1e-6  # of the nominal value: what moves less stands still
+ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
+IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
+
 
 @dataclass(frozen=True)
 class SignalError:
-    """Estimated error of one signal: its change when the step is halved, over the signal's range.
+    """What halving the step changes of one signal; its error at order p is 2^p / (2^p - 1) times that.
 
-    order   measured order of convergence, from a third run at twice the step; None when unknown
+    largest, rms   over the signal's range
+    change         the largest, in `unit`
+    order          measured order of convergence, from a third run at twice the step; None when unknown
     """
 
     name: str
     largest: float
     rms: float
     order: float | None = None
+    unit: str = ""
+    change: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,23 @@ class Card:
         """Simulated time over wall time: above 1 is faster than real time."""
         return self.simulated / self.wall if self.wall > 0 else float("inf")
 
-    def text(self, worst: int = 8) -> str:
+    @property
+    def worst(self) -> list[SignalError]:
+        """The largest change of each unit, in the order in which the signals were declared."""
+        found: dict[str, SignalError] = {}
+        for e in self.errors:
+            if e.unit not in found or e.change > found[e.unit].change:
+                found[e.unit] = e
+        return list(found.values())
+
+    def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
+        """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
+        least = max(REST, *(IDLE * b.exchanged for b in self.bonds))
+        if bond.exchanged <= least:
+            return "", "", "no exchange"
+        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", f"{bond.relative:.1e}"
+
+    def text(self) -> str:
         """The card as lines of text."""
         length = f"{self.steps} steps, {self.simulated:.6g} s simulated"
         lines = [
@@ -52,35 +78,48 @@ class Card:
             f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
         ]
         if self.bonds:
-            lines += [
-                "",
-                *_table(["power bond", "residual [J]", "of exchanged", "exchanged [J]"], _bond_rows(self)),
-            ]
+            lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], _bond_rows(self))]
         if self.errors:
-            rows = [_error_row(e) for e in sorted(self.errors, key=lambda e: -e.largest)[:worst]]
-            lines += ["", *_table(["change at half the step", "largest", "rms", "order"], rows)]
-            lines += (
-                [f"(the worst {worst} of {len(self.errors)} signals)"] if len(self.errors) > worst else []
-            )
+            head = ["worst signal of each unit", "change", "", "of range", "order"]
+            lines += ["", ESTIMATE, *_table(head, [_error_row(e) for e in self.worst])]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
         return "\n".join(lines)
 
 
-def compare(fine: Trace, trace: Trace, coarse: Trace | None = None) -> tuple[SignalError, ...]:
+def compare(
+    fine: Trace,
+    trace: Trace,
+    coarse: Trace | None = None,
+    nominals: Mapping[str, float | None] | None = None,
+) -> tuple[SignalError, ...]:
     """Error estimates for `trace` from a run at half its step and, for the order, one at twice its step.
 
-    Compared are the points that both runs recorded. Signals whose change is at the level of rounding get no
-    order.
+    Compared are the points that both runs recorded. Signals that stand still, measured by the magnitudes
+    `nominals`, are left out; those whose change is at the level of rounding get no order.
     """
     errors = []
-    changes, before = _changes(fine, trace), _changes(trace, coarse) if coarse else {}
-    for name, change in changes.items():
-        span = float(np.ptp(fine[name])) or float(np.max(np.abs(fine[name]))) or 1.0
-        largest, rms = float(np.max(np.abs(change))) / span, _rms(change) / span
-        order = None if rms < 1e-11 or name not in before else _order(_rms(before[name]), rms * span)
-        errors.append(SignalError(name, largest, rms, order))
+    changes = _changes(fine, trace)
+    before = _changes(trace, coarse.select(trace.signals)) if coarse else {}
+    for name, span in _moving(fine.select(trace.signals), nominals or {}).items():
+        largest, rms = float(np.max(np.abs(changes[name]))), _rms(changes[name])
+        order = None if rms < 1e-11 * span or name not in before else _order(_rms(before[name]), rms)
+        errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
     return tuple(errors)
+
+
+def _moving(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
+    """The range of each signal that moves."""
+    spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
+    widest: dict[str, float] = {}
+    for name, span in spans.items():
+        unit = trace.units.get(name, "")
+        widest[unit] = max(span, widest.get(unit, 0.0))
+    least = {
+        name: STILL * nominal if (nominal := nominals.get(name)) else max(ALIKE * widest[unit], FLOOR)
+        for name, unit in ((name, trace.units.get(name, "")) for name in spans)
+    }
+    return {name: span for name, span in spans.items() if span > abs(least[name])}
 
 
 def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:
@@ -99,13 +138,12 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def _bond_rows(card: Card) -> list[list[str]]:
-    return [
-        [b.name, f"{b.residual:.4g}", f"{100 * b.relative:.3g} %", f"{b.exchanged:.5g}"] for b in card.bonds
-    ]
+    return [[b.name, *card.bond(b)] for b in card.bonds]
 
 
 def _error_row(e: SignalError) -> list[str]:
-    return [e.name, f"{e.largest:.2e}", f"{e.rms:.2e}", "" if e.order is None else f"{e.order:.2f}"]
+    order = "" if e.order is None else f"{e.order:.2f}"
+    return [e.name, f"{e.change:.2e}", e.unit, f"{e.largest:.1e}", order]
 
 
 def _table(head: list[str], rows: list[list[str]]) -> list[str]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, suggest
 from orchestrator.interface import Value
-from orchestrator.system import Port, System, suggest
+from orchestrator.system import Port, System
 from orchestrator.trace import Trace
 from orchestrator.units import IDENTITY, Linear
 
@@ -67,6 +67,13 @@ class Drive:
                 values[port] = round(float(held[column]))
         return values
 
+    def overruled(self, system: System, start: Mapping[str, Value | str]) -> tuple[str, ...]:
+        """What to say about start values of driven inputs."""
+        names = [name for name in start if any(port in self.columns for port, _ in system.targets(name))]
+        return tuple(
+            f"{n} is driven by the scenario: the start value {start[n]} has no effect" for n in names
+        )
+
 
 def drive(system: System, scenario: Trace, label: str = "scenario") -> Drive:
     """Match the columns of a scenario with the inputs of the system, or with `component.variable`."""
@@ -88,7 +95,7 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear]
         return system.inputs[name].targets
     known = [
         *system.inputs,
-        *(f"{c.name}.{v.name}" for c in system.components.values() for v in c.interface.of("input")),
+        *map(str, system.ports("input")),
     ]
     try:
         port = system.port(name)

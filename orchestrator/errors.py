@@ -1,5 +1,29 @@
-"""The one exception for a user's mistake, told in one line."""
+"""The one exception for a user's mistake, told in one line, and the names that may have been meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
 
 
 class Problem(Exception):
     """Names the file, the thing, what was expected and what was found. No traceback is shown."""
+
+
+class UnknownSignal(Problem, KeyError):
+    """A name that no signal has; a KeyError too, because traces are looked up like mappings."""
+
+    __str__ = Exception.__str__  # KeyError would put the text in quotes
+
+    def __init__(self, name: str, known: Iterable[str], where: str = "") -> None:
+        names = list(known)
+        near = suggest(name, names) or f"; there are {', '.join(sorted(names)[:8]) or 'none'}"
+        super().__init__(f"{where}no signal {name} in the run{near}")
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """'; did you mean a, b?', for the end of a message; first what differs only by its component."""
+    names = list(known)
+    tail = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
+    close = dict.fromkeys([*tail, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])
+    return f"; did you mean {', '.join(list(close)[:3])}?" if close else ""

@@ -16,7 +16,12 @@ Value = float | int | bool | str
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable; `kind` is Real, Integer, Boolean, String or Enumeration."""
+    """One scalar variable.
+
+    kind      Real, Integer, Boolean, String or Enumeration
+    nominal   its usual magnitude, where the FMU tells one
+    text      its description
+    """
 
     name: str
     kind: str = "Real"
@@ -27,6 +32,8 @@ class Variable:
     unit: Unit | None = None
     start: str | None = None
     items: Mapping[str, int] = field(default_factory=dict)
+    nominal: float | None = None
+    text: str = ""
 
     @property
     def is_real(self) -> bool:
@@ -49,6 +56,7 @@ class Interface:
     interpolates  the FMU accepts derivatives of its inputs
     slopes        highest order of output derivatives it offers
     rollback      the FMU can save and restore its state
+    version, tool, text   of the FMU: its version, what made it, its description
     """
 
     variables: Mapping[str, Variable]
@@ -63,6 +71,9 @@ class Interface:
     step: float | None = None
     stop: float | None = None
     tolerance: float | None = None
+    version: str = ""
+    tool: str = ""
+    text: str = ""
 
     def of(self, causality: str) -> list[Variable]:
         """All variables of one causality, in declaration order."""
@@ -128,6 +139,9 @@ def _interface(description: Any) -> Interface:
         step=_number(experiment, "stepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=_number(experiment, "tolerance"),
+        version=description.version or "",
+        tool=description.generationTool or "",
+        text=description.description or "",
     )
 
 
@@ -150,6 +164,8 @@ def _variable(v: Any, units: Mapping[str, Unit]) -> Variable:
         unit=units.get(unit, Unit(unit)) if unit else None,
         start=v.start,
         items=_items(v),
+        nominal=_number(v, "nominal"),
+        text=v.description or "",
     )
 
 
@@ -167,6 +183,6 @@ def _unit(u: Any) -> Unit:
     return Unit(u.name, exponents, float(base.factor), float(base.offset))
 
 
-def _number(experiment: Any, name: str) -> float | None:
-    text = getattr(experiment, name, None)
+def _number(owner: Any, name: str) -> float | None:
+    text = getattr(owner, name, None)
     return None if text is None else float(text)

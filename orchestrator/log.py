@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from dataclasses import dataclass, field
 
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
 KEPT = 1000  # messages kept per component; the rest is only counted
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_TIME = re.compile(rf"\bt = {_NUMBER.pattern}")
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class Log:
         if len(self.messages) >= KEPT:
             self.dropped += 1
             return
+        text = re.sub(r"^\s*fmi2\w+: ", "", text)  # the function that was called is of no use to a reader
         label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
         self.messages.append(Message(self.time, self.component, label, " ".join(text.split())))
 
@@ -49,8 +52,21 @@ class Log:
         return "".join(f"; it says: {text}" for text in texts)
 
     def warnings(self) -> list[str]:
-        """One line per different message that is not mere information."""
-        counted = Counter(m.text for m in self.messages if m.status != "ok")
-        first = {m.text: m for m in reversed(self.messages)}
-        lines = [f"{first[t]}" + (f" ({n} times)" if n > 1 else "") for t, n in counted.items()]
+        """One line per message that is not mere information; those that differ in numbers only are merged."""
+        alike: dict[str, list[Message]] = {}
+        for m in self.messages:
+            if m.status != "ok":
+                alike.setdefault(_NUMBER.sub("#", m.text), []).append(m)
+        lines = [_merged(group) for group in alike.values()]
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
+
+
+def _merged(alike: list[Message]) -> str:
+    """Messages that differ in numbers only, as the one whose first differing number is the largest."""
+    if len(alike) == 1:
+        return f"{alike[0]}"
+    rows = [[abs(float(x)) for x in _NUMBER.findall(_TIME.sub("", m.text))] for m in alike]
+    varying = next((column for column in zip(*rows, strict=True) if len(set(column)) > 1), ())
+    top = alike[varying.index(max(varying))] if varying else alike[0]
+    count = f"the largest of {len(alike)}" if varying else f"{len(alike)} times"
+    return f"{top.component}: {top.text} ({count}, first at t = {alike[0].time:.6g} s)"

@@ -33,7 +33,7 @@ class _Rows:
 
 
 class Recorder:
-    """Collects all outputs and fed inputs of a network, or the chosen ports.
+    """Collects everything that has a place in a network, or the chosen ports.
 
     Looks at every communication point; keeps those that the grid records, and always the latest one.
     """

@@ -33,7 +33,7 @@ Opener = Callable[[Component], Slave]
 class Result:
     """What a run leaves behind.
 
-    trace      all outputs and fed inputs (or the chosen signals) at each recorded point
+    trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
     card       the accuracy card
     messages   what the FMUs logged
     complete   False when the run ended early; the trace then holds what was recorded until there
@@ -96,7 +96,8 @@ def run(
     step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
     set             start values {component.variable: value}, in the FMU's units
-    record          names of the signals to record; default: all outputs and fed inputs
+    record          names of the signals to record; default: all outputs, all inputs that are fed and all that
+                    are inputs of the system, fed or not
     record_step     interval between recorded points [s], a multiple of the step; the first and the last point
                     are always recorded; default: every communication point
     bonds           power bonds as pairs of input names; default: found from the units
@@ -112,6 +113,8 @@ def run(
 
     whole = (system if isinstance(system, System) else load(system)).with_start(set or {})
     driven = _scenario(whole, scenario)
+    if driven:
+        whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
     times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
     job = _Job(whole, driven[0] if driven else None, master, record, bonds, tolerance, open)
     result = job.run(times, progress)
@@ -131,7 +134,11 @@ def _estimate(job: _Job, times: Grid, result: Result, progress: bool) -> Card:
         return replace(result.card, notes=(*result.card.notes, note))
     except Interrupted:
         raise Interrupted(result) from None
-    return replace(result.card, errors=compare(fine, result.trace, coarse))
+    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
+    shown = result.trace.select(name for name in nominals if name in result.trace.signals)
+    errors = compare(fine, shown, coarse, nominals)
+    told = () if errors else ("no error estimate: no output moves",)
+    return replace(result.card, errors=errors, notes=(*result.card.notes, *told))
 
 
 def _scenario(system: System, scenario: Trace | str | Path | Location | None) -> tuple[Drive, Trace] | None:
@@ -163,7 +170,8 @@ class _Job:
             for name, component in self.system.components.items():
                 slaves[name] = self.open(component)
                 stack.callback(slaves[name].close)
-            network = Network(self.system, slaves, self.drive, chosen or ())
+            probes = self.system.exposed if chosen is None else chosen
+            network = Network(self.system, slaves, self.drive, probes)
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
             monitor = Monitor(network, self._bonds())

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from orchestrator.archive import Location
-from orchestrator.errors import Problem
-from orchestrator.system import suggest
+from orchestrator.errors import Problem, suggest
 from orchestrator.units import Linear, Unit
 from orchestrator.xml import Element, child, children, flag, local, number, parse, transformation, units
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.archive import Location
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, suggest
 from orchestrator.interface import Interface, Value, Variable, read_interface
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
@@ -101,6 +101,16 @@ class System:
         """All `component.variable` names."""
         return [f"{c.name}.{v}" for c in self.components.values() for v in c.interface.variables]
 
+    def ports(self, causality: str) -> list[Port]:
+        """All variables of one causality."""
+        return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
+
+    @property
+    def exposed(self) -> list[Port]:
+        """Component inputs that are inputs of the whole system, whether or not a run feeds them."""
+        ports = [port for inlet in self.inputs.values() for port, _ in inlet.targets]
+        return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
+
     def variable(self, port: Port) -> Variable:
         """The declaration of a port."""
         return self.components[port.component].interface.variables[port.variable]
@@ -117,6 +127,21 @@ class System:
                 fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
         components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
         return replace(self, components=components)
+
+    def without(self, *patterns: str) -> System:
+        """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.
+
+        patterns   with * and ? as in file names: "*_rate" is every input whose name ends so
+        """
+        targets = [str(c.target) for c in self.connections]
+        for pattern in patterns:
+            if not any(fnmatchcase(target, pattern) for target in targets):
+                near = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
+                raise Problem(f"cut {pattern}: no connected input fits{near}")
+        cut = [t for t in targets if any(fnmatchcase(t, pattern) for pattern in patterns)]
+        kept = tuple(c for c in self.connections if str(c.target) not in cut)
+        notes = (f"cut, so these inputs keep their start values: {', '.join(cut)}",) if cut else ()
+        return replace(self, connections=kept, notes=self.notes + notes)
 
 
 def assemble(
@@ -206,12 +231,6 @@ def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = 
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
-
-
-def suggest(name: str, known: Iterable[str]) -> str:
-    """'; did you mean a, b?', for the end of a message."""
-    close = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
-    return f"; did you mean {', '.join(close)}?" if close else ""
 
 
 def _family(variable: Variable) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.archive import Location
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, UnknownSignal
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class Trace:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
+        if name not in self.signals:
+            raise UnknownSignal(name, self.signals)
         return self.signals[name]
 
     def at(self, time: ArrayLike) -> Trace:
@@ -36,7 +38,7 @@ class Trace:
 
     def select(self, names: Iterable[str]) -> Trace:
         """The trace with only these signals, in this order."""
-        kept = {name: self.signals[name] for name in names}
+        kept = {name: self[name] for name in names}
         return Trace(self.time, kept, {n: u for n, u in self.units.items() if n in kept})
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, suggest
 from orchestrator.ssd import Flat, Hop, Node
-from orchestrator.system import Port, System, suggest
+from orchestrator.system import Port, System
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, UnknownSignal
 from orchestrator.trace import Trace
 from orchestrator.validation.metrics import Metrics, measure
 from orchestrator.validation.reference import Reference, Signal
@@ -97,10 +96,7 @@ def compare(trace: Trace, reference: Reference, *, rate: bool = True) -> Validat
     """Compare every signal of the reference with the run; rate=False leaves the ISO rating out."""
     for name in reference.signals:
         if name not in trace.signals:
-            near = get_close_matches(name, trace.signals, 3) or sorted(trace.signals)[:8]
-            raise Problem(
-                f"{reference.source}: {name}: expected among the signals of the run, got {', '.join(near)}"
-            )
+            raise UnknownSignal(name, trace.signals, f"{reference.source}: ")
     grid, notes = common_grid(trace.time, reference)
     return Validation(
         rows=tuple(_row(signal, trace, reference, grid, rate) for signal in reference.signals.values()),

@@ -13,15 +13,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from difflib import get_close_matches
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, UnknownSignal
 from orchestrator.trace import Trace
 from orchestrator.validation.figures import FigureSpec, Panel
 from orchestrator.validation.motion import Motion
@@ -77,11 +76,13 @@ class Layout:
         named += [("[motion] angle", self.angle)] if self.angle else []
         for where, signal in named:
             if signal not in trace.signals:
-                near = get_close_matches(signal, trace.signals, 3) or sorted(trace.signals)[:8]
-                raise Problem(
-                    f"{self.source}: {where}: expected a signal of the run, got {signal!r}; "
-                    f"there are {', '.join(near)}"
-                )
+                raise UnknownSignal(signal, trace.signals, f"{self.source}: {where}: ")
+
+    def within(self, trace: Trace) -> Layout:
+        """The layout without what the trace lacks: signals, rows and figures left empty, the motion."""
+        figures = tuple(replace(f, panels=_shown(f.panels, trace)) for f in self.figures)
+        kept = replace(self, figures=tuple(f for f in figures if f.panels))
+        return kept if self.motion(trace) else replace(kept, points=(), angle="", lines=(), tip="")
 
     def motion(self, trace: Trace) -> Motion | None:
         """The moving points over time; None when the layout has none or the trace lacks a signal of them."""
@@ -134,6 +135,17 @@ def read_layout(path: Path) -> Layout:
         lines=lines,
         source=str(path),
     )
+
+
+def _shown(panels: Sequence[Panel], trace: Trace) -> tuple[Panel, ...]:
+    """The panels with only the signals that the trace has, and only those that have any."""
+    kept = []
+    for panel in panels:
+        places = [k for k, signal in enumerate(panel.signals) if signal in trace.signals]
+        signals = tuple(panel.signals[k] for k in places)
+        names = tuple(panel.names[k] for k in places if k < len(panel.names))
+        kept += [replace(panel, signals=signals, names=names)] if places else []
+    return tuple(kept)
 
 
 def _figure(entry: Mapping[str, Any], path: Path) -> FigureSpec:

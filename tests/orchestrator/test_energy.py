@@ -5,6 +5,8 @@ import pytest
 
 from orchestrator import Problem, System, assemble, run
 from orchestrator.bonds import find_bonds, named_bond
+from orchestrator.card import Card
+from orchestrator.energy import BondEnergy
 from orchestrator.interface import Interface, Variable
 from orchestrator.system import Component, Connection, Port
 from orchestrator.units import Unit
@@ -93,6 +95,14 @@ def test_bond_in_other_units_counts_in_watts():
     """Pressure in bar times flow in L/min is scaled to watts."""
     (bond,) = find_bonds(wired("pressure bar x->y", "flow L/min y->x"))
     assert bond.scale == pytest.approx(1e5 * 1e-3 / 60, rel=1e-15)  # one product, rounding only
+
+
+def test_a_bond_at_rest_has_no_share():
+    """What two rounding errors exchange is nothing; beside it the share is told, the same everywhere."""
+    bonds = (BondEnergy("idle", -1e-33, 1e-33, 2e-29), BondEnergy("busy", 1e-3, 1e-3, 2e4))
+    card = Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, bonds=bonds)
+    assert [card.bond(b) for b in bonds] == [("", "", "no exchange"), ("0.001", "2e+04", "5.0e-08")]
+    assert [line.split()[-1] for line in card.text().splitlines()[-2:]] == ["exchange", "5.0e-08"]
 
 
 def test_named_bonds_must_be_opposite_connections(bounce):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, progress, run
+from orchestrator.card import Card, compare
 from orchestrator.interface import Interface, Variable
-from orchestrator.log import Log
+from orchestrator.log import WARNING, Log
 from orchestrator.system import Component, System
 
 
@@ -47,6 +48,12 @@ class Mock:
 
     def close(self):
         self.closed = True
+
+
+class Resting(Mock):
+    """Its output stays."""
+
+    def step(self, t, h): ...
 
 
 def mocked(action=None, **options):
@@ -178,8 +185,23 @@ def test_ctrl_c_keeps_what_was_recorded():
 def test_warnings_of_the_fmus_stand_in_the_card(fmus):
     """Once per text, with the number of times."""
     card = run(str(fmus["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.45, "fails.how": 1}).card
-    assert card.warnings == ("fails at t = 0.5 s: the oil is warm at: 0 (5 times)",)
-    assert "warning: fails at t = 0.5 s" in card.text()
+    assert card.warnings == ("fails: the oil is warm at: 0 (5 times, first at t = 0.5 s)",)
+    assert "warning: fails: the oil" in card.text()
+
+
+def test_warnings_that_differ_in_numbers_only_are_merged():
+    """The one with the largest number stands for all, whatever its sign; times are no such numbers."""
+    log = Log("m")
+    for log.time, force in ((0.5, 2.0), (1.5, -30.5), (2.5, 4e0)):
+        log.add(WARNING, f"fmi2DoStep: force = {force:g} N at t = {log.time} s is above 1 N")
+    log.add(WARNING, "void = 3e-7 m3")
+    log.add(WARNING, "the step was cut at t = 1.0 s")
+    log.add(WARNING, "the step was cut at t = 2.0 s")
+    assert log.warnings() == [
+        "m: force = -30.5 N at t = 1.5 s is above 1 N (the largest of 3, first at t = 0.5 s)",
+        "m at t = 2.5 s: void = 3e-7 m3",
+        "m: the step was cut at t = 1.0 s (2 times, first at t = 2.5 s)",
+    ]
 
 
 def test_card_counts_and_times(oscillator):
@@ -200,7 +222,59 @@ def test_error_estimate_is_close_to_the_error(oscillator, exact, master):
     # first order: e(h) - e(h/2) = e(h)/2; the second-order term is 5 % of the error at this step
     assert estimate.largest == pytest.approx(true / 2, rel=0.1)
     assert estimate.order == pytest.approx(1, abs=0.15)  # as above
-    assert "change at half the step" in result.card.text()
+    assert "change when the step is halved" in result.card.text()
+
+
+def estimated(nominals=None, **signals):
+    """Error estimates of signals given as 'unit: amplitude', all with errors of second order."""
+    time = np.linspace(0, 1, 11)
+    sizes = {name: float(text.split()[1]) for name, text in signals.items()}
+    units = {name: text.split()[0] for name, text in signals.items()}
+    runs = (
+        Trace(time, {n: a * (time + 1e-3 * h**2 * time) for n, a in sizes.items()}, units) for h in (1, 2, 4)
+    )
+    return compare(*runs, nominals)
+
+
+def test_signals_that_stand_still_have_no_error():
+    """Below 1e-6 of the nominal value; without one, below 1e-9 of the widest signal in the same unit."""
+    kept = estimated({"p": 1e7, "q": 1e7}, p="Pa 11", q="Pa 9", a="rad 1", b="rad 1e-10", c="rad 1e-8")
+    assert [e.name for e in kept] == ["p", "a", "c"]
+    assert estimated(a="rad 1e-30") == ()
+
+
+def test_the_estimate_tells_the_worst_of_each_unit():
+    """A small signal with a large share does not hide another unit; change in the unit, share, order."""
+    card = Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, errors=estimated(a="rad 1", b="rad 2", v="m3 1e-7"))
+    assert [(e.name, e.unit) for e in card.worst] == [("b", "rad"), ("v", "m3")]
+    # change from h = 2 to h = 1: 1e-3 (4 - 1) of the amplitude 2 rad
+    assert card.worst[0].change == pytest.approx(6e-3, rel=1e-9)
+    assert card.worst[0].order == pytest.approx(2, abs=1e-9)  # rounding only
+    assert card.text().splitlines()[-2].split() == ["b", "6.00e-03", "rad", "3.0e-03", "2.00"]
+
+
+def test_a_start_value_that_the_scenario_overrules_is_told(fmus):
+    """The first value of the scenario counts, and a note says so."""
+    scenario = Trace(np.array([0.0, 1.0]), {"u": np.array([5.0, 6.0])})
+    result = run(str(fmus["gain"]), scenario, step=0.5, set={"gain.u": 7.0, "gain.factor": 2.0})
+    assert result.trace["gain.u"][0] == 5.0
+    assert result.card.notes == ("gain.u is driven by the scenario: the start value 7.0 has no effect",)
+
+
+def test_an_estimate_of_nothing_is_told():
+    """A system at rest has no error that could be seen."""
+    face = Interface({"y": Variable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
+    system = System("rest", {"m": Component("m", face)})
+    card = run(system, open=Resting, step=0.5, stop=2.0, error_estimate=True).card
+    assert card.notes == ("no error estimate: no output moves",)
+
+
+def test_inputs_of_the_system_are_recorded_though_nothing_feeds_them(fmus):
+    """At their start value; chosen signals stay the chosen ones."""
+    trace = run(str(fmus["gain"]), step=0.5, stop=1.0, set={"u": 3.0}).trace
+    assert list(trace.signals) == ["gain.y", "gain.u"]
+    np.testing.assert_array_equal(trace["gain.u"], 3.0)
+    assert list(run(str(fmus["gain"]), step=0.5, stop=1.0, record=["gain.y"]).trace.signals) == ["gain.y"]
 
 
 def test_a_failure_at_half_the_step_keeps_the_run():

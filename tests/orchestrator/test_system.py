@@ -54,6 +54,25 @@ def test_units_that_cannot_be_compared_pass_with_a_note(fmus):
     assert "differ in the radian only" in gained(fmus, "Hz", "rad/s").card.notes[0]
 
 
+def test_connections_are_cut_by_the_name_of_their_target(fmus):
+    """With patterns; the cut input keeps its start value, and a note says so."""
+    files = {"s": fmus["source"], "p": fmus["gain"], "q": fmus["gain"]}
+    whole = assemble(files, ["s.y -> p.u", "p.y -> q.u"], {"s.offset": 1.0})
+    assert [str(c) for c in whole.without("q.*").connections] == ["s.y -> p.u"]
+    assert whole.without("*.u").connections == ()
+    assert whole.without() == whole
+    result = run(whole.without("q.u"), step=0.5, stop=1.0, set={"q.u": 7.0})
+    np.testing.assert_array_equal(result.trace["q.y"], 7.0)
+    assert result.card.notes == ("cut, so these inputs keep their start values: q.u",)
+
+
+def test_a_cut_that_fits_nothing_is_told(fmus):
+    """With what is meant perhaps."""
+    whole = assemble({"s": fmus["source"], "p": fmus["gain"]}, ["s.y -> p.u"])
+    with pytest.raises(Problem, match=r"cut u: no connected input fits; did you mean p.u\?"):
+        whole.without("*.u", "u")
+
+
 def test_conversions_compose():
     """There and back is the identity; maps apply in order."""
     celsius = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15)

@@ -22,6 +22,15 @@ def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     assert back.units == ({"a.y": "Pa"} if suffix == ".parquet" else {})
 
 
+def test_an_unknown_signal_is_told_with_what_it_could_be(trace):
+    """As a KeyError, like those of a mapping, and as a Problem in plain words."""
+    for kind in (KeyError, Problem):
+        with pytest.raises(kind, match=r"^no signal y in the run; did you mean a.y\?$"):
+            trace["y"]
+    with pytest.raises(Problem, match=r"^no signal pump in the run; there are a.y, b.x, odd$"):
+        trace.select(["pump"])
+
+
 def test_values_between_samples_are_linear_and_held_outside():
     """Interpolation at any times."""
     ramp = Trace(np.array([1.0, 2.0]), {"u": np.array([10.0, 20.0])})

@@ -86,12 +86,30 @@ def test_the_projects_own_layout_can_be_read() -> None:
     assert [point.label for point in layout.points][-1] == layout.tip == "head"
 
 
+def test_what_a_run_lacks_can_be_left_out(tmp_path: Path, trace: Trace) -> None:
+    """Signals with their names, rows and figures without signals, and a motion that cannot be shown."""
+    layout = read_layout(written(tmp_path, LAYOUT))
+    assert layout.within(trace) == layout
+    kept = layout.within(trace.select(["pump.command"]))
+    assert [f.panels for f in kept.figures] == [(Panel("Pressures", ("pump.command",), ("u",)),)]
+    assert (kept.points, kept.angle) == ((), "")
+    assert layout.within(trace.select([])).figures == ()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("shaft.angle", "shaft.angel", r"figure 'Turning': expected a signal .*'shaft.angel'.* shaft.angle"),
-        ('radius = "pump.command"', 'radius = "tip"', r"\[motion\] point 'end': expected a signal .*'tip'"),
-        ('angle = "shaft.angle"', 'angle = "a"', r"\[motion\] angle: expected a signal of the run, got 'a'"),
+        (
+            "shaft.angle",
+            "shaft.angel",
+            r"figure 'Turning': no signal shaft.angel in the run; did you mean shaft.angle",
+        ),
+        (
+            'radius = "pump.command"',
+            'radius = "tip"',
+            r"\[motion\] point 'end': no signal tip in the run; there are ",
+        ),
+        ('angle = "shaft.angle"', 'angle = "a"', r"\[motion\] angle: no signal a in the run"),
     ],
 )
 def test_a_signal_that_the_run_lacks_is_named(
