@@ -46,6 +46,7 @@ def judge(
         motion=layout.motion(result.trace),
         ghost=layout.motion(ghost),
         warnings=result.card.warnings,
+        notes=result.card.notes,
     )
     return validation, *reporting.write_report(out / "report.html", report)
 
@@ -54,7 +55,8 @@ def describe(component: Component) -> reporting.Component:
     """One FMU of the run."""
     source = component.source
     file = source.inside[-1] if source and source.inside else source.path.name if source else ""
-    return reporting.Component(component.name, file, guid=component.interface.guid, fmi="2.0 CS")
+    face = component.interface
+    return reporting.Component(component.name, file, face.version, face.guid, "2.0 CS", face.tool, face.text)
 
 
 def parameters(system: System) -> Iterable[reporting.Parameter]:
@@ -69,6 +71,7 @@ def parameters(system: System) -> Iterable[reporting.Parameter]:
                 name=v.name,
                 value=float(value) if v.is_real else value,
                 unit=v.unit.name if v.unit else "",
+                text=v.text,
                 source=str(number.get("source", "")),
                 note=str(number.get("note", "")),
                 changed=v.name in component.start,
@@ -94,9 +97,13 @@ def card(result: Result) -> Mapping[str, Any]:
         "real-time factor": round(c.real_time_factor, 1),
         "steps": c.steps,
         "energy residual of the power bonds, share of the exchanged energy": {
-            b.name: f"{b.residual:.3g} J of {b.exchanged:.4g} J ({b.relative:.1e})" for b in c.bonds
+            b.name: _bond(*c.bond(b)) for b in c.bonds
         },
     }
+
+
+def _bond(residual: str, exchanged: str, share: str) -> str:
+    return f"{share} ({residual} J of {exchanged} J)" if exchanged else share
 
 
 def _figures(validation: Validation) -> tuple[FigureSpec, ...]:

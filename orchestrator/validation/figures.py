@@ -75,12 +75,18 @@ BUCKETS = 600
 class _Line:
     """What is drawn of one signal, in its display unit; reference and row are None for the run alone."""
 
+    place: int
     name: str
     unit: str
     time: Array
     simulation: Array
     reference: Array | None
     row: Row | None
+
+    @property
+    def colours(self) -> tuple[str, str]:
+        """Of reference and simulation."""
+        return PALETTE.pairs[self.place % len(PALETTE.pairs)]
 
 
 def decimate(time: Array, values: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
@@ -101,22 +107,28 @@ def decimate(time: Array, values: Array, buckets: int = BUCKETS) -> tuple[Array,
 def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
     """The figure of a validation; signals that were not compared, such as commands, come from the trace."""
     panels = [(panel, list(_lines(spec, panel, validation, trace))) for panel in spec.panels]
+    strips = [[line for line in lines if _has_error(line, validation)] for _, lines in panels]
     heights: list[float] = []
-    for _, lines in panels:
-        heights += [2.5, 1.0] if any(line.row for line in lines) else [1.5]
+    for strip in strips:
+        heights += [2.5, 1.0] if strip else [1.5]
     layout = ConstrainedLayoutEngine(h_pad=0.02, hspace=0.0)
     figure = Figure(figsize=(9.6, 0.46 * sum(heights) + 0.9), layout=layout)
     FigureCanvasAgg(figure)
     axes = iter(figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0])
-    for panel, lines in panels:
+    for (panel, lines), strip in zip(panels, strips, strict=True):
         _curves(top := next(axes), panel, lines)
-        if any(line.row for line in lines):
-            _errors(top := next(axes), lines)
+        if strip:
+            _errors(top := next(axes), strip)
     top.set_xlabel("time [s]", color=PALETTE.ink)
     top.set_xlim(*validation.window)
     _legend(figure, spec)
     figure.align_ylabels()
     return figure
+
+
+def _has_error(line: _Line, validation: Validation) -> bool:
+    """Judged signals have their error drawn; all compared ones where the reference states no limits."""
+    return line.row is not None and (line.row.passed is not None or not validation.judged)
 
 
 def _lines(spec: FigureSpec, panel: Panel, validation: Validation, trace: Trace | None) -> Iterator[_Line]:
@@ -128,11 +140,12 @@ def _lines(spec: FigureSpec, panel: Panel, validation: Validation, trace: Trace 
         if row is not None:
             to = shown(row.unit)
             values = [convert(y, row.unit, to, signal) for y in (row.simulation, row.reference)]
-            yield _Line(name, to, row.time, values[0], values[1], row)
+            yield _Line(place, name, to, row.time, values[0], values[1], row)
         elif trace is not None and signal in trace.signals:
             unit = trace.units.get(signal, "")
             to = shown(unit)
-            yield _Line(name, to, trace.time, convert(trace[signal], unit, to, signal), None, None)
+            values = [convert(trace[signal], unit, to, signal)]
+            yield _Line(place, name, to, trace.time, values[0], None, None)
         else:
             raise Problem(f"figure {spec.title!r}: signal {signal!r} is neither compared nor in the run")
 
@@ -151,14 +164,23 @@ def _curves(axes: Axes, panel: Panel, lines: list[_Line]) -> None:
     _frame(axes)
     units = {line.unit for line in lines}
     axes.set_ylabel(f"{panel.label}\n[{', '.join(sorted(units)) or '1'}]", color=PALETTE.ink, fontsize=9)
-    for line, (solid, dotted) in zip(lines, _pairs(lines), strict=True):
+    for line in lines:
+        solid, dotted = line.colours
         if line.reference is None:
             axes.plot(*decimate(line.time, line.simulation), color=dotted, linewidth=1.2, label=line.name)
             continue
         axes.plot(*decimate(line.time, line.reference), color=solid, linewidth=2.6, label=line.name)
         axes.plot(*decimate(line.time, line.simulation), color=dotted, linewidth=1.3, linestyle=(0, (1, 1.4)))
     if any(line.name for line in lines):
-        axes.legend(fontsize=8, frameon=False, loc="upper right", ncols=3, labelcolor=PALETTE.ink)
+        axes.legend(
+            fontsize=8,
+            frameon=False,
+            loc="lower right",  # above the panel: inside it would lie on the curves
+            bbox_to_anchor=(1.0, 1.0),
+            borderaxespad=0.0,
+            ncols=3,
+            labelcolor=PALETTE.ink,
+        )
     axes.margins(y=0.12)
     for place, line in enumerate([line for line in lines if line.row]):
         _verdict(axes, line, place)
@@ -169,12 +191,12 @@ def _errors(axes: Axes, lines: list[_Line]) -> None:
     _frame(axes)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     largest = 0.0
-    for line, (_, dotted) in zip(lines, _pairs(lines), strict=True):
+    for line in lines:
         if line.reference is None:
             continue
         error = line.simulation - line.reference
         largest = max(largest, float(np.abs(error).max()))
-        axes.plot(*decimate(line.time, error), color=dotted, linewidth=0.9)
+        axes.plot(*decimate(line.time, error), color=line.colours[1], linewidth=0.9)
     axes.set_ylim(-1.2 * largest or -1, 1.2 * largest or 1)
     axes.set_ylabel(f"error\n[{lines[0].unit}]", color=PALETTE.ink, fontsize=8)
     axes.locator_params(axis="y", nbins=3)
@@ -203,11 +225,6 @@ def _bound(line: _Line) -> float | None:
         return None
     scale = 1.0 if row.tolerance.in_unit else row.metrics.normalised_by
     return row.tolerance.limit * scale * linear(row.unit, line.unit, row.signal)[0]
-
-
-def _pairs(lines: list[_Line]) -> list[tuple[str, str]]:
-    """Colours of reference and simulation for each line."""
-    return [PALETTE.pairs[place % len(PALETTE.pairs)] for place in range(len(lines))]
 
 
 def _legend(figure: Figure, spec: FigureSpec) -> None:

@@ -61,6 +61,7 @@ class Report:
     trace    the run: for figures of signals that were not compared, such as commands
     motion, ghost   the machine's motion in the run and in the reference
     warnings        what the run reported, one line each
+    notes           remarks on the run
     """
 
     title: str
@@ -74,6 +75,7 @@ class Report:
     motion: Motion | None = None
     ghost: Motion | None = None
     warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
 
 def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:
@@ -102,7 +104,7 @@ def numbers(report: Report) -> dict[str, Any]:
         "accuracy": _plain(report.card),
         "components": [asdict(component) for component in report.components],
         "parameters": [_plain(asdict(parameter)) for parameter in report.parameters],
-        "notes": list(checked.notes),
+        "notes": [*report.notes, *checked.notes],
         "warnings": list(report.warnings),
     }
 

@@ -1,6 +1,7 @@
 """Judging a run: comparison, report, and what the report tells about the run."""
 
 import json
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_the_machines_parameters_carry_their_sources(fmu_dir):
     """Every number of the three FMUs is told with source and note."""
     found = list(parameters(load(fmu_dir / "harvester.ssp")))
     assert {p.component for p in found} == {"swing", "boom_stick", "manipulator"}
-    assert all(p.source and p.note for p in found)
+    assert all(p.source and p.note and p.text for p in found)
 
 
 def test_components_are_described_by_their_files(fmu_dir):
@@ -98,6 +99,9 @@ def test_components_are_described_by_their_files(fmu_dir):
     for name, component in load(fmu_dir / "harvester.ssp").components.items():
         assert describe(component).file == f"resources/{name}.fmu"
         assert describe(component).guid == component.interface.guid != ""
+        assert describe(component).version == version("harvester-cosim")
+        assert describe(component).tool.startswith("harvester-cosim ")
+        assert describe(component).text
 
 
 def test_the_card_in_the_report(oscillator):
@@ -124,7 +128,7 @@ def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path
 def test_a_layout_for_another_system_is_told(fmus, ramp, reference, tmp_path):
     """File, place and signal."""
     layout = Layout("x", (FigureSpec("F", (Panel("a", ("gain.z",)),)),), source="my.toml")
-    with pytest.raises(Problem, match=r"my.toml: figure 'F': expected a signal of the run, got 'gain.z'"):
+    with pytest.raises(Problem, match=r"my.toml: figure 'F': no signal gain.z in the run"):
         judged(fmus["gain"], ramp, reference, tmp_path, layout)
 
 

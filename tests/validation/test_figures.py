@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +12,7 @@ from hypothesis import strategies as st
 
 from orchestrator.errors import Problem
 from orchestrator.trace import Trace
-from orchestrator.validation import FigureSpec, Panel, Validation, draw
+from orchestrator.validation import FigureSpec, Panel, Validation, compare, draw, read_reference
 from orchestrator.validation import embed as embedding
 from orchestrator.validation.figures import decimate, png, svg
 
@@ -47,6 +50,29 @@ def test_panels_and_error_strips(outcome: Validation, trace: Trace) -> None:
     """A compared signal gets a panel and an error strip in display units, a command its panel only."""
     labels = [axes.get_ylabel() for axes in draw(SPEC, outcome, trace).axes]
     assert labels == ["Command\n[V]", "Angle\n[deg]", "error\n[deg]", "Pressure\n[bar]", "error\n[bar]"]
+
+
+def test_signals_that_are_not_judged_have_no_error_strip(
+    edited: Callable[[str, str], Path], trace: Trace
+) -> None:
+    """Unless the reference states no limits at all: then the errors are what there is to see."""
+
+    def strips() -> int:
+        outcome = compare(trace, read_reference(meta), rate=False)
+        return sum("error" in axes.get_ylabel() for axes in draw(SPEC, outcome, trace).axes)
+
+    meta = edited('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"')
+    assert strips() == 1
+    meta = edited('pressure = { metric = "maximum", limit = 2.0 }', 'pressure = "none"')
+    assert strips() == 2
+
+
+def test_names_stand_above_the_panel(outcome: Validation, trace: Trace) -> None:
+    """Not on the curves."""
+    figure = draw(SPEC, outcome, trace)
+    figure.draw_without_rendering()
+    panel = figure.axes[3]
+    assert panel.get_legend().get_window_extent().y0 >= panel.get_window_extent().y1
 
 
 def test_reference_is_solid_and_simulation_dotted(outcome: Validation, trace: Trace) -> None:

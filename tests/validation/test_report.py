@@ -159,6 +159,23 @@ def test_a_missed_limit_is_plain_to_see(
     assert json.loads(data.read_text(encoding="utf-8"))["passed"] is False
 
 
+def test_a_simulated_reference_is_told_as_one(report: Report, tmp_path: Path) -> None:
+    """What a pass means, only where the reference is a simulation; notes and warnings follow the motion."""
+    line = "Reference: a simulation of the same equations."
+
+    def written(about: str) -> str:
+        checked = replace(report.validation, about={**report.validation.about, "kind": about})
+        told = replace(report, validation=checked, notes=("no --scenario given",))
+        return write_report(tmp_path / "report.html", told)[0].read_text(encoding="utf-8")
+
+    assert line not in written("measurement")
+    page = written("simulation")
+    assert line in page
+    assert "No --scenario given." in page
+    assert page.index('id="motion"') < page.index("Warnings of the run")
+    assert "no --scenario given" in json.loads((tmp_path / "report.json").read_text("utf-8"))["notes"]
+
+
 def test_least_report(outcome: Validation, tmp_path: Path) -> None:
     """A comparison alone makes a report: no figures, motion, parameters or card are needed."""
     page = write_report(tmp_path / "report.html", Report("Bare", outcome))[0].read_text(encoding="utf-8")
