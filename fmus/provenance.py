@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 
 from fmus.contract import ModelError, Subsystem, quantities
 from fmus.machine import SUBSYSTEMS
-from fmus.parameters import Number, numbers
+from fmus.parameters import SOURCES, Number, numbers
 
 LEGEND = """\
 paper       printed in the paper: the only FERIC data
@@ -18,11 +19,16 @@ assumed     a free choice
 identified  fitted to measurements"""
 
 
-def lines(sub: Subsystem) -> Iterator[str]:
-    """The table of one subsystem, with its start values, as lines of text."""
-    found = numbers(sub)
+def lines(sub: Subsystem, source: str | None = None) -> Iterator[str]:
+    """The table of one subsystem, with its start values, as lines of text; or the numbers of one source."""
+    found = {
+        section: {name: n for name, n in entries.items() if source in (None, n.source)}
+        for section, entries in numbers(sub).items()
+    }
     declared = quantities(sub.parameters) | quantities(sub.inputs) | quantities(sub.states)
     names = [*found["parameters"], *(f"{name} (start)" for name in found["start"])]
+    if not names:
+        return
     width = max(len(name) for name in names)
     yield f"{sub.name}: {sub.text}"
     for section, entries in found.items():
@@ -41,11 +47,21 @@ def _columns() -> int:
     return min(100, shutil.get_terminal_size().columns)
 
 
-def show(name: str | None = None) -> None:
-    """Print the table of one subsystem, or of all; ModelError for an unknown name."""
+def count(subs: Iterable[Subsystem], source: str | None = None) -> str:
+    """How many numbers come from where, start values included: `11 of 91 numbers: paper`."""
+    found = Counter(n.source for sub in subs for entries in numbers(sub).values() for n in entries.values())
+    if source is not None:
+        return f"{found[source]} of {found.total()} numbers: {source}"
+    return f"{found.total()} numbers: " + ", ".join(f"{found[s]} {s}" for s in SOURCES if found[s])
+
+
+def show(name: str | None = None, source: str | None = None) -> None:
+    """Print the table of one subsystem, or of all, or what has one source; ModelError for an unknown name."""
     if name is not None and name not in SUBSYSTEMS:
         raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(SUBSYSTEMS)}")
-    for sub in SUBSYSTEMS.values():
-        if name in (None, sub.name):
-            print("\n".join(lines(sub)) + "\n")
-    print(LEGEND)
+    if source is not None and source not in SOURCES:
+        raise ModelError(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
+    subs = [sub for sub in SUBSYSTEMS.values() if name in (None, sub.name)]
+    for table in filter(None, ("\n".join(lines(sub, source)) for sub in subs)):
+        print(f"{table}\n")
+    print(f"{LEGEND}\n\n{count(subs, source)}")

@@ -37,7 +37,14 @@ Scenario = Annotated[
     ),
 ]
 Master = Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")]
-Step = Annotated[float | None, typer.Option(metavar="S", help="Communication step [s].", parser=_seconds)]
+Step = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        help="Communication step [s]; default: what the FMUs suggest, 1e-3 for the harvester.",
+        parser=_seconds,
+    ),
+]
 RecordStep = Annotated[
     float | None,
     typer.Option(
@@ -50,7 +57,19 @@ Start = Annotated[float | None, typer.Option(metavar="T", help="Start time [s]."
 Stop = Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].", parser=_seconds)]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="COMPONENT.VARIABLE=VALUE", help="A start value; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Start value of a COMPONENT.VARIABLE or a system input"
+        " (supply_pressure sets both drives); repeatable.",
+    ),
+]
+Cut = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TARGET",
+        help="Leave out the connections to these inputs, such as '*_rate'; repeatable.",
+    ),
 ]
 
 
@@ -69,14 +88,18 @@ def run(
     start: Start = None,
     stop: Stop = None,
     set_: Set = None,
+    cut: Cut = None,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")
-    ] = BUILD / "run.csv",
+    ] = BUILD / "trace.csv",
     error_estimate: Annotated[
-        bool, typer.Option("--error-estimate", help="Run again at half and twice the step, and compare.")
+        bool,
+        typer.Option(
+            "--error-estimate", help="Run again at half and at twice the step; tell change and order."
+        ),
     ] = False,
 ) -> None:
-    """Co-simulate a system and record all outputs and connected inputs."""
+    """Co-simulate a system and record all its outputs and inputs."""
     from orchestrator import commands
 
     commands.run(
@@ -89,6 +112,7 @@ def run(
         start=start,
         stop=stop,
         set=commands.assignments(set_ or []),
+        cut=cut or (),
         error_estimate=error_estimate,
     )
 
@@ -111,11 +135,26 @@ def parameters(
     subsystem: Annotated[
         str | None, typer.Argument(help="swing, boom_stick or manipulator; default: all")
     ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(metavar="WORD", help="Only numbers with this source, such as paper or assumed."),
+    ] = None,
 ) -> None:
     """Print the numbers of the model with unit, source and note."""
     from fmus.provenance import show
 
-    show(subsystem)
+    show(subsystem, source)
+
+
+@app.command()
+def signals(
+    system: System = SYSTEM,
+    kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only input, output or parameter.")] = None,
+) -> None:
+    """List inputs, outputs and parameters of a system with unit and description."""
+    from orchestrator import commands
+
+    commands.signals(system, kind)
 
 
 @app.command()
@@ -137,25 +176,27 @@ def validate(
     start: Start = None,
     stop: Stop = None,
     set_: Set = None,
+    cut: Cut = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
 ) -> None:
     """Co-simulate, compare with a reference, write a report; exit status 1 if a limit is missed."""
     from fmus.build import data
     from orchestrator import commands
 
-    own = reference is None
     passed = commands.validate(
         system,
-        scenario or commands.default_scenario(system),
-        reference or data("reference/work_cycle.csv"),
-        layout or (data("reference/work_cycle.layout.toml") if own or system == SYSTEM else None),
+        scenario,
+        reference,
+        layout,
         out,
+        usual=(data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")),
         master=master,
         step=step,
         record_step=record_step,
         start=start,
         stop=stop,
         set=commands.assignments(set_ or []),
+        cut=cut or (),
     )
     if not passed:
         raise typer.Exit(1)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from orchestrator.archive import Location
+from orchestrator.card import Card
 from orchestrator.errors import Problem
 from orchestrator.grid import communication_step, thinned
 from orchestrator.simulation import Interrupted, Result, RunFailed
@@ -26,17 +28,19 @@ def run(system: Path, scenario: Path | Location | None, out: Path, **options: An
 
 def validate(
     system: Path,
-    scenario: Path | Location | None,
-    reference: Path,
+    scenario: Path | None,
+    reference: Path | None,
     layout: Path | None,
     out: Path,
+    usual: tuple[Path, Path],
     rate: bool = True,
     **options: Any,
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True when no limit is missed.
 
-    out    the folder of run.csv, report.html and report.json
-    rate   with the ISO/TS 18571 rating
+    out     the folder of run.csv, report.html and report.json
+    usual   reference and layout where none is given; that layout may name signals that the run lacks
+    rate    with the ISO/TS 18571 rating
     """
     from rich.console import Console
 
@@ -44,24 +48,50 @@ def validate(
     from orchestrator.validation import read_reference, summary
     from orchestrator.validation.layout import Layout, read_layout
 
-    against, shown = read_reference(reference), read_layout(layout) if layout else Layout()
+    against = read_reference(reference or usual[0])
+    chosen = layout or (usual[1] if reference is None or system == BUILT else None)
+    shown = read_layout(chosen) if chosen else Layout()
+    drives = scenario or default_scenario(system)
     trace = out / "run.csv"
-    result = simulated(system, scenario, trace, **options)
+    result = simulated(system, drives, trace, **options)
+    if reference and drives and not scenario:
+        result = _noted(result, "no --scenario given: ran the work cycle")
     write(result.trace, trace)
-    card = result.card
+    if not layout:
+        named = shown.title if reference is None and scenario is None else ""
+        title = named or f"{_stem(drives) or system.stem} against {against.title}"
+        shown = replace(shown.within(result.trace), title=title)
+    facts = _facts(system, drives, against.title, result.card, **options)
+    validation, html, data = judge(result, against, shown, out, facts, rate)
+    Console().print(summary(validation))
+    print(f"\n{result.card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {_what(result, trace)}")
+    return validation.passed
+
+
+def _noted(result: Result, note: str) -> Result:
+    return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+
+
+def _stem(scenario: Path | Location | None) -> str:
+    """The name of a scenario without its folder and suffix."""
+    return Path(str(scenario)).stem if scenario else ""
+
+
+def _facts(
+    system: Path, scenario: Path | Location | None, reference: str, card: Card, **options: Any
+) -> dict[str, Any]:
+    """What ran, in the order to show."""
     facts = {
         "system": str(system),
         "scenario": str(scenario) if scenario else "none: start values",
-        "reference": against.title,
+        "reference": reference,
         "master": card.master,
         "communication step [s]": card.step,
         "record step [s]": card.record_step,
         "simulated [s]": card.simulated,
-    } | {f"set {name}": value for name, value in options.get("set", {}).items()}
-    validation, html, data = judge(result, against, shown, out, facts, rate)
-    Console().print(summary(validation))
-    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {_what(result, trace)}")
-    return validation.passed
+    }
+    facts |= {"cut": ", ".join(options["cut"])} if options.get("cut") else {}
+    return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
 
 
 def simulated(
@@ -70,16 +100,16 @@ def simulated(
     out: Path,
     step: float | None = None,
     record_step: float | None = None,
+    cut: Sequence[str] = (),
     **options: Any,
 ) -> Result:
     """Co-simulate with a progress bar; a run that ends early is saved to the file `out`.
 
     record_step   [s]; default: 5 ms or as near below it as the step allows, at least one step
+    cut           patterns of the inputs whose connections are left out
     """
     check_suffix(out)
-    if not system.exists():
-        raise Problem(f"{system}: no such file" + (f"; make it with: {MAKE}" if system == BUILT else ""))
-    loaded = load(system)
+    loaded = load(_there(system)).without(*cut)
     step = communication_step(loaded, step)
     interval = thinned(step) if record_step is None else record_step
     folder(out.parent)
@@ -88,6 +118,13 @@ def simulated(
     except (RunFailed, Interrupted) as ended:
         save(ended.result, out)
         raise
+
+
+def _there(system: Path) -> Path:
+    """The system, if there is such a file."""
+    if not system.exists():
+        raise Problem(f"{system}: no such file" + (f"; make it with: {MAKE}" if system == BUILT else ""))
+    return system
 
 
 def folder(path: Path) -> None:
@@ -116,6 +153,13 @@ def _what(result: Result, out: Path) -> str:
     return f"{out}: {len(trace.signals)} signals, {len(trace.time)} rows{every}"
 
 
+def signals(system: Path, kind: str | None = None) -> None:
+    """Print the variables of a system."""
+    from orchestrator.signals import lines
+
+    print("\n".join(lines(load(_there(system)), kind)))
+
+
 def default_scenario(system: Path) -> Location | None:
     """The scenario inside the SSP's resources, else, for the built system, the one in data/scenarios."""
     if system.suffix.lower() == ".ssp" and system.is_file():
@@ -127,11 +171,11 @@ def default_scenario(system: Path) -> Location | None:
 
 
 def assignments(texts: Iterable[str]) -> dict[str, str]:
-    """{component.variable: value} from the texts 'component.variable=value'."""
+    """{name: value} from the texts 'name=value'."""
     values = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
-            raise Problem(f"--set {text}: expected component.variable=value")
+            raise Problem(f"--set {text}: expected component.variable=value or input=value")
         values[name.strip()] = value.strip()
     return values

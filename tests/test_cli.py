@@ -46,6 +46,76 @@ def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
 
 
+def test_parameters_of_one_source(capsys):
+    """Only those, and how many of all they are."""
+    assert main(["parameters", "--source", "paper"]) == 0
+    printed = capsys.readouterr().out
+    assert "the only FERIC data" in printed
+    table = printed[: printed.index("paper       printed")]
+    rows = [line.split()[-1] for line in table.splitlines() if line and not line.startswith(" ")]
+    assert set(rows) - {"paper"} <= {"gear", "cylinders"}  # ends of the headlines
+    assert main(["parameters"]) == 0
+    whole = capsys.readouterr().out.splitlines()[-1]
+    total = whole.split()[0]
+    assert printed.splitlines()[-1] == f"{rows.count('paper')} of {total} numbers: paper"
+    assert f"{total} numbers: {rows.count('paper')} paper, " in whole
+
+
+@pytest.mark.usefixtures("here")
+def test_a_scenario_of_one_column_is_enough(capsys):
+    """Inputs that no column drives are recorded at their start value, as the default layout wants."""
+    Path("mine.csv").write_text("time,boom_command\n0,0\n0.1,0\n0.2,3\n", encoding="utf-8")
+    options = ["--scenario", "mine.csv", "--reference", own_reference(), "--stop", "0.3"]
+    assert main(["validate", *options]) == 1  # the reference's boom stands still up to there
+    trace = read("build/run.csv")
+    assert not trace["swing.swing_command"].any()
+    assert trace["boom_stick.boom_command"][-1] == 3.0
+    page = Path("build/report.html").read_text(encoding="utf-8")
+    assert "<title>mine against Work cycle, monolithic solution" in page
+    assert "--scenario" not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("here")
+def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
+    """In the terminal and in the report, whose title is not that of the project's own validation."""
+    assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
+    note = "no --scenario given: ran the work cycle"
+    assert f"note: {note}" in capsys.readouterr().out
+    assert note in Path("build/report.json").read_text(encoding="utf-8")
+    title = "<title>work_cycle against Work cycle, monolithic solution"
+    assert title in Path("build/report.html").read_text(encoding="utf-8")
+    assert main(["validate", "--stop", "0.2"]) == 0
+    assert note not in capsys.readouterr().out
+    assert "<title>Harvester, work cycle" in Path("build/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("here")
+def test_signals_are_listed(capsys):
+    """Inputs of the system with their targets, and every variable with unit and text, in 100 columns."""
+    assert main(["signals"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert max(map(len, printed)) <= 100
+    assert printed[0] == "harvester: inputs of the system"
+    words = {line.split()[0]: line.split()[1:] for line in printed if line.startswith("  ") and line.split()}
+    assert words["supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
+    assert words["manipulator.boom_angle"][:3] == ["rad", "Boom", "angle"]
+    assert "from swing.swing_torque" in " ".join(" ".join(printed).split())
+    assert main(["signals", "--kind", "parameter"]) == 0
+    heads = [line for line in capsys.readouterr().out.splitlines() if line and not line.startswith(" ")]
+    assert heads == ["manipulator: parameters", "boom_stick: parameters", "swing: parameters"]
+
+
+@pytest.mark.usefixtures("here")
+def test_wires_can_be_cut(capsys):
+    """Without the rate ports the run is another one, and says so."""
+    options = ["--stop", "0.1", "--cut", "*_rate", "--cut", "*_acceleration"]
+    assert main(["validate", *options]) == 0  # the machine stands still
+    assert "note: cut, so these inputs keep their start values: manipulator.swing_torque_rate, " in (
+        capsys.readouterr().out
+    )
+    assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
     """One subsystem, or all of them; the words for the sources are explained."""
@@ -65,7 +135,7 @@ def test_validate_passes_and_writes_its_files(capsys):
     assert "pass: 27 of 27 signals within their limits" in printed
     assert "compared at the 101 samples of the reference, 0 to 2 s" in printed
     assert "interpolated" not in printed
-    assert "build/run.csv: 81 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
+    assert "build/run.csv: 85 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
     assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
     time = read("build/run.csv").time
     # point n is n times the step: rounding only
@@ -141,6 +211,9 @@ def test_all_options_reach_the_validation(capsys):
         (["build", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
         (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
         (["parameters", "swing", "boom"], "boom"),
+        (["parameters", "--source", "hearsay"], "'hearsay', expected one of paper, derived, literature"),
+        (["signals", "--kind", "state"], "kind: expected one of input, output, parameter, got 'state'"),
+        (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input fits"),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):

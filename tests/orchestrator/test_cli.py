@@ -35,16 +35,16 @@ def folder(tmp_path, monkeypatch, fmus, zip_ssp):
 def test_a_bare_run_does_the_work_cycle(capsys):
     """System, scenario and output have defaults."""
     assert main(["run", "--step", "0.25"]) == 0
-    np.testing.assert_array_equal(read("build/run.csv")["g.y"], [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(read("build/trace.csv")["g.y"], [0, 1, 2, 3, 4])
     printed = capsys.readouterr().out
     assert "4 steps" in printed
-    assert "build/run.csv: 2 signals, 5 rows" in printed
+    assert "build/trace.csv: 2 signals, 5 rows" in printed
 
 
 @pytest.mark.usefixtures("folder")
 def test_all_options_reach_the_run(capsys):
     """Master, times, start values, output format, error estimate."""
-    write(Trace(np.array([0.0, 9.0]), {"command": np.array([1.0, 1.0])}), "other.csv")
+    write(Trace(np.array([0.0, 9.0]), {"command": np.array([0.0, 9.0])}), "other.csv")
     options = [
         "--scenario",
         "other.csv",
@@ -61,7 +61,7 @@ def test_all_options_reach_the_run(capsys):
     assert main(["run", "build/harvester.ssp", *options]) == 0
     trace = read("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
-    assert "change at half the step" in capsys.readouterr().out
+    assert "change when the step is halved; at order 2 the error is 4/3 of it" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")
@@ -79,7 +79,7 @@ def test_records_at_200_hz_unless_told(options, times, capsys):
     """The default interval is 5 ms or just below, at least a step; the steps of the card stay all steps."""
     assert main(["run", "--stop", "0.012", *options]) == 0
     # point n is start + n * step: rounding only
-    np.testing.assert_allclose(read("build/run.csv").time, times, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(read("build/trace.csv").time, times, rtol=0, atol=1e-15)
     assert f"{round(0.012 / float(options[1]))} steps" in capsys.readouterr().out
 
 
@@ -102,7 +102,10 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
     ("arguments", "message"),
     [
         (["run", "none.ssp"], "harvester: none.ssp: no such file"),
-        (["run", "--set", "g.factor"], "harvester: --set g.factor: expected component.variable=value"),
+        (
+            ["run", "--set", "g.factor"],
+            "harvester: --set g.factor: expected component.variable=value or input=value",
+        ),
         (["run", "--set", "g.fctor=1"], "harvester: unknown variable 'g.fctor'; did you mean g.factor"),
         (["run", "--scenario", "none.csv"], "harvester: none.csv: no such file"),
         (["run", "--out", "run.xls"], "harvester: run.xls: expected a file name ending in .csv or .parquet"),
