@@ -45,8 +45,9 @@ def workplace(fmu_dir, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.usefixtures("workplace")
 @pytest.mark.parametrize("command", commands())
-def test_commands_of_the_readme_run(workplace, command):  # noqa: ARG001
+def test_commands_of_the_readme_run(command):
     """Each line works as it stands in the README, here over the first half second."""
     arguments = shlex.split(command)[1:]
     if arguments[0] in ("run", "validate"):
@@ -54,7 +55,8 @@ def test_commands_of_the_readme_run(workplace, command):  # noqa: ARG001
     assert main(arguments) == 0
 
 
-def test_the_python_snippet_of_the_readme_runs(workplace):  # noqa: ARG001
+@pytest.mark.usefixtures("workplace")
+def test_the_python_snippet_of_the_readme_runs():
     """The lines under "In Python"."""
     (snippet,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(compile(snippet, "README.md", "exec"), {})
