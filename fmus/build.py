@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fmus.contract import ModelError
@@ -11,7 +12,7 @@ from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.scenarios import WORK_CYCLE_STOP
 
 STEP = 1e-3  # default communication step [s]
-DATA = ("scenarios/work_cycle.csv",)
+SCENARIO = "scenarios/work_cycle.csv"
 
 
 def data(name: str) -> Path:
@@ -34,10 +35,17 @@ def build_machine(folder: Path) -> list[Path]:
     )
     # some tools initialise in the order of the file: the manipulator's holding forces come first
     ordered = {name: fmus[name] for name in ("manipulator", "boom_stick", "swing")}
-    resources = {Path(name).name: data(name) for name in DATA}
     systems = []
     for name, inputs in (("harvester", INPUTS), ("harvester_components", {})):
         path = Path(folder) / f"{name}.ssp"
+        resources = {Path(SCENARIO).name: scenario(inputs)}
         write_ssp(path, "harvester", ordered, CONNECTIONS, inputs, None, WORK_CYCLE_STOP, resources, STEP)
         systems.append(path)
     return [*fmus.values(), *systems]
+
+
+def scenario(inputs: Mapping[str, Sequence[str]]) -> bytes:
+    """The work cycle for a system with these inputs; a column it lacks names the component's."""
+    header, rows = data(SCENARIO).read_text(encoding="utf-8").split("\n", 1)
+    columns = [name if name == "time" or name in inputs else INPUTS[name][0] for name in header.split(",")]
+    return f"{','.join(columns)}\n{rows}".encode()

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import casadi as ca
 
-Scalar: TypeAlias = Any  # float | ca.SX; CasADi ships no types
+Scalar: TypeAlias = Any  # float | ca.SX; the operators of CasADi's own annotations do not fit symbols
 G = TypeVar("G")
 
 

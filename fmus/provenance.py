@@ -12,7 +12,7 @@ from fmus.machine import SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
 
 LEGEND = """\
-paper       printed in the paper: the only FERIC data
+paper       printed in the paper or read from it, as the note says: the only FERIC data
 derived     follows by a named formula from such numbers or, for start values, from the model
 literature  published for a comparable machine
 assumed     a free choice
@@ -48,7 +48,7 @@ def _columns() -> int:
 
 
 def count(subs: Iterable[Subsystem], source: str | None = None) -> str:
-    """How many numbers come from where, start values included: `11 of 91 numbers: paper`."""
+    """How many numbers come from where, start values included: `11 of 90 numbers: paper`."""
     found = Counter(n.source for sub in subs for entries in numbers(sub).values() for n in entries.values())
     if source is not None:
         return f"{found[source]} of {found.total()} numbers: {source}"

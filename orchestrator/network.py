@@ -212,10 +212,7 @@ class Driver:
         self._factor = np.array([drive.columns[p][1].factor for p in ports])
         self._offset = np.array([drive.columns[p][1].offset for p in ports])
         self._tilts = self._slope_writers(network, ports)
-        self._ahead: tuple[float | None, NDArray[np.float64]] = (
-            None,
-            np.zeros(0),
-        )  # computed last, and for when
+        self._ahead: tuple[float | None, NDArray[np.float64]] = (None, np.zeros(0))  # for when, the values
 
     def _slope_writers(
         self, network: Network, ports: list[Port]

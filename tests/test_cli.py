@@ -46,6 +46,15 @@ def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
 
 
+@pytest.mark.parametrize("name", ["harvester.ssp", "harvester_components.ssp"])
+def test_both_systems_run_the_work_cycle_they_carry(here, fmu_dir, name):
+    """Each SSP brings a scenario whose columns it knows, and gives the reference's motion with it."""
+    shutil.copy(fmu_dir / name, "build")
+    assert main(["validate", f"build/{name}", "--stop", "3"]) == 0
+    trace = read(here / "build" / "run.csv")
+    assert np.ptp(trace["manipulator.boom_angle"]) > 0.1  # it moved, so the scenario was driven
+
+
 def test_parameters_of_one_source(capsys):
     """Only those, and how many of all they are."""
     assert main(["parameters", "--source", "paper"]) == 0

@@ -25,10 +25,10 @@ ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
 sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
 
-import run  # noqa: E402
-from arm import ARM  # noqa: E402
-from hydraulics import HYDRAULICS, model  # noqa: E402
-from machine import SUBSYSTEMS, build, solve  # noqa: E402
+import run
+from arm import ARM
+from hydraulics import HYDRAULICS, model
+from machine import SUBSYSTEMS, build, solve
 
 # ------------------------------------------------------------------ orifice
 

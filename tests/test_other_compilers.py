@@ -26,7 +26,7 @@ def test_sources_compile_without_a_warning(fmu_dir, tmp_path, name):
     """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
     compiler = shutil.which("gcc")
     if compiler is None or platform.system() != "Linux":
-        pytest.skip("no gcc")
+        pytest.skip("gcc on Linux is not there; the project's own compiler is tested by every build")
     with zipfile.ZipFile(fmu_dir / f"{name}.fmu") as archive:
         code = [archive.extract(n, tmp_path) for n in archive.namelist() if n.startswith("sources/")]
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fPIC", "-shared"]

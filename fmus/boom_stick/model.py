@@ -92,7 +92,7 @@ def initial(u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
     return state
 
 
-def require(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:  # noqa: ARG001
+def require(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
     """Geometry that must hold: rods thinner than bores, chambers with volume, a valve that opens."""
     conditions: dict[str, Scalar] = {
         "valve_full_command exceeds valve_dead_band": p.valve_full_command - p.valve_dead_band

@@ -1,1 +1,4 @@
-"""Physics of single parts: no numbers, no FMI, no files."""
+"""Physics of single parts: no FMI, no files, no number of a machine.
+
+The few constants here shape a smooth stand-in (rounding, the void); each says so where it stands.
+"""

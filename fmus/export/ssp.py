@@ -40,7 +40,7 @@ def write_ssp(
     inputs: Mapping[str, Sequence[str]] | None = None,
     start: Mapping[str, float] | None = None,
     stop: float = 10.0,
-    resources: Mapping[str, Path] | None = None,
+    resources: Mapping[str, bytes] | None = None,
     step: float = 1e-3,
 ) -> Path:
     """Write the system `name` to `path` and return it.
@@ -50,7 +50,7 @@ def write_ssp(
     inputs       input of the system -> inputs of components that it feeds; starts with the value of the first
     start        "component.variable" -> start value
     stop         stop time of the default experiment [s]
-    resources    name under resources/ -> file to include
+    resources    name under resources/ -> content of the file
     step         communication step [s]; tools that read no vendor annotation find it in the FMUs
     """
     inputs, start, resources = inputs or {}, start or {}, resources or {}
@@ -65,7 +65,7 @@ def write_ssp(
         "SystemStructure.ssd": etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     }
     content |= {f"resources/{c}.fmu": Path(file).read_bytes() for c, file in fmus.items()}
-    content |= {f"resources/{n}": Path(file).read_bytes() for n, file in resources.items()}
+    content |= {f"resources/{n}": data for n, data in resources.items()}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     pack(path, content)

@@ -188,7 +188,7 @@ def observe(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters)
     )
 
 
-def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters) -> dict[str, Scalar]:  # noqa: ARG001
+def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters) -> dict[str, Scalar]:
     """Cylinder triangles must close over the whole stroke, and the pistons stay near their strokes."""
     conditions: dict[str, Scalar] = {}
     pins = {
@@ -208,8 +208,8 @@ def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters)
     for (name, (base, rod, closed, stroke)), piston in zip(pins.items(), pistons(x, p), strict=True):
         shortest, longest = linkage.reach(base, rod)
         margin = 0.05 * stroke  # a piston this far beyond its stop has left the range of the stop model
-        conditions[f"the closed {name} cylinder is longer than its pins allow at least"] = closed - shortest
-        conditions[f"the extended {name} cylinder is shorter than its pins allow at most"] = (
+        conditions[f"{name}_closed_length is above the shortest reach of its pins"] = closed - shortest
+        conditions[f"{name}_closed_length + {name}_stroke is below the longest reach of its pins"] = (
             longest - closed - stroke
         )
         conditions[f"{name}_angle keeps the {name} piston above its closed end"] = piston.position + margin

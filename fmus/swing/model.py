@@ -97,7 +97,7 @@ def initial(u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
     return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
 
 
-def require(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:  # noqa: ARG001
+def require(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
     """What must hold beyond the bounds of single parameters."""
     return {"valve_full_command exceeds valve_dead_band": p.valve_full_command - p.valve_dead_band}
 

@@ -22,7 +22,7 @@ def fmus(toy_dir):
 
 
 @pytest.fixture(scope="module")
-def system(fmus, toy_dir, tmp_path_factory):
+def system(fmus, tmp_path_factory):
     """The SSP of two filters in a row and a product."""
     return write_ssp(
         tmp_path_factory.mktemp("ssp") / "chain.ssp",
@@ -32,7 +32,7 @@ def system(fmus, toy_dir, tmp_path_factory):
         inputs={"command": ("first.target", "product.right")},
         start={"first.level": 0.5, "second.gain": 4.0},
         stop=2.0,
-        resources={"readme.txt": toy_dir / "gain.fmu"},
+        resources={"readme.txt": b"read me"},
     )
 
 

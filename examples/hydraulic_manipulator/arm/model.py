@@ -129,7 +129,7 @@ def observe(x: ArmState, u: ArmInputs, p: ArmParameters) -> ArmOutputs:
     )
 
 
-def require(x: ArmState, u: ArmInputs, p: ArmParameters) -> dict[str, Scalar]:  # noqa: ARG001
+def require(x: ArmState, u: ArmInputs, p: ArmParameters) -> dict[str, Scalar]:
     """The actuator must not lie in line with link 1, where its force has no moment."""
     return {"the moment arm of the actuator at theta1 is positive": actuator(x, p).arm}
 
