@@ -9,9 +9,12 @@ import numpy as np
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.manipulator import MANIPULATOR
+from fmus.operator import OPERATOR
 from fmus.swing import SWING
 
+# the machine; and what is built: the machine and its operator
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
+ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, OPERATOR.name: OPERATOR}
 
 # power ports: what flows over each port and back
 SIGNALS: tuple[tuple[str, str], ...] = (
@@ -43,11 +46,16 @@ HOLDING: tuple[tuple[str, str], ...] = (
 
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
-# inputs of the whole machine and the component inputs they feed
+# from the operator, each with its rate
+COMMAND_WIRES: tuple[tuple[str, str], ...] = tuple(
+    (f"operator.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
+    for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
+    for suffix in ("", "_rate")
+)
+
+# inputs of the machine without operator and the component inputs they feed
 INPUTS: Mapping[str, tuple[str, ...]] = {
-    "swing_command": ("swing.swing_command",),
-    "boom_command": ("boom_stick.boom_command",),
-    "stick_command": ("boom_stick.stick_command",),
+    **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
 }

@@ -1,4 +1,4 @@
-"""Makes the shipped work cycle and its reference trace: `python -m fmus.reference DATA_FOLDER`.
+"""Makes work cycle, reference trace and the operator's program: `python -m fmus.reference DATA_FOLDER`.
 
 The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
 Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
-from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
+from fmus.operator import OPERATOR
+from fmus.parameters import write
+from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, operator_numbers, sample
 
 TOLERANCE = 1e-11  # relative, of CVODES
 EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (17 Hz)
@@ -68,7 +70,8 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def main(folder: Path) -> None:
-    """Write scenario and trace below `folder`."""
+    """Write scenario and trace below `folder`, and the operator's program to its parameters.toml."""
+    write(OPERATOR.values, operator_numbers())
     time, commands = work_cycle()
     write_csv(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10

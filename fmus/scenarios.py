@@ -13,6 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fmus.contract import ModelError, quantities
+from fmus.operator import OPERATOR
+from fmus.operator.variables import LEVERS, STROKES, WORDS, stroke_name
+from fmus.parameters import Number
+
 RATE = 200.0  # samples per second, section 4 of the paper
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
@@ -76,3 +81,29 @@ def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDA
         for name in COMMANDS
     ]
     return time, np.column_stack(columns)
+
+
+def program(moves: Sequence[Move]) -> dict[str, float]:
+    """The same moves as parameters of the operator; strokes that are not used are all zero."""
+    values = {stroke_name(lever, n, word): 0.0 for lever in LEVERS for n in STROKES for word in WORDS}
+    for lever in LEVERS:
+        mine = [move for move in moves if move.axis == lever]
+        if len(mine) > len(STROKES):
+            raise ModelError(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
+        for n, move in zip(STROKES, mine, strict=False):
+            values |= {stroke_name(lever, n, word): getattr(move, word) for word in WORDS}
+    return values
+
+
+def operator_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+    """The content of the operator's parameters.toml."""
+    units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
+    values = program(moves)
+    used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
+    notes = {True: "work cycle, fmus/scenarios.py", False: "stroke not used"}
+    return {
+        "parameters": {
+            name: Number(value, units[name], "assumed", notes[name.rsplit("_", 1)[0] in used])
+            for name, value in values.items()
+        }
+    }

@@ -74,9 +74,19 @@ class BoomStickInputs:
     """Commands, supply, and the motion of the pistons; the rate inputs carry exact time derivatives."""
 
     boom_command: Annotated[
-        Scalar, Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
+        Scalar,
+        Quantity("V", "Command to the boom valve, positive raises the boom", 10.0, rate="boom_command_rate"),
     ]
-    stick_command: Annotated[Scalar, Quantity("V", "Command to the stick valve, positive extends", 10.0)]
+    boom_command_rate: Annotated[
+        Scalar, Quantity("V/s", "Rate port: time derivative of boom_command, may stay unconnected", 10.0)
+    ]
+    stick_command: Annotated[
+        Scalar,
+        Quantity("V", "Command to the stick valve, positive extends", 10.0, rate="stick_command_rate"),
+    ]
+    stick_command_rate: Annotated[
+        Scalar, Quantity("V/s", "Rate port: time derivative of stick_command, may stay unconnected", 10.0)
+    ]
     supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
     tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
     boom_position: Annotated[

@@ -53,9 +53,15 @@ class SwingState:
 
 @dataclass(frozen=True)
 class SwingInputs:
-    """Command, supply and the motion of the column; the rate input carries an exact time derivative."""
+    """Command, supply and the motion of the column; the rate inputs carry exact time derivatives."""
 
-    swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]
+    swing_command: Annotated[
+        Scalar,
+        Quantity("V", "Command to the swing valve, positive turns left", 10.0, rate="swing_command_rate"),
+    ]
+    swing_command_rate: Annotated[
+        Scalar, Quantity("V/s", "Rate port: time derivative of swing_command, may stay unconnected", 10.0)
+    ]
     supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
     tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
     swing_speed: Annotated[Scalar, Quantity("rad/s", "Swing speed", 1.0, rate="swing_acceleration")]

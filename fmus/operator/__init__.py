@@ -1,0 +1,5 @@
+"""The operator: a program of lever strokes."""
+
+from fmus.operator.model import OPERATOR
+
+__all__ = ["OPERATOR"]

@@ -1,0 +1,58 @@
+"""One stroke of a lever: a trapezoid over time, as a joystick amplifier ramps its valve current.
+
+    command |    ______
+            |   /      \\
+          0 |__/        \\____     start, then rise, hold and fall
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from fmus.contract import Scalar
+
+AHEAD = 1e-9  # s, see `sample`
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Begin [s], command at the top [V], durations of ramp up, top and ramp back [s]."""
+
+    start: Scalar
+    command: Scalar
+    rise: Scalar
+    hold: Scalar
+    fall: Scalar
+
+
+def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
+    """Command [V] and its rate [V/s] at `time` [s]; at a corner the rate to the right of it.
+
+    The corner is looked for 1e-9 s ahead: a clock that adds up steps of 1 ms may be some rounding errors
+    short of it, and a rate port with the rate of the left side would carry it through the whole next step.
+    """
+    s = stroke
+    up = s.start + s.rise
+    down = up + s.hold
+    end = down + s.fall
+    rising, falling = s.command / _not_zero(s.rise), -s.command / _not_zero(s.fall)
+    pieces = (
+        (s.start, 0, 0),
+        (up, rising * (time - s.start), rising),
+        (down, s.command, 0),
+        (end, falling * (time - end), falling),
+    )
+    value: Scalar = 0
+    rate: Scalar = 0
+    for corner, value_before, rate_before in reversed(pieces):
+        before = time + AHEAD < corner
+        value = ca.if_else(before, value_before, value)
+        rate = ca.if_else(before, rate_before, rate)
+    return value, rate
+
+
+def _not_zero(duration: Scalar) -> Scalar:
+    """The duration; 1 for none, whose piece is never looked at but must not divide by zero."""
+    return ca.if_else(duration > 0, duration, 1)
