@@ -24,7 +24,7 @@ def data(name: str) -> Path:
 
 def build_machine(folder: Path) -> list[Path]:
     """Write the FMUs of the machine and its operator and harvester.ssp, which connects them; their paths."""
-    fmus = dict(zip(ALL, build_all(list(ALL.values()), folder, STEP, WORK_CYCLE_STOP), strict=True))
+    fmus = dict(zip(ALL, build_all(list(ALL.values()), {2: folder}, STEP, WORK_CYCLE_STOP)[2], strict=True))
     # some tools initialise in the order of the file: the manipulator's holding forces come first
     ordered = {name: fmus[name] for name in ("manipulator", "boom_stick", "swing", "operator")}
     path = Path(folder) / "harvester.ssp"

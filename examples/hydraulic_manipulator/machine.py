@@ -46,7 +46,7 @@ def build(folder: Path) -> dict[str, Path]:
     rates   with the wires of `RATES`: force and velocity move inside a communication step
     held    without them: force and velocity stand still inside a communication step, as in most tools
     """
-    fmus = dict(zip(SUBSYSTEMS, build_all(list(SUBSYSTEMS.values()), folder), strict=True))
+    fmus = dict(zip(SUBSYSTEMS, build_all(list(SUBSYSTEMS.values()), {2: folder})[2], strict=True))
     wires = {"rates": SIGNALS + RATES + HOLDING, "held": SIGNALS + HOLDING}
     return {
         name: write_ssp(

@@ -11,8 +11,8 @@ import fmpy
 from lxml import etree
 
 from fmus.contract import ModelError
-from fmus.export.build import pack
 from fmus.export.model_description import package_version
+from fmus.export.package import pack
 from fmus.export.vendor import NAMESPACES, annotate
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"

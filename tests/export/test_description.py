@@ -178,8 +178,8 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
     """C that does not compile gives one line, then what the compiler said."""
     sub, numbers = toys["gain"]
-    monkeypatch.setattr("fmus.export.build.sources", lambda *_: {"sizes.h": "#error broken\n", "model.c": ""})
+    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"sizes.h": "#error broken\n", "model.c": ""})
     with pytest.raises(
-        ModelError, match=r"gain: the C compiler failed with exit status 1\n(.|\n)*#error broken"
+        ModelError, match=r"gain, [a-z0-9_-]+: the C compiler failed with exit status 1\n(.|\n)*#error broken"
     ):
         build(sub, tmp_path, numbers=numbers)

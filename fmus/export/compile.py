@@ -1,0 +1,51 @@
+"""From the C of an FMU to a shared library for a platform, with the compiler of the package `ziglang`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import fmpy
+
+from fmus.contract import ModelError
+from fmus.export.platforms import PLATFORMS
+
+FLAGS = (
+    *("-std=c99", "-O3", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
+    *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+)
+HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h, fmi3*.h: the standard keeps them out of FMUs
+
+
+def shared_library(model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str) -> bytes:
+    """The library of a model.
+
+    code       the files under sources/ by name
+    compiled   those that the FMU tells an importer to compile
+    platform   a name of `platforms.PLATFORMS`
+    """
+    target = PLATFORMS[platform]
+    library = f"{model}{target.suffix}"
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS, f"-I{HEADERS}"]
+    command += [*compiled, "-o", library, *_link(library, target.suffix)]
+    with tempfile.TemporaryDirectory() as folder:
+        for name, data in code.items():
+            (Path(folder) / name).write_bytes(data)
+        # relative names in the folder: the library does not know where it was built
+        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if run.returncode:
+            raise ModelError(
+                f"{model}, {platform}: the C compiler failed with exit status {run.returncode}\n{run.stderr}"
+            )
+        return (Path(folder) / library).read_bytes()
+
+
+def _link(library: str, suffix: str) -> list[str]:
+    """What the linker needs to know on each system."""
+    if suffix == ".dylib":
+        return ["-install_name", f"@rpath/{library}"]  # else its path in the folder of the build
+    return [] if suffix == ".dll" else ["-lm"]
