@@ -28,11 +28,11 @@ def timed(into: dict[str, list[int]]) -> Any:
 
     def opener(component: Any) -> Any:
         slave = open_slave(component)
-        step, spent = slave._step, into.setdefault(component.name, [])  # the bound fmi2DoStep itself
+        step, spent = slave._step, into.setdefault(component.name, [])  # the bound fmiXDoStep itself
 
-        def measured(t: float, h: float, discard: int) -> int:
+        def measured(*arguments: Any) -> int:
             begin = perf_counter_ns()
-            status: int = step(t, h, discard)
+            status: int = step(*arguments)
             spent.append(perf_counter_ns() - begin)
             return status
 

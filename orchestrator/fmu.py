@@ -1,7 +1,7 @@
-"""A running FMI 2.0 co-simulation FMU.
+"""A running co-simulation FMU, FMI 2.0 or 3.0.
 
 Readers and writers are bound once to value references and a slice of a NumPy array; calling one is a
-single call into the FMU without any allocation.
+single call into the FMU without any allocation (types other than Float64 and Int32 are converted).
 """
 
 from __future__ import annotations
@@ -11,30 +11,59 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
-
-import numpy as np
+from typing import Any, Protocol
 
 from orchestrator.archive import Location
+from orchestrator.calls import Calls
 from orchestrator.errors import Problem
+from orchestrator.fmi2 import Fmi2
+from orchestrator.fmi3 import Fmi3
 from orchestrator.interface import Interface, Value
-from orchestrator.library import Callbacks, Library
-from orchestrator.log import DISCARD, ERROR, FATAL, STATUS, WARNING, Log
+from orchestrator.library import Library
+from orchestrator.log import ERROR, Log
 from orchestrator.slave import Buffer, Call, access
+from orchestrator.values import address, converted, fitting, packed, pointer, prepared, unpacked
 
-CTYPES: dict[str, Any] = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
 LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
+class Standard(Protocol):
+    """What differs between versions of FMI.
+
+    prefix, state, thaw, slopes   how functions are called
+    types                         word in a function's name -> ctypes type
+    step_types, results           of fmiXDoStep: types of its first three arguments, and all further ones
+    flags                         not zero after a step that wants something
+    """
+
+    prefix: str
+    state: str
+    thaw: str
+    slopes: str
+    types: dict[str, Any]
+    step_types: tuple[Any, ...]
+    results: tuple[Any, ...]
+    flags: ctypes.c_uint32
+    release: Callable[[], None]
+
+    def instantiate(self, library: Library, folder: Path, verbose: bool) -> int | None: ...
+    def array(self, address: ctypes.c_void_p, count: int) -> tuple[Any, ...]: ...
+    def setup(self, calls: Calls, start: float, stop: float, tolerance: float | None) -> None: ...
+    def enter(self, calls: Calls) -> None: ...
+    def stepped(self, calls: Calls, status: int) -> None: ...
+
+
+STANDARDS: dict[int, Callable[[Interface, Log], Standard]] = {2: Fmi2, 3: Fmi3}
+
+
 class FmuSlave:
-    """One instance of an FMI 2.0 co-simulation FMU."""
+    """One instance of a co-simulation FMU."""
 
     def __init__(self, name: str, interface: Interface, fmu: Location) -> None:
         self.name, self.interface, self.log = name, interface, Log(name)
         self._label = f"{name} ({fmu})"
-        self._worst, self._stepping, self._repeatable = 0, False, False
+        self._stepping, self._final = False, 1  # final: no step will be repeated
         self._undo = ExitStack()
         try:
             self._open(fmu)
@@ -47,201 +76,158 @@ class FmuSlave:
         if not fmu.is_folder:
             self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
             fmu.extract(folder)
-        self._library = Library(folder, self.interface.identifier, self._label)
-        self._undo.callback(self._unless_fatal, self._library.close)
-        self._callbacks = Callbacks(self.log)
-        self._undo.callback(self._callbacks.release)
-        handle = self._instantiate(folder, 0) or self._instantiate(folder, 1)
-        if not handle:
+        library = Library(folder, self.interface.identifier, self._label, self.interface.fmi)
+        self._fmi = STANDARDS[self.interface.fmi](self.interface, self.log)
+        self.calls = Calls(library, self._fmi.prefix, self.log)
+        self._undo.callback(self.calls.unless_fatal, library.close)
+        self._undo.callback(self._fmi.release)
+        handle = self._fmi.instantiate(library, folder, False) or self._fmi.instantiate(library, folder, True)
+        if not handle:  # the second, verbose try made it say what is wrong
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.last()}")
-        self._component = ctypes.c_void_p(handle)
-        free = partial(self._library.function("fmi2FreeInstance", None), self._component)
-        self._undo.callback(self._unless_fatal, free)
-        types = ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
-        self._step = partial(self._function("DoStep", *types), self._component)
+        self.calls.handle = ctypes.c_void_p(handle)
+        self._undo.callback(self.calls.unless_fatal, self.calls.function("FreeInstance", result=None))
+        self._step = self.calls.function("DoStep", ctypes.c_void_p, *self._fmi.step_types)
+        self._flags, self._results = self._fmi.flags, self._fmi.results
         self._listen()
-
-    def _instantiate(self, folder: Path, verbose: int) -> int | None:
-        """The FMU's handle; a second, verbose try makes it say what is wrong."""
-        instantiate = self._library.function("fmi2Instantiate", ctypes.c_void_p)
-        name, guid = self.name.encode(), self.interface.guid.encode()
-        resources = (folder / "resources").as_uri().encode()
-        handle: int | None = instantiate(
-            name, 1, guid, resources, ctypes.byref(self._callbacks.struct), 0, verbose
-        )
-        return handle
 
     def _listen(self) -> None:
         """Ask for warnings and errors, not for the rest."""
         wanted = [c.encode() for c in LOGGED if c in self.interface.categories]
         if wanted:
             array = (ctypes.c_char_p * len(wanted))(*wanted)
+            on = self._fmi.types["Boolean"](1)
             with suppress(Problem):  # an FMU that cannot choose its messages still runs
-                choose = self._function("SetDebugLogging")
-                choose(self._component, ctypes.c_int(1), ctypes.c_size_t(len(wanted)), array)
-
-    def _unless_fatal(self, call: Call) -> None:
-        """After a fatal error nothing of the FMU may be called any more."""
-        if self._worst < FATAL:
-            call()
-
-    # ---- calls and their status
-
-    def _function(self, name: str, *arguments: Any) -> Callable[..., int]:
-        return self._library.function("fmi2" + name, ctypes.c_int, *arguments)
-
-    def _bound(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> Call:
-        """A call with all arguments fixed; it raises, naming the variables, when the FMU fails."""
-        call = partial(self._function(name), self._component, *arguments)
-        what = f"fmi2{name}" + (f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else "")
-
-        def bound() -> None:
-            status = call()
-            if status:
-                self._judge(status, what)
-
-        return bound
-
-    def _call(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> None:
-        self._bound(name, *arguments, of=of)()
-
-    def _judge(self, status: int, what: str) -> None:
-        """Let warnings pass, raise on anything worse."""
-        self._worst = max(self._worst, status)
-        if status != WARNING:
-            self._fail(status, what)
-
-    def _fail(self, status: int, what: str, more: str = "") -> NoReturn:
-        label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
-        when = f" at t = {self.log.time:.9g} s" if self.log.time == self.log.time else ""
-        raise Problem(f"{self.name}: {what} failed{when} with status {label}{more}{self.log.last()}")
+                self.calls.function("SetDebugLogging")(on, ctypes.c_size_t(len(wanted)), array)
 
     # ---- life
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
         self.log.time = start
-        number = ctypes.c_double
-        self._call(
-            "SetupExperiment",
-            *(ctypes.c_int(tolerance is not None), number(tolerance or 0.0)),
-            *(number(start), ctypes.c_int(1), number(stop)),
-        )
+        self._fmi.setup(self.calls, start, stop, tolerance)
 
     def enter(self) -> None:
         """Enter initialisation mode."""
-        self._call("EnterInitializationMode")
+        self._fmi.enter(self.calls)
 
     def exit(self) -> None:
         """Leave initialisation mode; steps may follow."""
-        self._call("ExitInitializationMode")
+        self.calls.call("ExitInitializationMode")
         self._stepping = True
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
-        if self._stepping and self._worst < ERROR:
+        if self._stepping and self.calls.worst < ERROR:
             self._stepping = False
             with suppress(Problem):
-                self._call("Terminate")
+                self.calls.call("Terminate")
         self._undo.close()
 
     # ---- values
 
-    def _references(self, variables: Sequence[str]) -> tuple[str, Any, Any]:
-        found = [self.interface.variables[v] for v in variables]
-        references = (ctypes.c_uint * len(found))(*[v.reference for v in found])
-        return access(found[0]), references, ctypes.c_size_t(len(found))
+    def _references(self, variables: Sequence[str]) -> tuple[Any, Any]:
+        found = [self.interface.variables[v].reference for v in variables]
+        return (ctypes.c_uint * len(found))(*found), ctypes.c_size_t(len(found))
+
+    def _access(self, verb: str, variables: Sequence[str], values: Buffer) -> tuple[Call, Buffer]:
+        """A call that gets or sets the variables, and the array that it works on."""
+        word, count = access(self.interface.variables[variables[0]]), len(variables)
+        own = fitting(values, count, self._fmi.types[word])
+        arguments = *self._references(variables), *self._fmi.array(address(own), count)
+        return self.calls.bound(verb + word, *arguments, of=variables), own
 
     def reader(self, variables: Sequence[str], into: Buffer) -> Call:
         """A call that reads the variables into `into`, shape (n,)."""
-        kind, references, count = self._references(variables)
-        return self._bound(f"Get{kind}", references, count, pointer(into, len(variables)), of=variables)
+        read, own = self._access("Get", variables, into)
+        return read if own is into else converted(read, own, into, variables)
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Call:
         """A call that sets the variables to what stands in `values`, shape (n,)."""
-        kind, references, count = self._references(variables)
-        return self._bound(f"Set{kind}", references, count, pointer(values, len(variables)), of=variables)
+        write, own = self._access("Set", variables, values)
+        return write if own is values else prepared(write, own, values, variables)
 
     def slope_reader(self, variables: Sequence[str], into: Buffer) -> Call:
         """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
-        return self._slopes("GetRealOutputDerivatives", variables, into)
+        return self._slopes(self._fmi.slopes, variables, into)
 
     def slope_writer(self, variables: Sequence[str], slopes: Buffer) -> Call:
         """A call that gives inputs the first time derivatives in `slopes`, shape (n,), for the next step."""
+        if self.interface.fmi == 3:
+            raise Problem(f"{self.name}: FMI 3.0 has no derivatives of inputs")
         return self._slopes("SetRealInputDerivatives", variables, slopes)
 
     def _slopes(self, name: str, variables: Sequence[str], values: Buffer) -> Call:
-        _, references, count = self._references(variables)
         orders = (ctypes.c_int * len(variables))(*[1] * len(variables))
-        address = pointer(values, len(variables))
-        return self._bound(name, references, count, orders, address, of=variables)
+        array = self._fmi.array(pointer(values, len(variables)), len(variables))
+        return self.calls.bound(name, *self._references(variables), orders, *array, of=variables)
+
+    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Call:
+        """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
+        given = *self._references(of), *self._references(by)
+        seeds = self._fmi.array(pointer(seed, len(by)), len(by))
+        changes = self._fmi.array(pointer(into, len(of)), len(of))
+        return self.calls.bound("GetDirectionalDerivative", *given, *seeds, *changes, of=of)
 
     def get(self, variable: str) -> Value:
         """The value of one variable."""
         known = self.interface.variables[variable]
-        _, references, count = self._references([variable])
-        cell: Any = (ctypes.c_char_p if known.kind == "String" else CTYPES[access(known)])()
-        self._call(f"Get{access(known)}", references, count, ctypes.byref(cell), of=[variable])
-        value: Value = cell.value if known.kind != "String" else (cell.value or b"").decode(errors="replace")
-        return bool(value) if known.kind == "Boolean" else value
+        cell = self._fmi.types[access(known)]()
+        self._single("Get", variable, cell)
+        return unpacked(known, cell)
 
     def set(self, variable: str, value: Value) -> None:
         """Set one variable of any kind."""
         known = self.interface.variables[variable]
-        _, references, count = self._references([variable])
-        raw: Any = (ctypes.c_char_p * 1)(str(value).encode())
-        if known.kind != "String":
-            kind = CTYPES[access(known)]
-            raw = kind(float(value) if known.is_real else int(value))
-            raw = ctypes.byref(raw)
-        self._call(f"Set{access(known)}", references, count, raw, of=[variable])
+        cell = packed(known, self._fmi.types[access(known)], value)
+        structural = known.causality == "structuralParameter"
+        if structural:
+            self.calls.call("EnterConfigurationMode")
+        self._single("Set", variable, cell)
+        if structural:
+            self.calls.call("ExitConfigurationMode")
+
+    def _single(self, verb: str, variable: str, cell: Any) -> None:
+        array = self._fmi.array(ctypes.c_void_p(ctypes.addressof(cell)), 1)
+        word = access(self.interface.variables[variable])
+        self.calls.call(verb + word, *self._references([variable]), *array, of=[variable])
 
     # ---- steps
 
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]."""
         self.log.time = t
-        status = self._step(t, h, 0 if self._repeatable else 1)
-        if status:
-            self._stepped(status)
-
-    def _stepped(self, status: int) -> None:
-        if status == DISCARD:
-            self._worst = max(self._worst, DISCARD)
-            self._fail(status, "the step", self._how_far())
-        self._judge(status, "the step")
-
-    def _how_far(self) -> str:
-        """What a discarded step says about itself."""
-        reached, ended = ctypes.c_double(float("nan")), ctypes.c_int(0)
-        with suppress(Problem):
-            self._function("GetRealStatus")(self._component, 2, ctypes.byref(reached))
-        with suppress(Problem):
-            self._function("GetBooleanStatus")(self._component, 3, ctypes.byref(ended))
-        if ended.value:
-            return f" (the FMU asks to end the simulation at t = {reached.value:.9g} s)"
-        return f" (the FMU got as far as t = {reached.value:.9g} s)"
+        status = self._step(t, h, self._final, *self._results)
+        if status or self._flags.value:
+            self._fmi.stepped(self.calls, status)
 
     # ---- rollback
 
     def save(self) -> ctypes.c_void_p:
         """A snapshot of the FMU's state; give it back with `forget`."""
-        self._repeatable = True
+        self._final = 0
         state = ctypes.c_void_p()
-        self._call("GetFMUstate", ctypes.byref(state))
+        self.calls.call(f"Get{self._fmi.state}", ctypes.byref(state))
         return state
 
     def restore(self, state: ctypes.c_void_p) -> None:
         """Go back to a snapshot."""
-        self._call("SetFMUstate", state)
+        self.calls.call(f"Set{self._fmi.state}", state)
 
     def forget(self, state: ctypes.c_void_p) -> None:
         """Free a snapshot."""
-        self._call("FreeFMUstate", ctypes.byref(state))
+        self.calls.call(f"Free{self._fmi.state}", ctypes.byref(state))
 
+    def pack(self, state: ctypes.c_void_p) -> bytes:
+        """A snapshot as bytes, for another process."""
+        size = ctypes.c_size_t()
+        self.calls.call(f"Serialized{self._fmi.state}Size", state, ctypes.byref(size))
+        room = (ctypes.c_ubyte * size.value)()
+        self.calls.call(f"Serialize{self._fmi.state}", state, room, size)
+        return bytes(room)
 
-def pointer(values: Buffer, count: int) -> ctypes.c_void_p:
-    """The address of a contiguous slice of at least `count` elements; the caller keeps the array alive."""
-    if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int32):
-        raise ValueError(f"expected {count} contiguous values, got shape {values.shape} of {values.dtype}")
-    return ctypes.c_void_p(values.ctypes.data)
+    def unpack(self, data: bytes) -> ctypes.c_void_p:
+        """The snapshot in bytes that `pack` made; give it back with `forget`."""
+        state, room = ctypes.c_void_p(), (ctypes.c_ubyte * len(data))(*data)
+        size = ctypes.c_size_t(len(data))
+        self.calls.call(f"{self._fmi.thaw}{self._fmi.state}", room, size, ctypes.byref(state))
+        return state

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,12 +14,22 @@ from orchestrator.units import BASES, Unit
 
 Value = float | int | bool | str
 
+FLOATS = ("Real", "Float64", "Float32")
+INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+KINDS = {
+    **dict.fromkeys(FLOATS, "Real"),
+    **dict.fromkeys(INTEGERS, "Integer"),
+    **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
+}
+SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
+
 
 @dataclass(frozen=True)
 class Variable:
     """One scalar variable.
 
     kind      Real, Integer, Boolean, String or Enumeration
+    word      what FMI 3.0 calls its type in functions: Float64, Int32, ...; empty in FMI 2.0
     nominal   its usual magnitude, where the FMU tells one
     text      its description
     """
@@ -34,6 +45,7 @@ class Variable:
     items: Mapping[str, int] = field(default_factory=dict)
     nominal: float | None = None
     text: str = ""
+    word: str = ""
 
     @property
     def is_real(self) -> bool:
@@ -53,9 +65,13 @@ class Interface:
 
     feedthrough   output -> inputs it depends on directly; None when the FMU does not say
     initially     output -> variables it depends on in initialisation mode; None when the FMU does not say
-    interpolates  the FMU accepts derivatives of its inputs
+    fmi           2 or 3
+    refused       variables that cannot be used here -> what they are
+    interpolates  the FMU accepts derivatives of its inputs (FMI 3.0 has no such function)
     slopes        highest order of output derivatives it offers
     rollback      the FMU can save and restore its state
+    serializes    it can turn a saved state into bytes
+    directional   it offers directional derivatives
     version, tool, text   of the FMU: its version, what made it, its description
     """
 
@@ -64,9 +80,13 @@ class Interface:
     initially: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     identifier: str = ""
     guid: str = ""
+    fmi: int = 2
+    refused: Mapping[str, str] = field(default_factory=dict)
     interpolates: bool = False
     slopes: int = 0
     rollback: bool = False
+    serializes: bool = False
+    directional: bool = False
     categories: tuple[str, ...] = ()
     step: float | None = None
     stop: float | None = None
@@ -91,52 +111,74 @@ class Interface:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return known
 
+    def allow(self, variable: str, where: str) -> None:
+        """Refuse, beginning with `where`, a variable of a kind that is not supported."""
+        if variable in self.refused:
+            kind = self.refused[variable]
+            raise Problem(f"{where}: expected a scalar number or text, got {kind}, which is not supported")
+
 
 def read_interface(fmu: Location) -> Interface:
-    """Read the model description of an FMI 2.0 co-simulation FMU (file, archive member or folder)."""
+    """Read the model description of a co-simulation FMU, FMI 2.0 or 3.0 (file, archive member or folder)."""
     from fmpy import read_model_description
 
     source: Any = str(fmu.path) if fmu.is_folder else io.BytesIO(fmu.read())
-    _check_version(fmu)
+    root = _root(fmu)
     try:
         description = read_model_description(source, validate=False)
     except Exception as error:  # FMPy raises plain exceptions
         raise Problem(f"{fmu}: modelDescription.xml cannot be read: {error}") from error
     if description.coSimulation is None:
-        raise Problem(f"{fmu}: expected an FMU for co-simulation, got one for model exchange only")
-    return _interface(description)
+        other = "model exchange" if description.modelExchange is not None else "scheduled execution"
+        raise Problem(f"{fmu}: expected an FMU for co-simulation, got one for {other} only")
+    try:
+        return _interface(description, root)
+    except Problem as problem:
+        raise Problem(f"{fmu}: {problem}") from None
 
 
-def _check_version(fmu: Location) -> None:
-    """Name the FMI version before FMPy stumbles over it."""
+def _root(fmu: Location) -> Any:
+    """The XML of the model description; its FMI version is checked before FMPy stumbles over another one."""
     from lxml import etree
 
     try:
-        version = etree.fromstring(fmu.member("modelDescription.xml").read()).get("fmiVersion")
+        root = etree.fromstring(fmu.member("modelDescription.xml").read())
     except etree.XMLSyntaxError as error:
         raise Problem(f"{fmu}: modelDescription.xml is not XML: {error}") from error
-    if version != "2.0":
-        raise Problem(f"{fmu}: expected FMI version 2.0, got {version}")
+    version = root.get("fmiVersion")
+    if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
+        raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
+    return root
 
 
-def _interface(description: Any) -> Interface:
+def _interface(description: Any, root: Any) -> Interface:
+    fmi = int(root.get("fmiVersion")[0])
+    able = {name for name, value in root.find("CoSimulation").items() if value in ("true", "1")}
     units = {u.name: _unit(u) for u in description.unitDefinitions}
-    variables = {v.name: _variable(v, units) for v in description.modelVariables}
+    declared = description.modelVariables
+    refused = {v.name: what for v in declared if (what := _refusal(v))}
+    variables = {v.name: _variable(v, units, fmi) for v in declared if v.name not in refused}
+    _check(variables, refused, declared)
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     tool, experiment = description.coSimulation, description.defaultExperiment
     feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
-    outputs = _dependencies(description.outputs)
+    names = _names(variables.values(), fmi)
+    outputs = _dependencies(description.outputs, names)
     return Interface(
         variables=variables,
         feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
-        initially=outputs | _dependencies(description.initialUnknowns),
+        initially=outputs | _dependencies(description.initialUnknowns, names),
         identifier=tool.modelIdentifier,
         guid=description.guid,
-        interpolates=bool(tool.canInterpolateInputs),
+        fmi=fmi,
+        refused=refused,
+        interpolates="canInterpolateInputs" in able and fmi == 2,
         slopes=int(tool.maxOutputDerivativeOrder or 0),
         rollback=bool(tool.canGetAndSetFMUstate),
+        serializes=bool(tool.canSerializeFMUstate),
+        directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
-        step=_number(experiment, "stepSize"),
+        step=_number(experiment, "stepSize") or _number(tool, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=_number(experiment, "tolerance"),
         version=description.version or "",
@@ -145,18 +187,56 @@ def _interface(description: Any) -> Interface:
     )
 
 
-def _dependencies(unknowns: Iterable[Any]) -> dict[str, frozenset[str] | None]:
-    return {
-        u.variable.name: None if u.dependencies is None else frozenset(d.name for d in u.dependencies)
-        for u in unknowns
-    }
+def _refusal(v: Any) -> str:
+    """What a variable is that cannot be used here; empty for the others."""
+    if v.type == "Clock" or v.clocks:
+        return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
+    if v.type not in KINDS:
+        return f"a variable of type {v.type}"
+    return f"an array of shape ({', '.join(map(str, v.shape))})" if v.shape else ""
 
 
-def _variable(v: Any, units: Mapping[str, Unit]) -> Variable:
+def _check(variables: Mapping[str, Variable], refused: Mapping[str, str], declared: Iterable[Any]) -> None:
+    """Refuse what cannot be run at all: clocks, arrays only, a time that is not in seconds."""
+    for name, what in refused.items():
+        if "clock" in what:  # such an FMU must be run with event mode
+            raise Problem(f"{name} is {what}: expected an FMU without clocks, they are not supported")
+    outside = [v.name for v in declared if v.causality in ("input", "output")]
+    if outside and not any(name in variables for name in outside):
+        first = f"{outside[0]} is {refused[outside[0]]}"
+        raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
+    for v in variables.values():
+        unit = v.unit if v.causality == "independent" else None
+        if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND, 1, 0):
+            raise Problem(f"{v.name}: expected time in seconds, got {unit}")
+
+
+def _names(variables: Iterable[Variable], fmi: int) -> Mapping[str, Collection[str]]:
+    """Name -> all names of the same variable; FMI 3.0 lists dependencies without aliases."""
+    same: dict[int | str, list[str]] = {}
+    for v in variables:
+        same.setdefault(v.reference if fmi == 3 else v.name, []).append(v.name)
+    return {name: names for names in same.values() for name in names}
+
+
+def _dependencies(
+    unknowns: Iterable[Any], names: Mapping[str, Collection[str]]
+) -> dict[str, frozenset[str] | None]:
+    found: dict[str, frozenset[str] | None] = {}
+    for u in unknowns:
+        known = None
+        if u.dependencies is not None:
+            known = frozenset(name for d in u.dependencies for name in names.get(d.name, ()))
+        found |= dict.fromkeys(names.get(u.variable.name, ()), known)
+    return found
+
+
+def _variable(v: Any, units: Mapping[str, Unit], fmi: int) -> Variable:
     unit = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+    word = "Int64" if v.type == "Enumeration" else v.type
     return Variable(
         name=v.name,
-        kind=v.type,
+        kind=KINDS[v.type],
         causality=v.causality,
         variability=v.variability,
         initial=v.initial,
@@ -166,6 +246,7 @@ def _variable(v: Any, units: Mapping[str, Unit]) -> Variable:
         items=_items(v),
         nominal=_number(v, "nominal"),
         text=v.description or "",
+        word=word if fmi == 3 else "",
     )
 
 

@@ -1,4 +1,4 @@
-"""The shared library of an FMI 2.0 FMU: finding it, loading it, and the messages it logs.
+"""The shared library of an FMU: finding it, loading it.
 
 Functions are looked up when they are used, so an FMU that lacks an optional one still runs.
 """
@@ -11,69 +11,32 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fmpy import calloc, free, freeLibrary, platform, sharedLibraryExtension
-from fmpy.fmi1 import printLogMessage
-from fmpy.fmi2 import (
-    fmi2CallbackAllocateMemoryTYPE,
-    fmi2CallbackFreeMemoryTYPE,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
+from fmpy import freeLibrary, platform, platform_tuple, sharedLibraryExtension
 
 from orchestrator.errors import Problem
-from orchestrator.log import STATUS, Log
-
-_logs: dict[int, Log] = {}  # componentEnvironment -> log
 
 
-def _receive(environment: int | None, name: bytes, status: int, category: bytes, text: bytes) -> None:
-    """The one logger of all FMUs; messages of unknown instances go where FMPy prints its own."""
-    log = _logs.get(environment or 0)
-    if log is None:
-        instance = (name or b"").decode(errors="replace")
-        log = next((x for x in reversed(_logs.values()) if x.component == instance), None)
-    if log is not None:
-        log.add(status, (text or category or b"").decode(errors="replace"))
-    elif 0 <= status < len(STATUS):
-        printLogMessage(None, name, status, category, text)
+def folders(fmi: int) -> list[str]:
+    """Where in binaries/ the library may lie, the most fitting first.
 
-
-_logger = fmi2CallbackLoggerTYPE(_receive)
-
-
-class Callbacks:
-    """The callback functions handed to one instance; memory functions go straight to the C library."""
-
-    def __init__(self, log: Log) -> None:
-        self._key = max(_logs, default=0) + 1
-        _logs[self._key] = log
-        self.struct = fmi2CallbackFunctions()
-        self.struct.logger = _logger
-        self.struct.allocateMemory = ctypes.cast(calloc, fmi2CallbackAllocateMemoryTYPE)
-        self.struct.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
-        self.struct.componentEnvironment = self._key
-        self._format()
-
-    def _format(self) -> None:
-        """Let FMPy's helper fill in the printf arguments, where it has one for this platform."""
-        try:
-            from fmpy.logging import addLoggerProxy
-        except (ImportError, OSError):
-            return
-        addLoggerProxy(ctypes.byref(self.struct))
-
-    def release(self) -> None:
-        """Stop listening."""
-        _logs.pop(self._key, None)
+    FMI 3.0 has tuples such as x86_64-linux. FMI 2.0 has linux64 and the like, which do not tell the
+    processor, so on ARM the tuple comes first.
+    """
+    if fmi == 3:
+        return [platform_tuple]
+    arm = platform_tuple.startswith("aarch64")
+    return [platform_tuple, platform] if arm else [platform, platform_tuple]
 
 
 class Library:
     """The loaded functions of one FMU binary."""
 
-    def __init__(self, folder: Path, identifier: str, label: str) -> None:
-        path = folder / "binaries" / platform / (identifier + sharedLibraryExtension)
-        if not path.is_file():
-            raise Problem(f"{label}: no binary for this platform: {_found(folder, path)}")
+    def __init__(self, folder: Path, identifier: str, label: str, fmi: int = 2) -> None:
+        name = identifier + sharedLibraryExtension
+        paths = [folder / "binaries" / place / name for place in folders(fmi)]
+        path = next((p for p in paths if p.is_file()), None)
+        if path is None:
+            raise Problem(f"{label}: no binary for this platform: {_found(folder, paths[0])}")
         before = Path.cwd()
         os.chdir(path.parent)  # some libraries look for their neighbours in the working directory
         try:
@@ -100,8 +63,8 @@ class Library:
         freeLibrary(self._dll._handle)
 
 
-def _found(folder: Path, path: Path) -> str:
+def _found(folder: Path, expected: Path) -> str:
     """What the FMU holds instead of the binary that is looked for."""
-    there = sorted(p.relative_to(folder).as_posix() for p in (folder / "binaries").rglob("*") if p.is_file())
-    expected = f"expected binaries/{platform}/{path.name}"
-    return f"{expected}, got {', '.join(there) if there else 'no binaries at all'}"
+    files = (folder / "binaries").rglob("*")
+    there = ", ".join(sorted(p.relative_to(folder).as_posix() for p in files if p.is_file()))
+    return f"expected {expected.relative_to(folder).as_posix()}, got {there or 'no binaries at all'}"

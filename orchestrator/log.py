@@ -39,7 +39,7 @@ class Log:
         if len(self.messages) >= KEPT:
             self.dropped += 1
             return
-        text = re.sub(r"^\s*fmi2\w+: ", "", text)  # the function that was called is of no use to a reader
+        text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # the function that was called is of no use to a reader
         label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
         self.messages.append(Message(self.time, self.component, label, " ".join(text.split())))
 

@@ -274,8 +274,8 @@ def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"version": "1.0"}, r"expected FMI version 2.0, got 1.0"),
-        ({"version": "3.0"}, r"expected FMI version 2.0, got 3.0"),
+        ({"version": "1.0"}, r"expected FMI version 2.0 or 3.0, got 1.0"),
+        ({"version": "4.0"}, r"expected FMI version 2.0 or 3.0, got 4.0"),
         ({"kind": "ModelExchange"}, r"expected an FMU for co-simulation, got one for model exchange only"),
     ],
 )
