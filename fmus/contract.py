@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias, TypeVar, get_type_hints
+from typing import Any, Literal, TypeAlias, TypeVar, get_type_hints
 
 import casadi as ca
 
@@ -49,6 +49,30 @@ class Quantity:
     warn_above: float | None = None
 
 
+@dataclass(frozen=True)
+class Member:
+    """One variable of a terminal.
+
+    name   equal on both sides of a connection
+    flow   "in" or "out" for what is balanced over the connection (force, torque, flow), positive
+           into or out of the subsystem; empty for the rest
+    """
+
+    name: str
+    variable: str
+    flow: Literal["in", "out", ""] = ""
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """A port: variables that are connected together, to a terminal of the same kind of another subsystem."""
+
+    name: str
+    kind: str
+    text: str
+    members: tuple[Member, ...]
+
+
 def _none(*_: Any) -> dict[str, Scalar]:
     return {}
 
@@ -58,11 +82,14 @@ class Subsystem:
     """One FMU-to-be.
 
     name       identifier: model identifier and file name of the FMU
-    values     the parameters.toml with the numbers of parameters and start values
-    initial    (u, p) -> {state: value}: states computed at initialisation; the
-               others start at their start value
+    values     the parameters.toml with the numbers of parameters and start values;
+               README.md and icon.png beside it go into the FMU
+    initial    (x, u, p) -> {state: value}: states computed at initialisation, perhaps from
+               the start values x of the others, which start at their start value
     require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
                at the start and after every step, else the FMU reports an error
+    terminals  its ports
+    numbers    what would stand in that file (`parameters.read`), for a subsystem that has none
     """
 
     name: str
@@ -74,8 +101,10 @@ class Subsystem:
     dynamics: Callable[[Any, Any, Any], Any]
     observe: Callable[[Any, Any, Any], Any]
     values: Path
-    initial: Callable[[Any, Any], Mapping[str, Scalar]] = _none
+    initial: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
+    numbers: Mapping[str, Mapping[str, Any]] | None = None
+    terminals: tuple[Terminal, ...] = ()
 
 
 _DECLARED: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve
@@ -131,10 +160,13 @@ class Symbolic:
 def symbolic(sub: Subsystem) -> Symbolic:
     """Evaluate the subsystem's functions once on symbols."""
     x, u, p = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
-    computed = dict(sub.initial(u, p))
+    computed = dict(sub.initial(x, u, p))
     unknown = set(computed) - set(quantities(sub.states))
     if unknown:
         raise ModelError(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
+    own = column(*(getattr(x, name) for name in computed))
+    if ca.depends_on(ca.SX(column(*computed.values())), own):
+        raise ModelError(f"{sub.name}: initial() uses a state that it computes, expected those of others")
     start = [computed.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
     require = dict(sub.require(x, u, p))
     return Symbolic(

@@ -15,3 +15,15 @@ def fmu_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmus")
     build_machine(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def fmi3_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the same FMUs in FMI 3."""
+    from fmus.export.build import build_all
+    from fmus.machine import ALL
+    from fmus.scenarios import WORK_CYCLE_STOP
+
+    folder = tmp_path_factory.mktemp("fmi3")
+    build_all(list(ALL.values()), {3: folder}, 1e-3, WORK_CYCLE_STOP)
+    return folder

@@ -21,21 +21,55 @@ STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
 
 
-@pytest.mark.parametrize("name", tuple(SUBSYSTEMS))
-def test_sources_compile_without_a_warning(fmu_dir, tmp_path, name):
-    """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
-    compiler = shutil.which("gcc")
-    if compiler is None or platform.system() != "Linux":
-        pytest.skip("gcc on Linux is not there; the project's own compiler is tested by every build")
-    with zipfile.ZipFile(fmu_dir / f"{name}.fmu") as archive:
-        code = [archive.extract(n, tmp_path) for n in archive.namelist() if n.startswith("sources/")]
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fPIC", "-shared"]
-    headers = Path(fmpy.__file__).parent / "c-code"
-    sources = [path for path in code if path.endswith(".c")]
-    library = str(tmp_path / f"{name}.so")
-    command = [compiler, *flags, f"-I{headers}", *sources, "-o", library, "-lm"]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADERS}"]
+needs_gcc = pytest.mark.skipif(
+    shutil.which("gcc") is None or platform.system() != "Linux",
+    reason="gcc on Linux is not there; the project's own compiler is tested by every build",
+)
+
+
+def sources(fmu: Path, folder: Path) -> Path:
+    """The C file to compile, unpacked with what it includes."""
+    with zipfile.ZipFile(fmu) as archive:
+        for name in archive.namelist():
+            if name.startswith("sources/"):
+                archive.extract(name, folder)
+    return folder / "sources" / "all.c"
+
+
+def gcc(*arguments: object) -> None:
+    """Run the compiler; its messages are the failure."""
+    run = subprocess.run(["gcc", *map(str, arguments)], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
+@pytest.mark.parametrize("name", tuple(SUBSYSTEMS))
+def test_sources_compile_without_a_warning(request, tmp_path, name, version):
+    """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
+    code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)
+    gcc(*FLAGS, "-O2", "-fPIC", "-shared", code, "-o", tmp_path / f"{name}.so", "-lm")
+
+
+@needs_gcc
+def test_two_fmus_link_into_one_program(fmi3_dir, tmp_path):
+    """Source FMUs for targets without a loader: with a prefix each, two of them have no name in common.
+
+    With FMI 3, because FMPy's header of FMI 2 has lost the prefix that the standard's has.
+    """
+    names, objects = ("swing", "manipulator"), []
+    for name in names:
+        code = sources(fmi3_dir / f"{name}.fmu", tmp_path / name)
+        objects.append(tmp_path / f"{name}.o")
+        gcc(*FLAGS, f"-DFMI3_FUNCTION_PREFIX={name}_", "-c", code, "-o", objects[-1])
+    main = tmp_path / "main.c"
+    declared = "".join(f"const char *{name}_fmi3GetVersion(void);" for name in names)
+    calls = " && ".join(f"{name}_fmi3GetVersion()" for name in names)
+    main.write_text(f"{declared} int main(void) {{ return !({calls}); }}\n", encoding="utf-8")
+    gcc("-std=c99", main, *objects, "-o", tmp_path / "main", "-lm")
+    assert subprocess.run([tmp_path / "main"], check=False).returncode == 0
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")

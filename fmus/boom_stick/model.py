@@ -15,6 +15,7 @@ from pathlib import Path
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, BoomStickParameters, BoomStickState
 from fmus.components import cylinder, cylinder_drive
 from fmus.components.cylinder_drive import Drive, Oil, Surroundings
+from fmus.components.ports import lever, return_line, rod, supply_line
 from fmus.contract import Scalar, Subsystem
 
 
@@ -80,7 +81,7 @@ def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Bo
     )
 
 
-def initial(u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
+def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
     """Pressures that carry the holding forces with the oil at rest."""
     state: dict[str, Scalar] = {}
     loads = {"boom": u.boom_holding_force, "stick": u.stick_holding_force}
@@ -119,4 +120,10 @@ BOOM_STICK = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
+    terminals=(
+        *(rod(axis, drives=True) for axis in ("boom", "stick")),
+        *(lever(axis) for axis in ("boom", "stick")),
+        supply_line(),
+        return_line(),
+    ),
 )

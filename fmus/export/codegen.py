@@ -1,10 +1,11 @@
-"""The generated C of one model: sizes.h and model.c, to be compiled with the files in native/."""
+"""The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and all.c, which includes the rest."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 
 import casadi as ca
 
@@ -14,16 +15,54 @@ from fmus.export.interface import Interface, Variable
 DEFAULT_TOLERANCE = 1e-6
 
 
-def sources(face: Interface, guid: str) -> dict[str, str]:
-    """File name -> text of the generated C files."""
-    routines, common = _routines(face)
+_ORDER = ("model", "adjoint", "rosenbrock", "core", "snapshot", "instance")  # of all.c; others follow
+
+
+def native_sources(fmi: int) -> dict[str, str]:
+    """The hand-written C files by name: what both FMI versions share, and what is of this one."""
+    folder = files("fmus.export") / "native"
+    other = f"fmi{5 - fmi}"
+    return {
+        f.name: f.read_text(encoding="utf-8")
+        for f in folder.iterdir()
+        if f.name.endswith((".c", ".h")) and not f.name.startswith(other)
+    }
+
+
+def sources(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+    """File name -> text of all C files of an FMU; only all.c is to be compiled."""
+    code = native_sources(fmi) | _generated(face, guid, fmi)
+    names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
+    names += sorted(name for name in code if name.endswith(".c") and name not in names)
+    return code | {"all.c": _all(face, names, fmi)}
+
+
+def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
+    return "\n".join(
+        [
+            f"/* {face.name}: the one file to compile. Generated.",
+            f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={face.name}_ */",
+            "",
+            *(f'#include "{name}"' for name in names),
+            "",
+        ]
+    )
+
+
+def _generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+    routines, adjoint, common = _routines(face)
     names = {
         "x": [v.name for v in face.states],
         "u": [v.name for v in face.inputs],
         "p": [v.name for v in face.parameters],
     }
     equations = "\n".join(routine(r, names) for r in routines)
-    return {"sizes.h": _sizes(face, common, guid), "model.c": f"{_table(face)}\n{equations}"}
+    code = {"sizes.h": _sizes(face, common, guid), "model.c": f"{_table(face)}\n{equations}"}
+    if fmi == 3:
+        head = f"/* {face.name}: derivatives in reverse. Generated. */"
+        includes = '#include <math.h>\n\n#include "model.h"\n'
+        code["adjoint.c"] = "\n".join([head, "", includes, *(routine(r, names) for r in adjoint)])
+    return code
 
 
 def _sizes(face: Interface, common: int, guid: str) -> str:
@@ -81,11 +120,11 @@ def _table(face: Interface) -> str:
             '#include "model.h"',
             "",
             "/* name, unit, kind, start, minimum, maximum, nominal, warn_above, rate */",
-            "const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
+            "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",
             "",
-            "const char *const model_statements[ROOM(NREQUIRE)] = {",
+            "static const char *const model_statements[ROOM(NREQUIRE)] = {",
             *statements,
             "};",
             "",
@@ -118,12 +157,16 @@ def _number(value: float) -> str:
 # ---- equations -------------------------------------------------------------------------------------
 
 
-def _routines(face: Interface) -> tuple[list[Routine], int]:
-    """All functions of native/model.h, and how many quantities depend on parameters alone."""
+def _routines(face: Interface) -> tuple[list[Routine], list[Routine], int]:
+    """The functions of native/model.h, the adjoint ones, and how many quantities depend on parameters."""
     sym = face.equations
     x, u, p = sym.x, sym.u, sym.p
     du, vx, vu, vp = (ca.SX.sym(n, v.numel()) for n, v in (("du", u), ("vx", x), ("vu", u), ("vp", p)))
     known, at_start = (x, u), (x, u, p)
+    wx0, wdx, wy = (ca.SX.sym(n, v.numel()) for n, v in (("wx0", x), ("wdx", x), ("wy", face.y)))
+    reverse = _against((sym.dx, face.y), known, (wdx, wy))
+    reverse_dx = _against((sym.dx, face.y), at_start, (wdx, wy))
+    reverse_start = _against((sym.start,), at_start, (wx0 + reverse_dx[0],))
     vx0 = _along(sym.start, at_start, (vx, vu, vp))
     wanted = {
         "x0": sym.start,
@@ -137,23 +180,46 @@ def _routines(face: Interface) -> tuple[list[Routine], int]:
         "vx0": vx0,
         "vdx0": _along(sym.dx, at_start, (vx0, vu, vp)),
         "vy0": _along(face.y, at_start, (vx0, vu, vp)),
+        "wx": reverse[0],
+        "wu": reverse[1],
+        "wx_start": reverse_start[0],
+        "wu_start": reverse_dx[1] + reverse_start[1],
+        "wp_start": reverse_dx[2] + reverse_start[2],
     }
     wanted, c, prepared = _hoist({name: ca.densify(value) for name, value in wanted.items()}, p)
     model = {"x": x, "u": u, "p": p, "c": c}
     direction = {"vx": vx, "vu": vu}
 
+    weights = {"wdx": wdx, "wy": wy}
+
     def give(name: str, inputs: Mapping[str, ca.SX], *outputs: str) -> Routine:
         return Routine(name, inputs, {o: wanted[o] for o in outputs})
 
-    return [
-        Routine("model_prepare", {"p": p}, {"c": prepared}),
-        give("model_start", model, "x0"),
-        give("model_dynamics", model, "dx"),
-        give("model_jacobian", model | {"du": du}, "dx", "jac", "ft"),
-        give("model_observe", model, "y", "require"),
-        give("model_forward", model | direction, "vdx", "vy"),
-        give("model_start_forward", model | direction | {"vp": vp}, "vx0", "vdx0", "vy0"),
-    ], c.numel()
+    return (
+        [
+            Routine("model_prepare", {"p": p}, {"c": prepared}),
+            give("model_start", model, "x0"),
+            give("model_dynamics", model, "dx"),
+            give("model_jacobian", model | {"du": du}, "dx", "jac", "ft"),
+            give("model_observe", model, "y", "require"),
+            give("model_forward", model | direction, "vdx", "vy"),
+            give("model_start_forward", model | direction | {"vp": vp}, "vx0", "vdx0", "vy0"),
+        ],
+        [
+            give("model_reverse", model | weights, "wx", "wu"),
+            give("model_start_reverse", model | {"wx0": wx0} | weights, "wx_start", "wu_start", "wp_start"),
+        ],
+        c.numel(),
+    )
+
+
+def _against(values: Sequence[ca.SX], known: Sequence[ca.SX], weights: Sequence[ca.SX]) -> list[ca.SX]:
+    """The weighted sum of `values`, differentiated by each of `known`."""
+    total = ca.jtimes(ca.vertcat(*values), ca.vertcat(*known), ca.vertcat(*weights), True)
+    ends = [0]
+    for group in known:
+        ends.append(ends[-1] + group.numel())
+    return list(ca.vertsplit(ca.densify(total), ends))
 
 
 def _along(value: ca.SX, known: Sequence[ca.SX], direction: Sequence[ca.SX]) -> ca.SX:

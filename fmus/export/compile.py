@@ -30,8 +30,8 @@ def shared_library(model: str, code: Mapping[str, bytes], compiled: Sequence[str
     """
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS, f"-I{HEADERS}"]
-    command += [*compiled, "-o", library, *_link(library, target.suffix)]
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS]
+    command += ["-isystem", str(HEADERS), *compiled, "-o", library, *_link(library, target.suffix)]
     with tempfile.TemporaryDirectory() as folder:
         for name, data in code.items():
             (Path(folder) / name).write_bytes(data)

@@ -69,7 +69,8 @@ def routine(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
     unused = [f"(void){name};" for i, name in enumerate(r.inputs) if i not in used]
     unused += [f"(void){name};" for name, value in r.outputs.items() if value.numel() == 0]
     body = [*unused, *_statements(function, list(r.inputs), list(r.outputs), names)]
-    return f"void {r.name}({', '.join(arguments)}) {{\n" + "".join(f"    {line}\n" for line in body) + "}\n"
+    text = "".join(f"    {line}\n" for line in body)
+    return f"LOCAL void {r.name}({', '.join(arguments)}) {{\n{text}}}\n"
 
 
 def _of(function: ca.Function, operation: int) -> list[int]:

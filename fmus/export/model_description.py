@@ -11,7 +11,7 @@ from fmus.export.codegen import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from fmus.units import display, parse
 
-_LOG_CATEGORIES = {
+LOG_CATEGORIES = {
     "logEvents": "Each call of a function",
     "logStatusWarning": "What needs attention",
     "logStatusDiscard": "Values that could not be computed",
@@ -60,26 +60,31 @@ def model_description(face: Interface, guid: str, sources: Sequence[str], step: 
         files = etree.SubElement(kind, "SourceFiles")
         for name in sources:
             etree.SubElement(files, "File", name=name)
-    _units(root, face)
-    categories = etree.SubElement(root, "LogCategories")
-    for name, text in _LOG_CATEGORIES.items():
-        etree.SubElement(categories, "Category", name=name, description=text)
-    etree.SubElement(
-        root,
-        "DefaultExperiment",
-        startTime="0",
-        stopTime=f"{stop:.17g}",
-        tolerance=f"{DEFAULT_TOLERANCE:g}",
-        stepSize=f"{step:.17g}",
-    )
+    units(root, face)
+    log_categories(root)
+    default_experiment(root, step, stop)
     index = _variables(root, face)
     _structure(root, face, index)
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
 
 
-def _units(root: etree._Element, face: Interface) -> None:
+def log_categories(root: etree._Element) -> None:
+    """Writes the element LogCategories, the same in FMI 2 and 3."""
+    categories = etree.SubElement(root, "LogCategories")
+    for name, text in LOG_CATEGORIES.items():
+        etree.SubElement(categories, "Category", name=name, description=text)
+
+
+def default_experiment(root: etree._Element, step: float, stop: float) -> None:
+    """Writes the element DefaultExperiment, the same in FMI 2 and 3; step and stop in s."""
+    numbers = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
+    etree.SubElement(root, "DefaultExperiment", {name: f"{value:.17g}" for name, value in numbers.items()})
+
+
+def units(root: etree._Element, face: Interface, *others: str) -> None:
+    """Writes the element UnitDefinitions, the same in FMI 2 and 3, of all variables and some others."""
     definitions = etree.SubElement(root, "UnitDefinitions")
-    for name in sorted({v.quantity.unit for v in face.variables}):
+    for name in sorted({v.quantity.unit for v in face.variables} | set(others)):
         unit = etree.SubElement(definitions, "Unit", name=name)
         etree.SubElement(unit, "BaseUnit", base_unit(name))
         shown = display(name)
@@ -103,12 +108,13 @@ def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
     for v in face.variables:
         state = index[v.name.removeprefix("der_")] if v.kind == "DERIVATIVE" else None
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
-        element = etree.SubElement(parent, "ScalarVariable", attributes | _causality(v))
+        element = etree.SubElement(parent, "ScalarVariable", attributes | causality(v))
         etree.SubElement(element, "Real", _real(v, state))
     return index
 
 
-def _causality(v: Variable) -> dict[str, str]:
+def causality(v: Variable) -> dict[str, str]:
+    """Attributes causality, variability and initial, the same in FMI 2 and 3."""
     if v.kind in ("FIXED", "TUNABLE"):
         return {"causality": "parameter", "variability": v.kind.lower(), "initial": "exact"}
     if v.kind == "INPUT":
@@ -121,9 +127,14 @@ def _causality(v: Variable) -> dict[str, str]:
 
 
 def _real(v: Variable, state: int | None) -> dict[str, str]:
+    return numbers(v) | ({"derivative": str(state)} if state is not None else {})
+
+
+def numbers(v: Variable) -> dict[str, str]:
+    """Attributes of a real variable, the same in FMI 2 and 3."""
     q = v.quantity
     shown = display(q.unit)
-    numbers = {
+    values = {
         "min": q.minimum,
         "max": q.maximum,
         "nominal": None if q.nominal == 1.0 else q.nominal,
@@ -132,30 +143,34 @@ def _real(v: Variable, state: int | None) -> dict[str, str]:
     return (
         {"unit": q.unit}
         | ({"displayUnit": shown[0]} if shown else {})
-        | {name: f"{value:.17g}" for name, value in numbers.items() if value is not None}
-        | ({"derivative": str(state)} if state is not None else {})
+        | {name: f"{value:.17g}" for name, value in values.items() if value is not None}
     )
 
 
 def _structure(root: etree._Element, face: Interface, index: Mapping[str, int]) -> None:
     structure = etree.SubElement(root, "ModelStructure")
+    for name, rows in unknowns(face).items():
+        parent = etree.SubElement(structure, name) if rows else structure
+        for v, table in rows:
+            known = sorted((index[k.name], kind) for k, kind in table)
+            etree.SubElement(parent, "Unknown", {"index": str(index[v.name])} | dependency_lists(known))
+
+
+def dependency_lists(known: Sequence[tuple[int, str]]) -> dict[str, str]:
+    """Attributes dependencies and dependenciesKind of an unknown."""
+    return {
+        "dependencies": " ".join(str(i) for i, _ in known),
+        "dependenciesKind": " ".join(kind for _, kind in known),
+    }
+
+
+def unknowns(face: Interface) -> dict[str, list[tuple[Variable, Sequence[tuple[Variable, str]]]]]:
+    """Outputs, Derivatives and InitialUnknowns, each with what it depends on."""
     running, starting = dependencies(face), initial_dependencies(face)
-    outputs = [v for v in face.variables if v.output]
     calculated = [v for v in face.states if v.kind == "CALCULATED_STATE"]
-    unknown = {v.reference: v for v in [*calculated, *face.derivatives, *face.outputs]}
-    for name, variables, table in (
-        ("Outputs", outputs, running),
-        ("Derivatives", face.derivatives, running),
-        ("InitialUnknowns", [unknown[r] for r in sorted(unknown)], starting),
-    ):
-        if not variables:
-            continue
-        parent = etree.SubElement(structure, name)
-        for v in variables:
-            known = sorted((index[k.name], kind) for k, kind in table[v.name])
-            attributes = {
-                "index": str(index[v.name]),
-                "dependencies": " ".join(str(i) for i, _ in known),
-                "dependenciesKind": " ".join(kind for _, kind in known),
-            }
-            etree.SubElement(parent, "Unknown", attributes)
+    first = sorted([*calculated, *face.derivatives, *face.outputs], key=lambda v: v.reference)
+    return {
+        "Outputs": [(v, running[v.name]) for v in face.variables if v.output],
+        "Derivatives": [(v, running[v.name]) for v in face.derivatives],
+        "InitialUnknowns": [(v, starting[v.name]) for v in first],
+    }

@@ -7,7 +7,6 @@ import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 from fmus.contract import Subsystem
@@ -15,9 +14,12 @@ from fmus.export.codegen import sources
 from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface
 from fmus.export.model_description import model_description
-from fmus.parameters import Values, values
+from fmus.export.model_description3 import build_description, model_description3
+from fmus.export.terminals import terminals
+from fmus.parameters import Values, document, values
 
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
+_COMPILED = ("all.c",)
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
 
@@ -41,19 +43,18 @@ class Package:
 def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values | None = None) -> Package:
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
     face = interface(sub, numbers or values(sub))
-    code = native_sources() | sources(face, _PLACEHOLDER)
-    compiled = sorted(name for name in code if name.endswith(".c"))
-    draft = model_description(face, _PLACEHOLDER, compiled, step, stop).decode()
+    code = sources(face, _PLACEHOLDER, fmi)
+    if fmi == 2:
+        draft = model_description(face, _PLACEHOLDER, _COMPILED, step, stop).decode()
+    else:
+        draft = model_description3(face, _PLACEHOLDER, step, stop).decode()
     token = _fingerprint(draft, code)
     content = {f"sources/{name}": text.replace(_PLACEHOLDER, token).encode() for name, text in code.items()}
     content["modelDescription.xml"] = draft.replace(_PLACEHOLDER, token).encode()
-    return Package(sub.name, fmi, content | _shown(sub, face), compiled)
-
-
-def native_sources() -> dict[str, str]:
-    """The hand-written C files by name."""
-    folder = files("fmus.export") / "native"
-    return {f.name: f.read_text(encoding="utf-8") for f in folder.iterdir() if f.name.endswith((".c", ".h"))}
+    if fmi == 3:
+        content["sources/buildDescription.xml"] = build_description(sub.name, _COMPILED)
+        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
+    return Package(sub.name, fmi, content | _shown(sub, face), _COMPILED)
 
 
 def _fingerprint(draft: str, code: Mapping[str, str]) -> str:
@@ -65,7 +66,9 @@ def _fingerprint(draft: str, code: Mapping[str, str]) -> str:
 def _shown(sub: Subsystem, face: Interface) -> dict[str, bytes]:
     """What a person reads: documentation, icon, numbers with their sources."""
     content = {"documentation/index.html": page(sub, face).encode()}
-    if sub.values.is_file():  # provenance of the numbers
+    if sub.numbers is not None:
+        content["resources/parameters.toml"] = document(sub.numbers).encode()
+    elif sub.values.is_file():  # provenance of the numbers
         content["resources/parameters.toml"] = sub.values.read_bytes()
     icon = sub.values.parent / "icon.png"
     if icon.is_file():

@@ -13,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from fmus.components.ports import lever
 from fmus.contract import Scalar, Subsystem
 from fmus.operator.stroke import Stroke, sample
 from fmus.operator.variables import (
@@ -57,4 +58,5 @@ OPERATOR = Subsystem(
     dynamics=dynamics,
     observe=observe,
     values=Path(__file__).with_name("parameters.toml"),
+    terminals=tuple(lever(axis) for axis in LEVERS),
 )

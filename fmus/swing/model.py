@@ -19,6 +19,7 @@ from pathlib import Path
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow
+from fmus.components.ports import lever, return_line, shaft, supply_line
 from fmus.contract import Scalar, Subsystem
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
@@ -91,7 +92,7 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     )
 
 
-def initial(u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
+def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
     """Both lines at the preload, the oil at rest: no torque."""
     preload = u.tank_pressure + p.initial_preload
     return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
@@ -114,4 +115,5 @@ SWING = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
+    terminals=(shaft("swing", drives=True), lever("swing"), supply_line(), return_line()),
 )

@@ -88,13 +88,16 @@ def test_capabilities_are_declared(chamber):
 
 
 def test_archive_holds_sources_and_documentation(toy_dir):
-    """All C files are inside, those to compile are listed, and there is a page to read."""
+    """All C files are inside, the one to compile and to include the others is listed, there is a page."""
     with zipfile.ZipFile(toy_dir / "chamber.fmu") as archive:
         names = archive.namelist()
         page = archive.read("documentation/index.html").decode()
         xml = archive.read("modelDescription.xml").decode()
+        code = archive.read("sources/all.c").decode()
     listed = set(re.findall(r'<File name="([^"]+)"', xml))
-    assert {f"sources/{name}" for name in listed} == {n for n in names if n.endswith(".c")}
+    included = set(re.findall(r'#include "(\w+\.c)"', code))
+    assert listed == {"all.c"}
+    assert {f"sources/{name}" for name in listed | included} == {n for n in names if n.endswith(".c")}
     assert {"sources/model.h", "sources/sizes.h"} <= set(names)
     assert "<td>pressure_rate</td>" in page
 
@@ -124,7 +127,6 @@ def test_binary_needs_only_the_c_library(unpacked):
 @pytest.mark.parametrize("name", ["path", "gain", "blowup"])
 def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
     """Without parameters, states or inputs arrays have length zero in theory; another compiler than ours."""
-    sources = [str(path) for path in (unpacked[name] / "sources").glob("*.c")]
     flags = [
         "-std=c99",
         "-O2",
@@ -137,7 +139,8 @@ def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
         "-shared",
     ]
     headers = Path(fmpy.__file__).parent / "c-code"
-    command = ["gcc", *flags, f"-I{headers}", *sources, "-o", "/dev/null", "-lm"]
+    code = unpacked[name] / "sources" / "all.c"
+    command = ["gcc", *flags, f"-I{headers}", str(code), "-o", "/dev/null", "-lm"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
 
@@ -178,7 +181,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
     """C that does not compile gives one line, then what the compiler said."""
     sub, numbers = toys["gain"]
-    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"sizes.h": "#error broken\n", "model.c": ""})
+    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"all.c": "#error broken\n"})
     with pytest.raises(
         ModelError, match=r"gain, [a-z0-9_-]+: the C compiler failed with exit status 1\n(.|\n)*#error broken"
     ):

@@ -61,7 +61,7 @@ def test_c_text_names_the_variables():
     """A reader of the C finds the names of the variables beside their use."""
     x = ca.SX.sym("x", 2)
     text = routine(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
-    assert text.startswith("void f(const double *x, double *y) {")
+    assert text.startswith("LOCAL void f(const double *x, double *y) {")
     assert "/* pressure */" in text
     assert "y[0] = v" in text
 

@@ -6,21 +6,21 @@
 #include <stdio.h>
 #include <string.h>
 
-void core_message(Core *core, Severity severity, const char *format, ...) {
+LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
     char text[768];
     const int used = snprintf(text, sizeof text, "%s: ", core->call);
     va_list arguments;
     va_start(arguments, format);
     vsnprintf(text + used, sizeof text - (size_t)used, format, arguments);
     va_end(arguments);
-    core->report(core->owner, severity, text);
+    core->report(core->owner, kind, text);
 }
 
-void core_changed(Core *core) {
+LOCAL void core_changed(Core *core) {
     core->c_valid = core->start_valid = core->dx_valid = core->y_valid = 0;
 }
 
-void core_reset(Core *core) {
+LOCAL void core_reset(Core *core) {
     State *s = &core->s;
     memset(s, 0, sizeof *s);
     s->stop_time = INFINITY;
@@ -37,7 +37,7 @@ static void prepare(Core *core) {
     core->c_valid = 1;
 }
 
-void core_start(Core *core) {
+LOCAL void core_start(Core *core) {
     prepare(core);
     if (core->s.initial && !core->start_valid) {
         double start[ROOM(NX)];
@@ -47,19 +47,19 @@ void core_start(Core *core) {
     }
 }
 
-void core_derivatives(Core *core) {
+LOCAL void core_derivatives(Core *core) {
     core_start(core);
     if (!core->dx_valid) model_dynamics(core->s.x, core->s.u, core->s.p, core->c, core->dx);
     core->dx_valid = 1;
 }
 
-void core_outputs(Core *core) {
+LOCAL void core_outputs(Core *core) {
     core_start(core);
     if (!core->y_valid) model_observe(core->s.x, core->s.u, core->s.p, core->c, core->y, core->require);
     core->y_valid = 1;
 }
 
-void core_forward(Core *core) {
+LOCAL void core_forward(Core *core) {
     core_start(core);
     const State *s = &core->s;
     double *v = core->direction, *vx = v + FIRST_STATE, *vu = v + FIRST_INPUT;
@@ -90,7 +90,7 @@ static double value_of(Core *core, int r) {
     return core->y[r - FIRST_OUTPUT];
 }
 
-int core_get(Core *core, unsigned reference, double *value) {
+LOCAL int core_get(Core *core, unsigned reference, double *value) {
     if (reference >= NUMBER_OF_VARIABLES) {
         core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
                      NUMBER_OF_VARIABLES - 1);
@@ -119,7 +119,7 @@ static const char *reason(Kind kind) {
     }
 }
 
-int core_check(Core *core, unsigned reference, double value) {
+LOCAL int core_check(Core *core, unsigned reference, double value) {
     if (reference >= NUMBER_OF_VARIABLES) {
         core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
                      NUMBER_OF_VARIABLES - 1);
@@ -144,7 +144,7 @@ int core_check(Core *core, unsigned reference, double value) {
     return 1;
 }
 
-void core_set(Core *core, unsigned reference, double value) {
+LOCAL void core_set(Core *core, unsigned reference, double value) {
     State *s = &core->s;
     switch (model_variables[reference].kind) {
     case FIXED:
@@ -152,7 +152,10 @@ void core_set(Core *core, unsigned reference, double value) {
         s->p[reference - FIRST_PARAMETER] = value;
         core->c_valid = 0;
         break;
-    case INPUT: s->u[reference - FIRST_INPUT] = s->set[reference - FIRST_INPUT] = value; break;
+    case INPUT:
+        s->u[reference - FIRST_INPUT] = s->set[reference - FIRST_INPUT] = value;
+        core->touched = 1;
+        break;
     default: s->x[reference - FIRST_STATE] = value;
     }
     core->start_valid = core->dx_valid = core->y_valid = 0;
@@ -160,37 +163,31 @@ void core_set(Core *core, unsigned reference, double value) {
 
 /* ---- inputs over a step ---------------------------------------------------------------------- */
 
-void core_set_input_derivative(Core *core, int input, int order, double value) {
-    State *s = &core->s;
-    if (!s->is_given[input]) memset(s->given[input], 0, sizeof s->given[input]);
-    s->is_given[input] = 1;
-    s->given[input][order - 1] = value;
-}
-
-/* Derivative of an input at the start of the next step: as set, else from the input that carries it. */
-static double derivative(const State *s, int input, int order) {
+/* Derivative of an input where the values `at` hold: as set, else from the input that carries it. */
+static double derivative(const State *s, const double *at, int input, int order) {
     if (s->is_given[input]) return s->given[input][order - 1];
     const int rate = model_variables[FIRST_INPUT + input].rate;
     if (rate < 0) return 0.0;
-    return order == 1 ? s->set[rate] : derivative(s, rate, order - 1);
+    return order == 1 ? at[rate] : derivative(s, at, rate, order - 1);
 }
 
-double core_input_slope(const Core *core, int input) {
+LOCAL double core_input_slope(const Core *core, int input) {
     const State *s = &core->s;
     if (s->is_given[input]) return s->given[input][0];
     const int rate = model_variables[FIRST_INPUT + input].rate;
     return rate < 0 || s->was_given[input] ? s->slope[input] : s->u[rate];
 }
 
-/* Taylor polynomials of the inputs over the next step. */
-static void plan_motion(const State *s, Motion *motion) {
+/* Taylor polynomials of the inputs from `tau` [s] after the start of the step, where they have the values `at`. */
+static void plan_motion(const State *s, const double *at, double tau, Motion *motion) {
+    motion->origin = tau;
     motion->moving = 0;
     for (int i = 0; i < NU; i++) {
         double *m = motion->coefficient[i];
-        m[0] = s->set[i];
-        m[1] = derivative(s, i, 1);
-        m[2] = derivative(s, i, 2) / 2;
-        m[3] = derivative(s, i, 3) / 6;
+        m[0] = at[i];
+        m[1] = derivative(s, at, i, 1);
+        m[2] = derivative(s, at, i, 2) / 2;
+        m[3] = derivative(s, at, i, 3) / 6;
         if (m[1] != 0.0 || m[2] != 0.0 || m[3] != 0.0) motion->moving = 1;
     }
 }
@@ -211,7 +208,7 @@ static void watch(Core *core) {
     }
 }
 
-int core_sound(Core *core) {
+LOCAL int core_sound(Core *core) {
     double value;
     core_outputs(core);
     for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
@@ -249,27 +246,54 @@ static void tell_failure(Core *core, const Report *report) {
     }
 }
 
-int core_step(Core *core, double length) {
+/* The values of an instance at tau [s] after the start of the step that is under way. */
+static void arrive(Core *core, double begin, double tau) {
     State *s = &core->s;
-    const double begin = s->time;
+    s->time = begin + tau;
+    motion_value(&core->motion, tau, s->u);
+    motion_slope(&core->motion, tau, s->slope);
+    core->start_valid = core->dx_valid = core->y_valid = 0;
+}
+
+typedef struct {
+    Core *core;
+    double begin; /* time at the start of the step */
+} Passage;
+
+/* After an inner step: the caller may look at the values, set inputs and stop. */
+static double between_steps(void *owner, double tau, double length) {
+    const Passage *passage = owner;
+    Core *core = passage->core;
+    arrive(core, passage->begin, tau);
+    core->touched = 0;
+    const double end = core->pause(core->owner, passage->begin + length) - passage->begin;
+    if (core->touched) plan_motion(&core->s, core->s.u, tau, &core->motion);
+    return end < length ? fmax(tau, end) : length;
+}
+
+LOCAL int core_step(Core *core, double length) {
+    State *s = &core->s;
+    Passage passage = {core, s->time};
+    const Between between = {core->pause ? between_steps : 0, &passage};
     const double smallest = fmax(1e-14 * length, DBL_MIN); /* with smaller ones the time stands still */
+    double reached = length;
     prepare(core);
-    plan_motion(s, &core->motion);
+    plan_motion(s, s->set, 0.0, &core->motion);
     core->start_valid = core->dx_valid = core->y_valid = 0;
     if (NX > 0) {
         const Report report = rosenbrock(s->x, s->p, core->c, &core->motion, length, s->tolerance, smallest,
-                                         &s->step, &core->work);
+                                         &between, &s->step, &core->work);
+        s->time = passage.begin;
         if (report.outcome != SOLVED) {
             tell_failure(core, &report);
             return 0;
         }
+        reached = report.tau;
     }
-    s->time += length;
-    motion_value(&core->motion, length, s->u);
-    motion_slope(&core->motion, length, s->slope);
+    arrive(core, passage.begin, reached);
     memcpy(s->was_given, s->is_given, sizeof s->is_given);
     memset(s->is_given, 0, sizeof s->is_given);
     if (core_sound(core)) return 1;
-    s->time = begin;
+    s->time = passage.begin;
     return 0;
 }

@@ -12,7 +12,8 @@
 /* A looser one gains no time, and states on badly scaled curves get lost at it. */
 #define LOOSEST_TOLERANCE 1e-3
 
-typedef enum { EVENT, WARNING, DISCARD, ERROR } Severity;
+/* The outcome of a call, and the kind of a message; numbered as in FMI 2 and 3. */
+typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 
 /* Everything that the future of an instance depends on: what a saved state holds. */
 typedef struct {
@@ -29,7 +30,7 @@ typedef struct {
     int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
     int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched output is above its limit */
     int initial;          /* 1 until the initialisation is over: states follow from the start values */
-    int phase, type;      /* of the FMI state machine, see fmi2_instance.h */
+    int phase, type;      /* of the FMI state machine, see instance.h */
 } State;
 
 typedef struct Core {
@@ -39,54 +40,55 @@ typedef struct Core {
     double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
     double direction[ROOM(NUMBER_OF_VARIABLES)]; /* of each variable, by value reference */
     Motion motion;
+    int touched; /* an input was set: the motion of the inputs has to be planned anew */
     Work work;
     const char *call; /* name of the interface function at work, for messages */
-    void (*report)(void *owner, Severity severity, const char *text);
+    void (*report)(void *owner, Status kind, const char *text);
+    /* Called inside a step, with the values at the current time, if not null: inputs may be set. Returns the time
+       at which to stop, the given end or earlier. */
+    double (*pause)(void *owner, double end);
     void *owner;
 } Core;
 
 /* A message "call: text" to the owner. */
-void core_message(Core *core, Severity severity, const char *format, ...);
+LOCAL void core_message(Core *core, Status kind, const char *format, ...);
 
 /* Default values of all variables. */
-void core_reset(Core *core);
+LOCAL void core_reset(Core *core);
 
 /* Forgets everything computed: after the saved part `s` was replaced from outside. */
-void core_changed(Core *core);
+LOCAL void core_changed(Core *core);
 
 /* Value of a variable; 0 if the computation gives no finite number (a message tells). */
-int core_get(Core *core, unsigned reference, double *value);
+LOCAL int core_get(Core *core, unsigned reference, double *value);
 
 /* Would this value be accepted? Not for NaN, values out of bounds, or a variable that cannot be set. */
-int core_check(Core *core, unsigned reference, double value);
-void core_set(Core *core, unsigned reference, double value);
-
-/* Derivative of order 1 to 3 of an input, valid for the next step. */
-void core_set_input_derivative(Core *core, int input, int order, double value);
+LOCAL int core_check(Core *core, unsigned reference, double value);
+LOCAL void core_set(Core *core, unsigned reference, double value);
 
 /* Time derivative of the inputs at the current time. */
-double core_input_slope(const Core *core, int input);
+LOCAL double core_input_slope(const Core *core, int input);
 
-void core_start(Core *core);       /* computes the states that follow from others at the start */
-void core_derivatives(Core *core); /* makes dx valid */
-void core_outputs(Core *core);     /* makes y and require valid */
+LOCAL void core_start(Core *core);       /* computes the states that follow from others at the start */
+LOCAL void core_derivatives(Core *core); /* makes dx valid */
+LOCAL void core_outputs(Core *core);     /* makes y and require valid */
 
 /* Requirements hold and everything is finite; else a message and 0. */
-int core_sound(Core *core);
+LOCAL int core_sound(Core *core);
 
 /* From the directions of inputs and states those of derivatives and outputs. At the start from those of
    parameters, inputs and start values, through the start equations, also those of the states. */
-void core_forward(Core *core);
+LOCAL void core_forward(Core *core);
 
-/* From the current time over `length` seconds; 0 and a message when it fails. */
-int core_step(Core *core, double length);
+/* From the current time over `length` seconds, or until `pause` stops it; 0 and a message when it fails. */
+LOCAL int core_step(Core *core, double length);
 
 /* Saved states as bytes: a header that identifies the model, then the state. */
-size_t snapshot_size(void);
-void snapshot_write(const State *state, char *bytes);
-int snapshot_read(Core *core, State *state, const char *bytes, size_t size);
+LOCAL size_t snapshot_size(void);
+LOCAL void snapshot_write(const State *state, char *bytes);
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size);
 
 /* Before the bytes leave the process: adds a check sum, by which damage is noticed when they are read. */
-void snapshot_seal(char *bytes);
+LOCAL void snapshot_seal(char *bytes);
 
 #endif

@@ -1,32 +1,15 @@
-/* FMI 2.0: functions common to model exchange and co-simulation. */
+/* FMI 2.0: names and types of the standard around instance.h. */
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi2_instance.h"
-
-/* ---- messages -------------------------------------------------------------------------------- */
-
-typedef struct {
-    const char *name;
-    unsigned mask;
-} Category;
-
-static const Category CATEGORIES[] = {
-    {"logEvents", 1u << EVENT},          {"logStatusWarning", 1u << WARNING},
-    {"logStatusDiscard", 1u << DISCARD}, {"logStatusError", 1u << ERROR},
-    {"logAll", ~0u},
-};
-enum { NUMBER_OF_CATEGORIES = sizeof CATEGORIES / sizeof *CATEGORIES };
-
-/* Logged without debug logging, too: what goes with fmi2Warning and fmi2Error has to reach the user. */
-enum { ALWAYS = 1u << WARNING | 1u << ERROR };
+#include "fmi2Functions.h"
+#include "instance.h"
 
 /* The logger takes a printf format in which "#" starts a reference: each "%" and "#" is doubled. */
 static void write_log(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char *name,
-                      Severity severity, const char *text) {
-    static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
+                      Status kind, const char *text) {
     char format[1024];
     size_t n = 0;
     for (; *text && n < sizeof format - 2; text++) {
@@ -34,70 +17,15 @@ static void write_log(fmi2CallbackLogger logger, fmi2ComponentEnvironment enviro
         format[n++] = *text;
     }
     format[n] = '\0';
-    logger(environment, name, STATUS[severity], CATEGORIES[severity].name, format);
+    logger(environment, name, (fmi2Status)kind, instance_category(kind), format);
 }
 
-static void report(void *owner, Severity severity, const char *text) {
-    Instance *self = owner;
-    if (self->logger && (self->log & 1u << severity))
-        write_log(self->logger, self->environment, self->name, severity, text);
+static void write2(const Instance *self, Status kind, const char *text) {
+    write_log((fmi2CallbackLogger)self->logger, self->environment, self->name, kind, text);
 }
 
-fmi2Status fmi2_refuse(Instance *self, const char *format, const char *detail) {
-    core_message(&self->core, ERROR, format, detail);
-    return fmi2Error;
-}
-
-static const char *phase_name(int phase) {
-    switch (phase) {
-    case INSTANTIATED: return "instantiated";
-    case INITIALIZATION: return "initialization mode";
-    case EVENT_MODE: return "event mode";
-    case CONTINUOUS_TIME: return "continuous-time mode";
-    case STEP_COMPLETE: return "step complete";
-    case STEP_FAILED: return "failed";
-    default: return "terminated";
-    }
-}
-
-const char *fmi2_type_name(int type) {
-    return type == fmi2CoSimulation ? "co-simulation" : "model exchange";
-}
-
-int fmi2_allowed(Instance *self, const char *function, int mask) {
-    if (!self) return 0;
-    const int type = self->core.s.type;
-    self->core.call = function;
-    if (mask & (type == fmi2CoSimulation ? MODEL_EXCHANGE : CO_SIMULATION)) {
-        fmi2_refuse(self, "not allowed in an instance for %s", fmi2_type_name(type));
-        return 0;
-    }
-    if (!(self->core.s.phase & mask)) {
-        fmi2_refuse(self, "not allowed in state \"%s\"", phase_name(self->core.s.phase));
-        return 0;
-    }
-    if (self->log & 1u << EVENT) core_message(&self->core, EVENT, "t = %.9g s", self->core.s.time);
-    return 1;
-}
-
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
-                               const fmi2String categories[]) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2SetDebugLogging", ANY)) return fmi2Error;
-    /* Without names everything is meant; warnings and errors can be silenced only by name. */
-    unsigned mask = nCategories == 0 ? (loggingOn ? ~0u : ~(unsigned)ALWAYS) : 0u;
-    for (size_t i = 0; i < nCategories; i++) {
-        int known = 0;
-        for (int k = 0; k < NUMBER_OF_CATEGORIES; k++)
-            if (strcmp(categories[i], CATEGORIES[k].name) == 0) {
-                mask |= CATEGORIES[k].mask;
-                known = 1;
-            }
-        if (!known) return fmi2_refuse(self, "log category \"%s\" is unknown", categories[i]);
-    }
-    self->log = loggingOn ? self->log | mask : self->log & ~mask;
-    return fmi2OK;
-}
+/* The body of a function that is allowed in the states `mask`. */
+#define CALL(mask, body) return (fmi2Status)(allowed(c, __func__, mask) ? (body) : ERROR)
 
 /* ---- life of an instance ----------------------------------------------------------------------- */
 
@@ -107,139 +35,160 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    const char *name = instanceName ? instanceName : "";
     const fmi2CallbackLogger logger = functions ? functions->logger : NULL;
     const fmi2ComponentEnvironment environment = functions ? functions->componentEnvironment : NULL;
-    const char *problem = NULL;
-    (void)fmuResourceLocation;
-    (void)visible;
+    const int type = fmuType == fmi2CoSimulation ? CO_SIMULATION : MODEL_EXCHANGE;
+    (void)fmuResourceLocation, (void)visible;
+    const char *problem = instance_problem(instanceName, fmuGUID);
     if (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation)
-        problem = "fmi2Instantiate: the type is neither model exchange nor co-simulation";
-    if (strspn(name, " \t\r\n") == strlen(name)) problem = "fmi2Instantiate: the instance name is empty";
-    if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID) != 0)
-        problem = "fmi2Instantiate: the GUID differs, expected \"" MODEL_GUID
-                  "\" (modelDescription.xml and binary are of different builds)";
-    Instance *self = problem ? NULL : calloc(1, sizeof *self + strlen(name) + 1);
-    if (!problem && !self) problem = "fmi2Instantiate: out of memory";
-    if (problem) {
-        if (logger) write_log(logger, environment, name, ERROR, problem);
+        problem = "the type is neither model exchange nor co-simulation";
+    Instance *self = problem ? NULL : instance_create(instanceName, type, loggingOn);
+    if (!self) {
+        if (!problem) problem = "out of memory";
+        if (logger) write_log(logger, environment, instanceName ? instanceName : "", ERROR, problem);
         return NULL;
     }
-    strcpy(self->name, name);
-    self->logger = logger;
+    self->write = write2;
+    self->logger = (void (*)(void))logger;
     self->environment = environment;
-    self->log = loggingOn ? ~0u : ALWAYS;
-    self->core.report = report;
-    self->core.owner = self;
-    core_reset(&self->core);
-    self->core.s.type = (int)fmuType;
-    self->core.s.phase = INSTANTIATED;
     return self;
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[]) {
+    CALL(ANY, instance_set_log(c, loggingOn, nCategories, categories));
+}
+
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
                                fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2SetupExperiment", INSTANTIATED)) return fmi2Error;
-    State *s = &self->core.s;
-    if (!isfinite(startTime)) return fmi2_refuse(self, "the start time is not finite%s", "");
-    if (stopTimeDefined && !(stopTime >= startTime))
-        return fmi2_refuse(self, "the stop time is before the start time%s", "");
-    if (toleranceDefined && !(tolerance > 0.0 && tolerance < 1.0))
-        return fmi2_refuse(self, "the tolerance is out of range, expected > 0 and < 1%s", "");
-    s->time = s->start_time = startTime;
-    s->stop_time = stopTimeDefined ? stopTime : HUGE_VAL;
-    s->tolerance = toleranceDefined ? fmin(tolerance, LOOSEST_TOLERANCE) : DEFAULT_TOLERANCE;
-    return fmi2OK;
+    CALL(INSTANTIATED, instance_setup(c, toleranceDefined, tolerance, startTime, stopTimeDefined, stopTime));
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2EnterInitializationMode", INSTANTIATED)) return fmi2Error;
-    self->core.s.phase = INITIALIZATION;
-    return fmi2OK;
+/* To another state of the state machine. */
+static Status enter(Instance *self, int phase) {
+    self->core.s.phase = phase;
+    return OK;
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2ExitInitializationMode", INITIALIZATION)) return fmi2Error;
-    if (!core_sound(&self->core)) return fmi2Error;
-    self->core.s.initial = 0;
-    self->core.s.phase = self->core.s.type == fmi2CoSimulation ? STEP_COMPLETE : EVENT_MODE;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Terminate(fmi2Component c) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2Terminate", SIMULATING | STEP_FAILED)) return fmi2Error;
-    self->core.s.phase = TERMINATED;
-    return fmi2OK;
-}
-
-fmi2Status fmi2Reset(fmi2Component c) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2Reset", ANY)) return fmi2Error;
-    const int type = self->core.s.type;
-    core_reset(&self->core);
-    self->core.s.type = type;
-    self->core.s.phase = INSTANTIATED;
-    return fmi2OK;
-}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { CALL(INSTANTIATED, enter(c, INITIALIZATION)); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { CALL(INITIALIZATION, instance_initialized(c)); }
+fmi2Status fmi2Terminate(fmi2Component c) { CALL(SIMULATING | STEP_FAILED, enter(c, TERMINATED)); }
+fmi2Status fmi2Reset(fmi2Component c) { CALL(ANY, instance_reset(c)); }
 
 /* ---- values ------------------------------------------------------------------------------------ */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2GetReal", ANY)) return fmi2Error;
-    for (size_t i = 0; i < nvr; i++)
-        if (!core_get(&self->core, vr[i], &value[i])) return fmi2Error;
-    return fmi2OK;
+    CALL(ANY, values_get(c, vr, nvr, value));
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
-    Instance *self = c;
-    if (!fmi2_allowed(self, "fmi2SetReal", INSTANTIATED | INITIALIZATION | SIMULATING)) return fmi2Error;
-    for (size_t i = 0; i < nvr; i++) {
-        if (!core_check(&self->core, vr[i], value[i])) return fmi2Error;
-        if (self->core.s.phase == CONTINUOUS_TIME && model_variables[vr[i]].kind != INPUT)
-            return fmi2_refuse(self, "%s cannot be set in continuous-time mode", model_variables[vr[i]].name);
-    }
-    for (size_t i = 0; i < nvr; i++) core_set(&self->core, vr[i], value[i]);
-    return fmi2OK;
+    CALL(INSTANTIATED | INITIALIZATION | SIMULATING, values_set(c, vr, nvr, value));
 }
 
 /* The model has no variable of another type. */
-static fmi2Status none(Instance *self, const char *function, size_t nvr) {
-    if (!fmi2_allowed(self, function, ANY)) return fmi2Error;
-    return nvr == 0 ? fmi2OK : fmi2_refuse(self, "the model has Real variables only%s", "");
+static Status none(Instance *self, size_t nvr) {
+    return nvr == 0 ? OK : refuse(self, "the model has Real variables only%s", "");
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2GetInteger", nvr);
+#define NO_VARIABLES_OF(type)                                                                                \
+    fmi2Status fmi2Get##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,                     \
+                             fmi2##type value[]) {                                                           \
+        (void)vr, (void)value;                                                                               \
+        CALL(ANY, none(c, nvr));                                                                             \
+    }                                                                                                        \
+    fmi2Status fmi2Set##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,                     \
+                             const fmi2##type value[]) {                                                     \
+        (void)vr, (void)value;                                                                               \
+        CALL(ANY, none(c, nvr));                                                                             \
+    }
+
+NO_VARIABLES_OF(Integer)
+NO_VARIABLES_OF(Boolean)
+NO_VARIABLES_OF(String)
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],
+                                        size_t nUnknown, const fmi2ValueReference vKnown_ref[], size_t nKnown,
+                                        const fmi2Real dvKnown[], fmi2Real dvUnknown[]) {
+    CALL(ANY & ~INSTANTIATED,
+         values_directional(c, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown, dvUnknown));
 }
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2GetBoolean", nvr);
+
+/* ---- saved states ------------------------------------------------------------------------------ */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY, states_get(c, FMUstate)); }
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) { CALL(ANY, states_set(c, FMUstate)); }
+
+static Status forget(fmi2FMUstate *state) {
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return OK;
 }
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2GetString", nvr);
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY, forget(FMUstate)); }
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
+    (void)FMUstate;
+    CALL(ANY, (*size = snapshot_size(), OK));
 }
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Integer value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2SetInteger", nvr);
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
+                                 size_t size) {
+    CALL(ANY, states_serialize(c, FMUstate, serializedState, size));
 }
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2SetBoolean", nvr);
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
+                                   fmi2FMUstate *FMUstate) {
+    CALL(ANY, states_deserialize(c, serializedState, size, FMUstate));
 }
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                         const fmi2String value[]) {
-    (void)vr, (void)value;
-    return none(c, "fmi2SetString", nvr);
+
+/* ---- model exchange ---------------------------------------------------------------------------- */
+
+enum { READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED };
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    CALL(MODEL_EXCHANGE | CONTINUOUS_TIME | EVENT_MODE, enter(c, EVENT_MODE));
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
+    CALL(EVENT_MODE, (memset(eventInfo, 0, sizeof *eventInfo), OK));
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, enter(c, CONTINUOUS_TIME)); }
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
+    Instance *self = c;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi2Error;
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return core_sound(&self->core) ? fmi2OK : fmi2Error;
+}
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_time(c, time));
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
+    CALL(CONTINUOUS_TIME, exchange_set_states(c, x, nx));
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
+    CALL(READABLE, exchange_derivatives(c, derivatives, nx));
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
+    (void)eventIndicators;
+    CALL(READABLE, exchange_indicators(c, ni));
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
+    CALL(READABLE, exchange_states(c, x, nx));
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
+    CALL(READABLE | INSTANTIATED, exchange_nominals(c, x_nominal, nx));
 }

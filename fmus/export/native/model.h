@@ -2,13 +2,18 @@
 
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
-   sizes.h and model.c are generated; everything else is the same for every model.
+   sizes.h, model.c and adjoint.c are generated; everything else is the same for every model. model.c also
+   defines the tables model_variables (by value reference) and model_statements (what must stay positive, in
+   words; values come from model_observe).
    Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
 
 #ifndef MODEL_H
 #define MODEL_H
 
 #include "sizes.h"
+
+/* All files are compiled as one (all.c), so that nothing but the FMI functions has a name outside. */
+#define LOCAL static
 
 /* Length of an array for n numbers: C99 has no arrays of length zero. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
@@ -36,35 +41,30 @@ typedef struct {
     int rate;                /* inputs: index of the input with the time derivative, or -1 */
 } Variable;
 
-extern const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)];
-
-/* What must stay positive, in words; values come from model_observe. */
-extern const char *const model_statements[ROOM(NREQUIRE)];
-
 /* c from p */
-void model_prepare(const double *p, double *c);
+LOCAL void model_prepare(const double *p, double *c);
 
 /* x0: states at the start from their start values x */
-void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
+LOCAL void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
 
 /* dx = f(x, u, p) */
-void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
+LOCAL void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
 
 /* dx as above, jac = df/dx by rows, ft = df/du du */
-void model_jacobian(const double *x, const double *u, const double *p, const double *c, const double *du,
-                    double *dx, double *jac, double *ft);
+LOCAL void model_jacobian(const double *x, const double *u, const double *p, const double *c,
+                          const double *du, double *dx, double *jac, double *ft);
 
 /* y = g(x, u, p) and the values that must be positive */
-void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
-                   double *require);
+LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
+                         double *require);
 
 /* directional derivatives of f and g along (vx, vu) */
-void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
-                   const double *vu, double *vdx, double *vy);
+LOCAL void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
+                         const double *vu, double *vdx, double *vy);
 
 /* directional derivatives of s and of f and g at the start along (vx, vu, vp); x are the states at the start */
-void model_start_forward(const double *x, const double *u, const double *p, const double *c,
-                         const double *vx, const double *vu, const double *vp, double *vx0, double *vdx0,
-                         double *vy0);
+LOCAL void model_start_forward(const double *x, const double *u, const double *p, const double *c,
+                               const double *vx, const double *vu, const double *vp, double *vx0,
+                               double *vdx0, double *vy0);
 
 #endif

@@ -34,17 +34,19 @@ static const double C[STAGES][STAGES - 1] = {
     {8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054},
 };
 
-void motion_value(const Motion *motion, double tau, double *u) {
+LOCAL void motion_value(const Motion *motion, double tau, double *u) {
+    const double t = tau - motion->origin;
     for (int i = 0; i < NU; i++) {
         const double *m = motion->coefficient[i];
-        u[i] = m[0] + tau * (m[1] + tau * (m[2] + tau * m[3]));
+        u[i] = m[0] + t * (m[1] + t * (m[2] + t * m[3]));
     }
 }
 
-void motion_slope(const Motion *motion, double tau, double *du) {
+LOCAL void motion_slope(const Motion *motion, double tau, double *du) {
+    const double t = tau - motion->origin;
     for (int i = 0; i < NU; i++) {
         const double *m = motion->coefficient[i];
-        du[i] = m[1] + tau * (2 * m[2] + tau * 3 * m[3]);
+        du[i] = m[1] + t * (2 * m[2] + t * 3 * m[3]);
     }
 }
 
@@ -141,8 +143,8 @@ static int not_finite(const double *f) {
     return -1;
 }
 
-Report rosenbrock(double *x, const double *p, const double *c, const Motion *motion, double length,
-                  double tolerance, double smallest, double *step, Work *w) {
+LOCAL Report rosenbrock(double *x, const double *p, const double *c, const Motion *motion, double length,
+                        double tolerance, double smallest, const Between *between, double *step, Work *w) {
     Report report = {SOLVED, 0.0, 0.0, 0, 0.0};
     double tau = 0.0, proposal = *step > 0.0 ? *step : length;
     int fresh = 0, rejected = 0;
@@ -181,6 +183,7 @@ Report rosenbrock(double *x, const double *p, const double *c, const Motion *mot
             for (int i = 0; i < NX; i++) x[i] = w->x[i];
             tau = parts > 1.0 ? tau + h : length;
             fresh = rejected = 0;
+            if (between->call) length = between->call(between->owner, tau, length);
         } else {
             proposal = h * (error < DBL_MAX ? fmax(0.2, 0.9 / sqrt(sqrt(error))) : 0.2);
             rejected = 1;
@@ -190,7 +193,7 @@ Report rosenbrock(double *x, const double *p, const double *c, const Motion *mot
             }
         }
     }
-    report.tau = length;
+    report.tau = tau;
     *step = proposal;
     return report;
 }

@@ -5,11 +5,19 @@
 
 #include "model.h"
 
-/* Inputs over the step: u[i] = sum over k of motion[i][k] tau^k, tau [s] since its start. */
+/* Inputs over the step: u[i] = sum over k of coefficient[i][k] (tau - origin)^k, tau [s] since its start. */
 typedef struct {
     double coefficient[ROOM(NU)][4];
+    double origin;
     int moving; /* 0 when all inputs are constant */
 } Motion;
+
+/* Called after each accepted inner step, with the states at tau; it may change the motion of the inputs
+   from there on, and returns where to stop: tau or later, `length` to go on to the end. */
+typedef struct {
+    double (*call)(void *owner, double tau, double length);
+    void *owner;
+} Between;
 
 /* Scratch memory of the solver: nothing in it outlives a call. */
 typedef struct {
@@ -33,12 +41,12 @@ typedef struct {
 } Report;
 
 /* Value and slope of the inputs at tau. */
-void motion_value(const Motion *motion, double tau, double *u);
-void motion_slope(const Motion *motion, double tau, double *du);
+LOCAL void motion_value(const Motion *motion, double tau, double *u);
+LOCAL void motion_slope(const Motion *motion, double tau, double *du);
 
-/* Advances x by `length` [s]. `step` holds the proposal for the first inner step and
-   returns the one for the next call; `smallest` is where the solver gives up. */
-Report rosenbrock(double *x, const double *p, const double *c, const Motion *motion, double length,
-                  double tolerance, double smallest, double *step, Work *work);
+/* Advances x by `length` [s], or up to where `between` stops it. `step` holds the proposal for the first
+   inner step and returns the one for the next call; `smallest` is where the solver gives up. */
+LOCAL Report rosenbrock(double *x, const double *p, const double *c, const Motion *motion, double length,
+                        double tolerance, double smallest, const Between *between, double *step, Work *work);
 
 #endif

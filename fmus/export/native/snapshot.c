@@ -6,7 +6,7 @@
 
 #include "core.h"
 
-enum { VERSION = 2 };
+enum { VERSION = 3 };
 
 typedef struct {
     char magic[8];
@@ -34,15 +34,15 @@ static uint64_t check_sum(const char *bytes, size_t size) {
     return sum | 1u;
 }
 
-size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
+LOCAL size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
 
-void snapshot_write(const State *state, char *bytes) {
+LOCAL void snapshot_write(const State *state, char *bytes) {
     const Header h = header();
     memcpy(bytes, &h, sizeof h);
     memcpy(bytes + sizeof h, state, sizeof *state);
 }
 
-int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
     Header expected = header(), found;
     memset(&found, 0, sizeof found);
     memcpy(&found, bytes, size < sizeof found ? size : sizeof found);
@@ -65,7 +65,7 @@ int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
     return 1;
 }
 
-void snapshot_seal(char *bytes) {
+LOCAL void snapshot_seal(char *bytes) {
     Header h;
     memcpy(&h, bytes, sizeof h);
     h.seal = check_sum(bytes + sizeof h, sizeof(State));

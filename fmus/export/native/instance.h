@@ -1,0 +1,91 @@
+/* What FMI 2 and FMI 3 share: an instance, its state machine, its log, and what the functions do.
+   fmi2.c and fmi3.c translate names and types. */
+
+#ifndef INSTANCE_H
+#define INSTANCE_H
+
+#include "core.h"
+
+/* States of the FMI state machine; masks of them say where a function may be called, and for which
+   kind of instance if not for both. */
+enum {
+    INSTANTIATED = 1,
+    INITIALIZATION = 2,
+    EVENT_MODE = 4,
+    CONTINUOUS_TIME = 8,
+    STEP_MODE = 16, /* between the steps of co-simulation */
+    INSIDE_STEP = 32,
+    STEP_FAILED = 64,
+    TERMINATED = 128,
+    SIMULATING = EVENT_MODE | CONTINUOUS_TIME | STEP_MODE,
+    ANY = 255,
+    MODEL_EXCHANGE = 256,
+    CO_SIMULATION = 512
+};
+
+#define NONE (~0u)
+
+typedef struct Instance {
+    Core core;
+    void (*write)(const struct Instance *self, Status kind, const char *text); /* to the caller's log */
+    void (*logger)(void); /* the caller's function, of the type of the FMI version */
+    void (*update)(void); /* the same for values inside a step; may be null */
+    void *environment;
+    int events;       /* co-simulation enters event mode */
+    int early_return; /* a step may end early */
+    unsigned log;     /* mask of kinds of messages that are logged */
+    unsigned time;    /* value reference of the time, NONE where it is no variable */
+    char name[];
+} Instance;
+
+/* ---- instance.c */
+
+/* What is wrong with the arguments of an instantiation, or null. */
+LOCAL const char *instance_problem(const char *name, const char *guid);
+/* A new instance, or null when there is no memory; `type` is MODEL_EXCHANGE or CO_SIMULATION. */
+LOCAL Instance *instance_create(const char *name, int type, int logging);
+/* The category of messages of one kind. */
+LOCAL const char *instance_category(Status kind);
+/* 1 if the function may be called now; else 0 and an error message. */
+LOCAL int allowed(Instance *self, const char *function, int mask);
+/* ERROR after a message. */
+LOCAL Status refuse(Instance *self, const char *format, const char *detail);
+LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);
+LOCAL Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
+                            int stop_defined, double stop);
+LOCAL Status instance_initialized(Instance *self);
+LOCAL Status instance_reset(Instance *self);
+
+/* ---- values.c */
+
+LOCAL Status values_get(Instance *self, const unsigned r[], size_t n, double value[]);
+LOCAL Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
+/* May this variable be a known or an unknown of a derivative? A message if not. */
+LOCAL int is_known(Instance *self, unsigned r);
+LOCAL int is_unknown(Instance *self, unsigned r);
+LOCAL Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown,
+                                const unsigned known[], size_t n_known, const double seed[], double result[]);
+LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
+                                       double value[]);
+
+/* ---- exchange.c */
+
+LOCAL Status exchange_set_time(Instance *self, double time);
+LOCAL Status exchange_set_states(Instance *self, const double x[], size_t n);
+LOCAL Status exchange_states(Instance *self, double x[], size_t n);
+LOCAL Status exchange_derivatives(Instance *self, double dx[], size_t n);
+LOCAL Status exchange_indicators(Instance *self, size_t n);
+LOCAL Status exchange_nominals(Instance *self, double nominal[], size_t n);
+
+/* ---- step.c */
+
+LOCAL Status do_step(Instance *self, double time, double length);
+
+/* ---- states.c: a saved state is the bytes of snapshot.c */
+
+LOCAL Status states_get(Instance *self, void **state);
+LOCAL Status states_set(Instance *self, const void *state);
+LOCAL Status states_serialize(Instance *self, const void *state, char bytes[], size_t size);
+LOCAL Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state);
+
+#endif

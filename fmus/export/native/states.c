@@ -1,0 +1,49 @@
+/* Saved states: memory of the caller that holds the bytes of snapshot.c. */
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "instance.h"
+
+/* Room for a saved state, in what `state` points to if it has some. */
+static int room(Instance *self, void **state) {
+    if (!*state) *state = malloc(snapshot_size());
+    if (*state) return 1;
+    refuse(self, "out of memory%s", "");
+    return 0;
+}
+
+Status states_get(Instance *self, void **state) {
+    if (!room(self, state)) return ERROR;
+    snapshot_write(&self->core.s, *state);
+    return OK;
+}
+
+Status states_set(Instance *self, const void *state) {
+    State restored;
+    if (!state) return refuse(self, "there is no saved state%s", "");
+    if (!snapshot_read(&self->core, &restored, state, snapshot_size())) return ERROR;
+    if (restored.type != self->core.s.type)
+        return refuse(self, "the saved state is of an instance for %s",
+                      restored.type == CO_SIMULATION ? "co-simulation" : "model exchange");
+    memcpy(&self->core.s, &restored, sizeof restored);
+    core_changed(&self->core);
+    return OK;
+}
+
+Status states_serialize(Instance *self, const void *state, char bytes[], size_t size) {
+    if (!state) return refuse(self, "there is no saved state%s", "");
+    if (size < snapshot_size()) return refuse(self, "the memory is too small%s", "");
+    memcpy(bytes, state, snapshot_size());
+    snapshot_seal(bytes);
+    return OK;
+}
+
+Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state) {
+    State restored;
+    if (!snapshot_read(&self->core, &restored, bytes, size)) return ERROR;
+    *state = NULL; /* what it held on entry is not defined */
+    if (!room(self, state)) return ERROR;
+    snapshot_write(&restored, *state);
+    return OK;
+}
