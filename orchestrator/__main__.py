@@ -33,7 +33,8 @@ Scenario = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Inputs over time (.csv, .parquet); default: the work cycle, for the built system.",
+        help="Inputs over time (.csv, .parquet); default: what the system plays by itself,"
+        " for the harvester the work cycle.",
     ),
 ]
 Master = Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")]
@@ -60,8 +61,15 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Start value of a COMPONENT.VARIABLE or a system input"
+        help="Start value of a COMPONENT.VARIABLE, or of all inputs of a name"
         " (supply_pressure sets both drives); repeatable.",
+    ),
+]
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="SET",
+        help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
     ),
 ]
 Cut = Annotated[
@@ -87,6 +95,7 @@ def run(
     record_step: RecordStep = None,
     start: Start = None,
     stop: Stop = None,
+    parameters: Parameters = None,
     set_: Set = None,
     cut: Cut = None,
     out: Annotated[
@@ -104,13 +113,14 @@ def run(
 
     commands.run(
         system,
-        scenario or commands.default_scenario(system),
+        scenario,
         out,
         master=master,
         step=step,
         record_step=record_step,
         start=start,
         stop=stop,
+        parameters=parameters or (),
         set=commands.assignments(set_ or []),
         cut=cut or (),
         error_estimate=error_estimate,
@@ -175,6 +185,7 @@ def validate(
     record_step: RecordStep = None,
     start: Start = None,
     stop: Stop = None,
+    parameters: Parameters = None,
     set_: Set = None,
     cut: Cut = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
@@ -195,6 +206,7 @@ def validate(
         record_step=record_step,
         start=start,
         stop=stop,
+        parameters=parameters or (),
         set=commands.assignments(set_ or []),
         cut=cut or (),
     )

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orchestrator.archive import Location
 from orchestrator.card import Card
 from orchestrator.errors import Problem
 from orchestrator.grid import communication_step, thinned
@@ -18,10 +17,9 @@ from orchestrator.ssp import load
 from orchestrator.trace import check_suffix, write
 
 BUILT, MAKE = Path("build/harvester.ssp"), "harvester build"
-SCENARIO = "work_cycle.csv"
 
 
-def run(system: Path, scenario: Path | Location | None, out: Path, **options: Any) -> None:
+def run(system: Path, scenario: Path | None, out: Path, **options: Any) -> None:
     """Co-simulate, write the trace, print the accuracy card; an aborted run leaves its trace too."""
     save(simulated(system, scenario, out, **options), out)
 
@@ -51,17 +49,16 @@ def validate(
     against = read_reference(reference or usual[0])
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
     shown = read_layout(chosen) if chosen else Layout()
-    drives = scenario or default_scenario(system)
     trace = out / "run.csv"
-    result = simulated(system, drives, trace, **options)
-    if reference and drives and not scenario:
-        result = _noted(result, "no --scenario given: ran the work cycle")
+    result = simulated(system, scenario, trace, **options)
+    if reference and not scenario and not options.get("parameters"):
+        result = _noted(result, "no --scenario given: ran what the system plays by itself")
     write(result.trace, trace)
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
-        title = named or f"{_stem(drives) or system.stem} against {against.title}"
+        title = named or f"{(scenario or system).stem} against {against.title}"
         shown = replace(shown.within(result.trace), title=title)
-    facts = _facts(system, drives, against.title, result.card, **options)
+    facts = _facts(system, scenario, against.title, result.card, **options)
     validation, html, data = judge(result, against, shown, out, facts, rate)
     Console().print(summary(validation))
     print(f"\n{result.card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {_what(result, trace)}")
@@ -72,31 +69,25 @@ def _noted(result: Result, note: str) -> Result:
     return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
 
 
-def _stem(scenario: Path | Location | None) -> str:
-    """The name of a scenario without its folder and suffix."""
-    return Path(str(scenario)).stem if scenario else ""
-
-
-def _facts(
-    system: Path, scenario: Path | Location | None, reference: str, card: Card, **options: Any
-) -> dict[str, Any]:
+def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **options: Any) -> dict[str, Any]:
     """What ran, in the order to show."""
     facts = {
         "system": str(system),
-        "scenario": str(scenario) if scenario else "none: start values",
+        "scenario": str(scenario) if scenario else "none: what the system plays by itself",
         "reference": reference,
         "master": card.master,
         "communication step [s]": card.step,
         "record step [s]": card.record_step,
         "simulated [s]": card.simulated,
     }
-    facts |= {"cut": ", ".join(options["cut"])} if options.get("cut") else {}
+    for name in ("parameters", "cut"):
+        facts |= {name: ", ".join(options[name])} if options.get(name) else {}
     return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
 
 
 def simulated(
     system: Path,
-    scenario: Path | Location | None,
+    scenario: Path | None,
     out: Path,
     step: float | None = None,
     record_step: float | None = None,
@@ -158,16 +149,6 @@ def signals(system: Path, kind: str | None = None) -> None:
     from orchestrator.signals import lines
 
     print("\n".join(lines(load(_there(system)), kind)))
-
-
-def default_scenario(system: Path) -> Location | None:
-    """The scenario inside the SSP's resources, else, for the built system, the one in data/scenarios."""
-    if system.suffix.lower() == ".ssp" and system.is_file():
-        inside = Location(system).member(f"resources/{SCENARIO}")
-        if inside.inside[0] in Location(system).names():
-            return inside
-    beside = Path("data/scenarios") / SCENARIO
-    return Location(beside) if system == BUILT and beside.is_file() else None
 
 
 def assignments(texts: Iterable[str]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from orchestrator.errors import Problem, suggest
 from orchestrator.interface import Value
 from orchestrator.system import Port, System
 from orchestrator.trace import Trace
-from orchestrator.units import IDENTITY, Linear
+from orchestrator.units import Linear
 
 
 class Table:
@@ -56,6 +56,29 @@ class Drive:
     table: Table
     columns: Mapping[Port, tuple[int, Linear]]
 
+    def released(self, system: System) -> System:
+        """The system without the connections that the scenario replaces.
+
+        A component without inputs is a scenario itself: driving one of the inputs it feeds silences it as a
+        whole, so that the others rest at their start values. Rate inputs of other driven inputs may stay
+        connected: the slope that a run gives to a driven input goes before them.
+        """
+        direct = [c for c in system.connections if c.target in self.columns]
+        silent = [c for c in dict.fromkeys(c.source.component for c in direct) if not _listens(system, c)]
+        notes = [self._replaced(system, component) for component in silent]
+        others = [str(c) for c in direct if c.source.component not in silent]
+        notes += [f"the scenario replaces {', '.join(others)}"] if others else []
+        gone = {c.target for c in direct} | {
+            c.target for c in system.connections if c.source.component in silent
+        }
+        kept = tuple(c for c in system.connections if c.target not in gone)
+        return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
+
+    def _replaced(self, system: System, component: str) -> str:
+        fed = [c.target for c in system.connections if c.source.component == component]
+        left = ", ".join(str(port) for port in fed if port not in self.columns)
+        return f"the scenario replaces {component}" + (f"; without it these keep their start values: {left}" if left else "")
+
     def initial(self, system: System, t: float) -> dict[Port, Value]:
         """Values of the driven inputs at the start."""
         now, held = self.table.at(t), self.table.sample(t)
@@ -76,13 +99,10 @@ class Drive:
 
 
 def drive(system: System, scenario: Trace, label: str = "scenario") -> Drive:
-    """Match the columns of a scenario with the inputs of the system, or with `component.variable`."""
+    """Match the columns of a scenario with inputs, named as `System.targets` knows them."""
     columns: dict[Port, tuple[int, Linear]] = {}
-    connected = {c.target: c for c in system.connections}
     for k, name in enumerate(scenario.signals):
         for port, linear in _targets(system, name, label):
-            if port in connected:
-                raise Problem(f"{label}: column {name!r} drives {port}, which is fed by {connected[port]}")
             if port in columns:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             columns[port] = (k, linear)
@@ -90,23 +110,27 @@ def drive(system: System, scenario: Trace, label: str = "scenario") -> Drive:
     return Drive(Table(scenario.time, table), columns)
 
 
+def _listens(system: System, component: str) -> bool:
+    return bool(system.components[component].interface.of("input"))
+
+
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear], ...]:
-    if name in system.inputs:
-        return system.inputs[name].targets
-    known = [
-        *system.inputs,
-        *map(str, system.ports("input")),
-    ]
+    """The inputs that a column drives."""
     try:
-        port = system.port(name)
-    except Problem:
+        targets = system.targets(name)
+    except Problem as problem:
+        if name in {p.variable for p in system.ports("input")}:
+            raise Problem(f"{label}: column {problem}") from None
+        inputs = system.ports("input")
+        bare = dict.fromkeys([*system.inputs, *(p.variable for p in inputs)])
+        near = suggest(name, [*bare, *map(str, inputs)])
         raise Problem(
-            f"{label}: column {name!r} is no input of the system{suggest(name, known)}"
-            f"; system inputs: {', '.join(system.inputs) or 'none'}"
+            f"{label}: column {name!r} is no input of the system{near}; inputs: {', '.join(bare) or 'none'}"
         ) from None
-    variable = system.variable(port)
-    if variable.causality != "input" or variable.kind == "String":
-        raise Problem(
-            f"{label}: column {name!r}: expected an input, got a {variable.kind} {variable.causality}"
-        )
-    return ((port, IDENTITY),)
+    for port, _ in () if name in system.inputs else targets:
+        variable = system.variable(port)
+        if variable.causality != "input" or variable.kind == "String":
+            raise Problem(
+                f"{label}: column {name!r}: expected an input, got a {variable.kind} {variable.causality}"
+            )
+    return targets

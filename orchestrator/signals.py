@@ -33,9 +33,9 @@ def lines(system: System, kind: str | None = None) -> Iterator[str]:
 
 
 def _inlets(system: System) -> list[Entry]:
-    """Inputs of the system, told by the first component input that each feeds."""
+    """Inputs of the system and component inputs that nothing feeds, told by the first target of each."""
     found = []
-    for inlet in system.inputs.values():
+    for inlet in (*system.inputs.values(), *system.open.values()):
         ports = [port for port, _ in inlet.targets]
         told = [system.variable(ports[0]).text, f"to {', '.join(map(str, ports))}"] if ports else []
         found.append((inlet.name, inlet.unit, "; ".join(filter(None, told))))

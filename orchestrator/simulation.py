@@ -20,6 +20,7 @@ from orchestrator.interface import Value
 from orchestrator.log import Message
 from orchestrator.masters import find
 from orchestrator.network import Network
+from orchestrator.parameters import with_sets
 from orchestrator.progress import Progress
 from orchestrator.recorder import BLOCK, Recorder
 from orchestrator.slave import Slave
@@ -78,6 +79,7 @@ def run(
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,
+    parameters: Sequence[str | Path] = (),
     set: Mapping[str, Value | str] | None = None,
     record: Sequence[str] | None = None,
     record_step: float | None = None,
@@ -90,12 +92,14 @@ def run(
     """Co-simulate a system.
 
     system          a System, or the path of an .ssp, .ssd or .fmu file
-    scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name system inputs or
-                    component.variable
+    scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
+                    component.variable, or all component inputs of one name; a column replaces the connection
+                    to its input
     master          "jacobi" or "gauss-seidel"
     step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
-    set             start values {component.variable: value}, in the FMU's units
+    parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
+    set             start values {name: value}, in the FMU's units, named like the columns of a scenario
     record          names of the signals to record; default: all outputs, all inputs that are fed and all that
                     are inputs of the system, fed or not
     record_step     interval between recorded points [s], a multiple of the step; the first and the last point
@@ -111,9 +115,11 @@ def run(
     """
     from orchestrator.ssp import load
 
-    whole = (system if isinstance(system, System) else load(system)).with_start(set or {})
+    whole = with_sets(system if isinstance(system, System) else load(system), parameters)
+    whole = whole.with_start(set or {})
     driven = _scenario(whole, scenario)
     if driven:
+        whole = driven[0].released(whole)
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
     times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
     job = _Job(whole, driven[0] if driven else None, master, record, bonds, tolerance, open)

@@ -82,13 +82,13 @@ def _entries(flat: Flat, binding: Binding) -> list[Entry]:
     mapped: dict[str, list[tuple[str, Linear, Mapping[str, str], bool]]] = {}
     for entry in _mapping(flat, binding):
         mapped.setdefault(entry[0], []).append(entry[1:])
-    entries = []
+    found = []
     for value in values:
         name = prefix + value.name
         for target, linear, table, suppressed in mapped.get(name, [(name, IDENTITY, {}, False)]):
             text = table.get(value.text, value.text)
-            entries.append(Entry(target, text, value.unit, linear, suppressed))
-    return entries
+            found.append(Entry(target, text, value.unit, linear, suppressed))
+    return found
 
 
 def _parameter_set(flat: Flat, binding: Binding) -> list[Entry]:
@@ -100,8 +100,13 @@ def _parameter_set(flat: Flat, binding: Binding) -> list[Entry]:
     if inline is None and binding.element.get("source"):
         file = _source(flat, binding, binding.element)
         inline = parse(file, "ParameterSet")
-    known = {**flat.known_units, **(units(file, inline) if inline is not None else {})}
-    return [_entry(file, p, known) for p in children(inline, "Parameters", "Parameter")]
+    return [] if inline is None else entries(file, inline, flat.known_units)
+
+
+def entries(file: Location, root: Element, known: Mapping[str, Unit]) -> list[Entry]:
+    """The values of a parameter set, whose units are its own or, else, those known around it."""
+    there = {**known, **units(file, root)}
+    return [_entry(file, p, there) for p in children(root, "Parameters", "Parameter")]
 
 
 def _entry(file: Location, parameter: Element, known: Mapping[str, Unit]) -> Entry:

@@ -84,18 +84,33 @@ class System:
 
     def port(self, name: str) -> Port:
         """The port that `component.variable` names; both parts may contain dots."""
+        port = self._find(name)
+        if port is None:
+            near = (
+                suggest(name, self.names())
+                or f"; expected one of {', '.join(self.components)}, a dot and a name"
+            )
+            raise Problem(f"unknown variable {name!r}{near}")
+        return port
+
+    def _find(self, name: str) -> Port | None:
         for component in sorted(self.components, key=len, reverse=True):
             rest = name.removeprefix(component + ".")
             if rest != name and rest in self.components[component].interface.variables:
                 return Port(component, rest)
-        near = (
-            suggest(name, self.names()) or f"; expected one of {', '.join(self.components)}, a dot and a name"
-        )
-        raise Problem(f"unknown variable {name!r}{near}")
+        return None
 
     def targets(self, name: str) -> tuple[tuple[Port, Linear], ...]:
-        """What a name stands for: the targets of an input of the system, or one `component.variable`."""
-        return self.inputs[name].targets if name in self.inputs else ((self.port(name), IDENTITY),)
+        """What a name stands for: an input of the system, one `component.variable`, or, as a bare name, every
+        component input of that name."""
+        if name in self.inputs:
+            return self.inputs[name].targets
+        same = [] if self._find(name) else [p for p in self.ports("input") if p.variable == name]
+        units = {self.variable(p).unit for p in same}
+        if len(units) > 1:
+            each = ", ".join(f"{p} {self.variable(p).unit or '[-]'}" for p in same)
+            raise Problem(f"{name} names inputs in different units: {each}")
+        return tuple((port, IDENTITY) for port in same or [self.port(name)])
 
     def names(self) -> list[str]:
         """All `component.variable` names."""
@@ -106,9 +121,23 @@ class System:
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
 
     @property
+    def open(self) -> Mapping[str, Inlet]:
+        """Component inputs that nothing feeds, by their bare names."""
+        taken = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+        found: dict[str, list[Port]] = {}
+        for port in self.ports("input"):
+            if port not in taken and self.variable(port).kind != "String":
+                found.setdefault(port.variable, []).append(port)
+        return {
+            name: Inlet(name, self.variable(ports[0]).unit, tuple((p, IDENTITY) for p in ports))
+            for name, ports in found.items()
+        }
+
+    @property
     def exposed(self) -> list[Port]:
-        """Component inputs that are inputs of the whole system, whether or not a run feeds them."""
-        ports = [port for inlet in self.inputs.values() for port, _ in inlet.targets]
+        """Component inputs that are inputs of the whole system or that no connection feeds."""
+        inlets = [*self.inputs.values(), *self.open.values()]
+        ports = [port for inlet in inlets for port, _ in inlet.targets]
         return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
 
     def variable(self, port: Port) -> Variable:
@@ -116,13 +145,14 @@ class System:
         return self.components[port.component].interface.variables[port.variable]
 
     def with_start(self, values: Mapping[str, Value | str]) -> System:
-        """The same system with other start values, given as {component.variable or system input: value}."""
+        """The same system with other start values, given by names as `targets` knows them."""
         connected = {c.target: c for c in self.connections}
         fresh = {name: dict(c.start) for name, c in self.components.items()}
         for name, value in values.items():
             for port, linear in self.targets(name):
                 if port in connected:
-                    raise Problem(f"{name} cannot be set: it is fed by {connected[port]}")
+                    fed = f"it is fed by {connected[port]}"
+                    raise Problem(f"{name} cannot be set: {fed}; to set it, cut that wire: --cut {port}")
                 settable(port, self.variable(port))
                 fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
         components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}

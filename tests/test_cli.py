@@ -36,23 +36,26 @@ def own_reference(old: str = "", new: str = "") -> str:
 
 
 def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
-    """Three FMUs and the system that connects them, each told with its size."""
+    """Four FMUs and the system that connects them, each told with its size."""
     monkeypatch.chdir(tmp_path)
     assert main(["build", "--out", "new/folder"]) == 0
-    systems = ["harvester.ssp", "harvester_components.ssp"]
-    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", *systems]
+    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", "operator.fmu", "harvester.ssp"]
     printed = capsys.readouterr().out.splitlines()
     assert [Path(line.split()[0]) for line in printed] == [Path("new/folder") / name for name in names]
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
 
 
-@pytest.mark.parametrize("name", ["harvester.ssp", "harvester_components.ssp"])
-def test_both_systems_run_the_work_cycle_they_carry(here, fmu_dir, name):
-    """Each SSP brings a scenario whose columns it knows, and gives the reference's motion with it."""
-    shutil.copy(fmu_dir / name, "build")
-    assert main(["validate", f"build/{name}", "--stop", "3"]) == 0
-    trace = read(here / "build" / "run.csv")
-    assert np.ptp(trace["manipulator.boom_angle"]) > 0.1  # it moved, so the scenario was driven
+@pytest.mark.usefixtures("here")
+def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
+    """Without scenario the operator moves the machine, as the scenario of the same moves does."""
+    assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "own.csv"]) == 0
+    assert "scenario" not in capsys.readouterr().out
+    scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
+    assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
+    assert "note: the scenario replaces operator; " in capsys.readouterr().out
+    own, given = (read(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
+    assert np.ptp(own) > 0.1  # rad: it moves
+    np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
 
 
 def test_parameters_of_one_source(capsys):
@@ -72,7 +75,7 @@ def test_parameters_of_one_source(capsys):
 
 @pytest.mark.usefixtures("here")
 def test_a_scenario_of_one_column_is_enough(capsys):
-    """Inputs that no column drives are recorded at their start value, as the default layout wants."""
+    """The operator lets go of all levers: inputs that no column drives are recorded at their start value."""
     Path("mine.csv").write_text("time,boom_command\n0,0\n0.1,0\n0.2,3\n", encoding="utf-8")
     options = ["--scenario", "mine.csv", "--reference", own_reference(), "--stop", "0.3"]
     assert main(["validate", *options]) == 1  # the reference's boom stands still up to there
@@ -81,17 +84,19 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     assert trace["boom_stick.boom_command"][-1] == 3.0
     page = Path("build/report.html").read_text(encoding="utf-8")
     assert "<title>mine against Work cycle, monolithic solution" in page
-    assert "--scenario" not in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "--scenario" not in printed
+    assert "note: the scenario replaces operator; without it these keep their start values: swing." in printed
 
 
 @pytest.mark.usefixtures("here")
 def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
-    note = "no --scenario given: ran the work cycle"
+    note = "no --scenario given: ran what the system plays by itself"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("build/report.json").read_text(encoding="utf-8")
-    title = "<title>work_cycle against Work cycle, monolithic solution"
+    title = "<title>harvester against Work cycle, monolithic solution"
     assert title in Path("build/report.html").read_text(encoding="utf-8")
     assert main(["validate", "--stop", "0.2"]) == 0
     assert note not in capsys.readouterr().out
@@ -111,7 +116,7 @@ def test_signals_are_listed(capsys):
     assert "from swing.swing_torque" in " ".join(" ".join(printed).split())
     assert main(["signals", "--kind", "parameter"]) == 0
     heads = [line for line in capsys.readouterr().out.splitlines() if line and not line.startswith(" ")]
-    assert heads == ["manipulator: parameters", "boom_stick: parameters", "swing: parameters"]
+    assert heads == [f"{name}: parameters" for name in ("manipulator", "boom_stick", "swing", "operator")]
 
 
 @pytest.mark.usefixtures("here")
@@ -144,7 +149,7 @@ def test_validate_passes_and_writes_its_files(capsys):
     assert "pass: 27 of 27 signals within their limits" in printed
     assert "compared at the 101 samples of the reference, 0 to 2 s" in printed
     assert "interpolated" not in printed
-    assert "build/run.csv: 85 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
+    assert "build/run.csv: 94 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
     assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
     time = read("build/run.csv").time
     # point n is n times the step: rounding only

@@ -1,4 +1,4 @@
-"""The machine as one FMU: containers that other tools build from the three FMUs, against the reference."""
+"""The machine as one FMU: containers that other tools build from the four FMUs, against the reference."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
-from work_cycle import JACOBI, ORDER, SIGNALS, STEP, agree, cycle_table, load
+from work_cycle import JACOBI, ORDER, SIGNALS, STEP, agree, load
 
-from fmus.machine import CONNECTIONS, INPUTS
+from fmus.machine import COMMAND_WIRES, CONNECTIONS
 
 
 @pytest.fixture(scope="module")
 def container(fmu_dir, tmp_path_factory):
-    """The three FMUs and their connections in one FMU, by FMPy."""
+    """The four FMUs and their connections in one FMU, by FMPy."""
     from fmpy.container_fmu.cli import create_container_fmu
     from fmpy.container_fmu.config import Component, Configuration, Connection
 
@@ -34,13 +34,10 @@ def container(fmu_dir, tmp_path_factory):
 
     clock = ModelVariable(name="time", type="Real", causality="independent", variability="continuous")
     mapped = {}
-    ports = INPUTS | {name.replace(".", "_"): (name,) for name in SIGNALS}
-    for port, ends in ports.items():
-        shown = {"causality": "output", "initial": "calculated"}
-        if port in INPUTS:
-            shown = {"causality": "input", "start": variables[ends[0]].start}
-        variable = ModelVariable(name=port, type="Real", variability="continuous", **shown)
-        mapped[variable] = [(parts[e.split(".")[0]], variables[e]) for e in ends]
+    for name in SIGNALS:
+        shown = {"causality": "output", "initial": "calculated", "variability": "continuous"}
+        variable = ModelVariable(name=name.replace(".", "_"), type="Real", **shown)
+        mapped[variable] = [(parts[name.split(".")[0]], variables[name])]
     description = ModelDescription(
         fmiVersion="2.0",
         modelName="harvester",
@@ -48,7 +45,7 @@ def container(fmu_dir, tmp_path_factory):
         modelVariables=[clock, *mapped],
         coSimulation=CoSimulation(fixedInternalStepSize=STEP),
     )
-    wires = [Connection(*end(start), *end(stop)) for start, stop in CONNECTIONS]
+    wires = [Connection(*end(start), *end(stop)) for start, stop in CONNECTIONS + COMMAND_WIRES]
     system = Configuration(False, description, list(parts.values()), wires, mapped)
     (folder / "unpacked").mkdir()
     create_container_fmu(system, folder / "unpacked", folder / "harvester.fmu")
@@ -56,32 +53,28 @@ def container(fmu_dir, tmp_path_factory):
 
 
 def test_fmpy_container_runs_the_system(container):
-    """The container FMU steps its three parts by itself, over the whole work cycle."""
+    """The container FMU steps its four parts by itself, over the whole work cycle."""
     names = {name: name.replace(".", "_") for name in SIGNALS}
     rows = simulate_fmu(
         str(container),
         validate=False,  # FMPy's own container lacks InitialUnknowns
         stop_time=42.0,
         output_interval=STEP,
-        input=cycle_table(42.0),
         output=list(names.values()),
     )
     agree(rows["time"], {name: rows[column] for name, column in names.items()}, JACOBI)
 
 
 def test_fmucontainer_reads_the_ssp(fmu_dir, tmp_path):
-    """fmu-manipulation-toolbox turns the SSP into one FMU, whose inputs are those of the system."""
+    """fmu-manipulation-toolbox turns the SSP into one FMU without inputs."""
     assembly = load("fmu_manipulation_toolbox.assembly")
     shutil.copy(fmu_dir / "harvester.ssp", tmp_path)
     made = assembly.Assembly("harvester.ssp", default_step_size=STEP, fmu_directory=tmp_path)
     made.make_fmu()
     path = tmp_path / "harvester.fmu"
     variables = {v.name: v for v in read_model_description(str(path), validate=False).modelVariables}
-    assert {n for n, v in variables.items() if v.causality == "input"} == set(INPUTS)
-    assert float(variables["supply_pressure"].start) == 20.684e6
+    assert "input" not in {v.causality for v in variables.values()}
     # it shows connected signals only: one joint speed and two piston positions, as close as an angle
     shown = ("manipulator.swing_speed", "manipulator.boom_position", "manipulator.stick_position")
-    rows = simulate_fmu(
-        str(path), validate=False, stop_time=10.0, output_interval=STEP, input=cycle_table(10.0), output=shown
-    )
+    rows = simulate_fmu(str(path), validate=False, stop_time=10.0, output_interval=STEP, output=shown)
     agree(rows["time"], {name: rows[name] for name in shown}, JACOBI | {"position": JACOBI["angle"]})

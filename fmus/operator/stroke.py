@@ -13,7 +13,7 @@ import casadi as ca
 
 from fmus.contract import Scalar
 
-AHEAD = 1e-9  # s, see `sample`
+AHEAD = 1e-8  # s, see `sample`
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Stroke:
 def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
     """Command [V] and its rate [V/s] at `time` [s]; at a corner the rate to the right of it.
 
-    The corner is looked for 1e-9 s ahead: a clock that adds up steps of 1 ms may be some rounding errors
-    short of it, and a rate port with the rate of the left side would carry it through the whole next step.
+    It is looked for 10 ns ahead: a clock that adds up steps may be short of a corner by rounding (measured: 1 ns
+    after 42 s in steps of 20 us), and the rate of the left side would carry the input through the whole next step.
     """
     s = stroke
     up = s.start + s.rise

@@ -22,19 +22,18 @@ SSD = """<SystemStructureDescription version="1.0" name="bench"
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, fmus, zip_ssp):
-    """A working directory with build/harvester.ssp, whose resources hold a work cycle."""
+    """A working directory with build/harvester.ssp and a scenario."""
     monkeypatch.chdir(tmp_path)
-    cycle = write(Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 4.0])}), "cycle.csv")
+    write(Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 4.0])}), "cycle.csv")
     (tmp_path / "build").mkdir()
-    parts = {"resources/gain.fmu": fmus["gain"], "resources/work_cycle.csv": cycle}
-    zip_ssp(SSD, parts, "build/harvester.ssp")
+    zip_ssp(SSD, {"resources/gain.fmu": fmus["gain"]}, "build/harvester.ssp")
     return tmp_path
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_bare_run_does_the_work_cycle(capsys):
-    """System, scenario and output have defaults."""
-    assert main(["run", "--step", "0.25"]) == 0
+def test_system_and_output_have_defaults(capsys):
+    """The built system, and a trace beside it."""
+    assert main(["run", "--scenario", "cycle.csv", "--step", "0.25"]) == 0
     np.testing.assert_array_equal(read("build/trace.csv")["g.y"], [0, 1, 2, 3, 4])
     printed = capsys.readouterr().out
     assert "4 steps" in printed
@@ -119,7 +118,7 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         ),
         (["run", "--stop", "inf"], "harvester: stop time: expected a finite time, got inf s"),
         (
-            ["run", "--step", "2e-3", "--record-step", "5e-3"],
+            ["run", "--stop", "1", "--step", "2e-3", "--record-step", "5e-3"],
             "harvester: record step: expected a multiple of the step 0.002 s, got 0.005 s",
         ),
         (["walk"], "harvester: No such command 'walk'; see harvester --help"),

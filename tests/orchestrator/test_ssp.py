@@ -285,3 +285,11 @@ def test_other_kinds_of_fmus_are_told(fmus, make, options, message):
     path = make(system([gain("a", source="resources/other.fmu")], []), {"resources/other.fmu": fmu})
     with pytest.raises(Problem, match=r"system.ssp/resources/other.fmu: " + message):
         load(path)
+
+
+def test_an_input_of_the_system_goes_before_a_bare_name(fmus, zip_ssp):
+    """With a connector `u` of the system, `u` is only what that connector feeds."""
+    text = ssd(system([gain("p"), gain("q")], [wire("u", "p.u")], connector("u", "input")))
+    trace = run(zip_ssp(text, {"resources/gain.fmu": fmus["gain"]}), set={"u": 3.0}, step=0.5).trace
+    np.testing.assert_array_equal(trace["p.y"], 3.0)
+    np.testing.assert_array_equal(trace["q.y"], 0.0)

@@ -185,10 +185,50 @@ def test_scenarios_drive_all_numeric_types(fmus):
     [
         ("a.x3", r"scenario: column 'a.x3' is no input of the system; did you mean a.x2"),
         ("a.force", r"scenario: column 'a.force': expected an input, got a Real output"),
-        ("a.x2", r"scenario: column 'a.x2' drives a.x2, which is fed by b.x -> a.x2"),
+        ("x3", r"scenario: column 'x3' is no input of the system; did you mean .*; inputs: x2, force$"),
     ],
 )
 def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):
     """The label, the column, and close matches."""
     with pytest.raises(Problem, match=message):
         run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)}))
+
+
+def test_a_bare_name_means_every_input_of_that_name(fmus):
+    """In start values and scenarios; `component.variable` means that one alone."""
+    files = {"p": fmus["gain"], "q": fmus["gain"]}
+    system = assemble(files)
+    trace = run(system, step=0.5, stop=1.0, set={"u": 7.0, "q.u": 8.0}).trace
+    np.testing.assert_array_equal(trace["p.y"], 7.0)
+    np.testing.assert_array_equal(trace["q.y"], 8.0)
+    ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
+    trace = run(system, ramp, step=0.5).trace
+    for name in ("p.y", "q.y"):
+        np.testing.assert_array_equal(trace[name], [0.0, 0.5, 1.0])
+
+
+def test_a_bare_name_of_inputs_in_different_units_is_refused(fmus):
+    """With the unit of each."""
+    files = {name: fmus.make("gain", f"gain_{u}", units={"u": u}) for name, u in (("p", "Pa"), ("q", "bar"))}
+    with pytest.raises(Problem, match=r"u names inputs in different units: p\.u \[Pa\], q\.u \[bar\]"):
+        run(assemble(files), set={"u": 1.0})
+
+
+def test_a_column_replaces_a_connection(oscillator):
+    """The driven input follows the column; the other connections stay; the card says so."""
+    held = Trace(np.array([0.0, 1.0]), {"a.x2": np.array([0.0, 2.0])})
+    result = run(oscillator, held, step=0.25)
+    np.testing.assert_array_equal(result.trace["a.x2"], [0.0, 0.5, 1.0, 1.5, 2.0])
+    np.testing.assert_array_equal(result.trace["b.force"], result.trace["a.force"])
+    assert "the scenario replaces b.x -> a.x2" in result.card.notes
+
+
+def test_a_column_silences_a_component_without_inputs(fmus):
+    """Such a component is a scenario itself: what else it feeds rests at its start value."""
+    files = {"s": fmus["source"], "p": fmus["gain"], "q": fmus["gain"]}
+    system = assemble(files, ["s.y -> p.u", "s.y -> q.u"], {"s.offset": 1.0})
+    ramp = Trace(np.array([0.0, 1.0]), {"p.u": np.array([0.0, 1.0])})
+    result = run(system, ramp, step=0.5, set={})
+    np.testing.assert_array_equal(result.trace["p.u"], [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(result.trace["q.u"], 0.0)
+    assert result.card.notes == ("the scenario replaces s; without it these keep their start values: q.u",)
