@@ -1,11 +1,8 @@
 """The subsystems joined into one ODE and integrated tightly: the truth for co-simulation.
 
-No signal is held or extrapolated here: every coupling is substituted symbolically, so that
-
-    dX/dt = F(X, U, P)      X, P stacked over the subsystems, U the machine's inputs
-
-Between the breakpoints of a piecewise linear scenario CVODES (BDF) integrates with the exact
-Jacobian; at each breakpoint it starts anew, because the input has a kink there.
+The equations are those of `fmus.coupled`: no signal is held or extrapolated. Between the breakpoints of a
+piecewise linear scenario CVODES (BDF) integrates with the exact Jacobian; at each breakpoint it starts anew,
+because the input has a kink there.
 """
 
 from __future__ import annotations
@@ -18,7 +15,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError, Subsystem, column, quantities, symbolic
+from fmus.contract import Subsystem, column, quantities
+from fmus.coupled import couple
 from fmus.parameters import Values, values
 
 Array = NDArray[np.float64]
@@ -57,49 +55,16 @@ def join(
     Inputs that nobody feeds keep their start value. Raises ModelError on an algebraic loop.
     """
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
-    parts = {name: symbolic(sub) for name, sub in subsystems.items()}
-    u = {
-        f"{name}.{v}": parts[name].u[i]
-        for name, sub in subsystems.items()
-        for i, v in enumerate(quantities(sub.inputs))
-    }
-    y = {
-        f"{name}.{v}": parts[name].y[i]
-        for name, sub in subsystems.items()
-        for i, v in enumerate(quantities(sub.outputs))
-    }
-    external = {name: ca.SX.sym(name) for name in inputs}
-    feed = {t: external[name] for name, targets in inputs.items() for t in targets}
-    feed |= {target: y[source] for source, target in connections}
     constant = {f"{n}.{v}": value for n, nums in numbers.items() for v, value in nums.u.items()}
-    symbols, expressions = list(u.values()), [feed.get(name, ca.SX(constant[name])) for name in u]
-
-    def resolve(terms: list[ca.SX]) -> list[ca.SX]:
-        for _ in range(len(symbols) + 1):
-            if not any(ca.depends_on(t, column(*symbols)) for t in terms):
-                return terms
-            terms = list(ca.substitute(terms, symbols, expressions))
-        raise ModelError("the connections form an algebraic loop")
-
-    x, p, big_u = (
-        column(*(s.x for s in parts.values())),
-        column(*(s.p for s in parts.values())),
-        column(*external.values()),
-    )
-    dx, outputs = resolve([column(*(s.dx for s in parts.values())), column(*y.values())])
-    (start,) = resolve([column(*(s.start for s in parts.values()))])
-
-    def named(group: str) -> tuple[str, ...]:
-        return tuple(f"{n}.{v}" for n, s in subsystems.items() for v in quantities(getattr(s, group)))
-
+    whole = couple(subsystems, connections, inputs, constant)
     return Monolith(
-        states=named("states"),
-        inputs=tuple(external),
-        parameters=named("parameters"),
-        output_names=named("outputs"),
-        right_hand_side=ca.Function("F", [x, big_u, p], [ca.cse(dx)], ["x", "u", "p"], ["dx"]),
-        outputs=ca.Function("Y", [x, big_u, p], [ca.cse(outputs)], ["x", "u", "p"], ["y"]),
-        start=ca.Function("X0", [x, big_u, p], [start], ["x", "u", "p"], ["x0"]),
+        states=whole.states,
+        inputs=whole.inputs,
+        parameters=whole.parameters,
+        output_names=whole.outputs,
+        right_hand_side=whole.function("F", whole.dx),
+        outputs=whole.function("Y", whole.y),
+        start=whole.function("X0", whole.start),
         x=np.concatenate([list(n.x.values()) for n in numbers.values()]),
         u=np.array([constant[next(iter(targets))] for targets in inputs.values()]),
         p=np.concatenate([list(n.p.values()) for n in numbers.values()]),

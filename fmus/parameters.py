@@ -19,7 +19,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from fmus.contract import ModelError, Quantity, Subsystem, quantities
 
@@ -36,6 +36,9 @@ class Number:
     source: str
     note: str
     sd: float | None = None
+
+
+Tables: TypeAlias = Mapping[str, Mapping[str, Number]]  # "parameters" and "start", each by name
 
 
 @dataclass(frozen=True)
@@ -85,10 +88,11 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
     return Number(float(entry["value"]), entry["unit"], entry["source"], entry["note"], entry.get("sd"))
 
 
-def numbers(sub: Subsystem, path: Path | None = None) -> dict[str, dict[str, Number]]:
-    """The file of a subsystem, checked against its declaration: no name, unit or bound may differ."""
+def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
+    """The numbers of a subsystem, checked against its declaration: no name, unit or bound may differ."""
+    given: Tables | None = sub.numbers if path is None else None
     path = path or sub.values
-    found = read(path)
+    found = read(path) if given is None else given
     parameters = quantities(sub.parameters)
     startable = quantities(sub.inputs) | quantities(sub.states)
     missing = set(parameters) - set(found["parameters"])
@@ -121,8 +125,13 @@ def values(sub: Subsystem, path: Path | None = None) -> Values:
     )
 
 
-def write(path: Path, found: Mapping[str, Mapping[str, Number]]) -> None:
+def write(path: Path, found: Tables) -> None:
     """Write tables `parameters` and `start` so that `read` returns the same numbers."""
+    path.write_text(document(found), encoding="utf-8")
+
+
+def document(found: Tables) -> str:
+    """The text of a file with these tables."""
     lines: list[str] = []
     for section, entries in found.items():
         for name, n in entries.items():
@@ -130,4 +139,4 @@ def write(path: Path, found: Mapping[str, Mapping[str, Number]]) -> None:
             lines += [f"source = {json.dumps(n.source)}", f"note = {json.dumps(n.note, ensure_ascii=False)}"]
             lines += [f"sd = {n.sd!r}"] if n.sd is not None else []
             lines.append("")
-    path.write_text("\n".join(lines), encoding="utf-8")
+    return "\n".join(lines)

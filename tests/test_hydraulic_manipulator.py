@@ -133,7 +133,7 @@ def test_published_equilibrium():
     _, outputs = symbolic(ARM).function()(*(list(group.values()) for group in (v.x, v.u, v.p)))
     arm = unstack(ARM.outputs, outputs.full()[:, 0])
     u = HYDRAULICS.inputs(0.45, arm.s1, arm.s1_dot, 0.0, arm.holding_force)
-    pressures = model.initial(u, p)
+    pressures = model.initial(None, u, p)
     kappa = float(model.observe(HYDRAULICS.states(**pressures), u, p).holding_kappa)
     found = [arm.s1, arm.holding_force, *pressures.values(), kappa]
     # printed with eight digits

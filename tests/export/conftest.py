@@ -111,7 +111,7 @@ CHAMBER = toy(
         "force": 1e-3 * x.pressure + smooth_root(u.supply - x.pressure, 1e4),
         "pressure_rate": p.modulus / p.volume * (x.flow - p.conductance * x.pressure),
     },
-    initial=lambda u, p: {"pressure": u.supply / 2, "flow": p.conductance * u.supply / 2},
+    initial=lambda _, u, p: {"pressure": u.supply / 2, "flow": p.conductance * u.supply / 2},
     require=lambda x, u, p: {"the pressure stays below 100 % of burst": p.burst - x.pressure},
 )
 GAIN = toy(

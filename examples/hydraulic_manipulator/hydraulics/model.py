@@ -168,7 +168,7 @@ def standing_pressures(force: Scalar, p: HydraulicsParameters) -> tuple[Scalar, 
     return middle - half, middle + half
 
 
-def initial(u: HydraulicsInputs, p: HydraulicsParameters) -> dict[str, Scalar]:
+def initial(x: HydraulicsState, u: HydraulicsInputs, p: HydraulicsParameters) -> dict[str, Scalar]:
     """Pressures that carry the holding force; they stay if kappa starts at holding_kappa."""
     p_1, p_2 = standing_pressures(u.holding_force, p)
     return {"p_1": p_1, "p_2": p_2}

@@ -1,0 +1,5 @@
+"""The whole machine as one block."""
+
+from fmus.harvester.model import HARVESTER
+
+__all__ = ["HARVESTER"]
