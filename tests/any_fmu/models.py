@@ -1,4 +1,4 @@
-"""The models in any_fmu.c as modelDescription.xml, and the archives around them."""
+"""The models in models.h as modelDescription.xml of FMI 2.0 or 3.0, and the archives around them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pathlib import Path
 
 import fmpy
 
-SOURCE = Path(__file__).with_name("any_fmu.c")
+SOURCES = [Path(__file__).with_name(name) for name in ("models.c", "fmi2.c", "fmi3.c")]
+WIDTHS = ("Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64")
 BASE = {  # unit -> BaseUnit attributes
     "N": {"kg": 1, "m": 1, "s": -2},
     "Pa": {"kg": 1, "m": -1, "s": -2},
@@ -96,27 +97,51 @@ MODELS: Mapping[str, list[V]] = {
         V("alive", "output", None, kind="Integer"),
         V("label", "parameter", None, "nobody", "String"),
         V("echo", "output", None, kind="String"),
+        V("resources", "output", None, kind="String"),
+    ],
+    "wide": [  # FMI 3.0 only
+        V("float32_in", "input", "m", 0.0, "Float32"),
+        V("float32_out", "output", "m", kind="Float32", depends=["float32_in"]),
+        *(
+            v
+            for kind in WIDTHS
+            for v in (
+                V(f"{kind.lower()}_in", "input", None, 0, kind),
+                V(f"{kind.lower()}_out", "output", None, kind=kind, depends=[f"{kind.lower()}_in"]),
+            )
+        ),
+        V("size", "structuralParameter", None, 3, "UInt64"),
+        V("size_out", "output", None, kind="UInt64"),
     ],
 }
 
 
 @dataclass
 class Workshop:
-    """Makes FMUs of the models in `folder`; the library is compiled once."""
+    """Makes FMUs of the models in `folder`, for one version of FMI; the library is compiled once."""
 
     folder: Path
     library: bytes = b""
+    fmi: int = 2
     _made: dict[str, Path] = field(default_factory=dict)
 
     def compile(self) -> Workshop:
-        """Compile any_fmu.c for this machine."""
+        """Compile the models for this machine."""
         target = self.folder / f"any_fmu{fmpy.sharedLibraryExtension}"
         headers = Path(fmpy.__file__).parent / "c-code"
         flags = ["-std=c99", "-O2", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", f"-I{headers}"]
-        command = [sys.executable, "-m", "ziglang", "cc", *flags, str(SOURCE), "-o", str(target), "-lm"]
+        flags += ["-fvisibility=hidden"]  # the C library has a function `advance`, too
+        files = [*map(str, SOURCES), "-o", str(target), "-lm"]
+        command = [sys.executable, "-m", "ziglang", "cc", *flags, *files]
         subprocess.run(command, check=True, capture_output=True, text=True)
         self.library = target.read_bytes()
         return self
+
+    def other(self, fmi: int) -> Workshop:
+        """A workshop for another version of FMI, with the same library and a folder inside this one's."""
+        folder = self.folder / f"fmi{fmi}"
+        folder.mkdir()
+        return Workshop(folder, self.library, fmi)
 
     def __getitem__(self, model: str) -> Path:
         """The plain FMU of a model."""
@@ -131,17 +156,22 @@ class Workshop:
         units: Mapping[str, str] | None = None,
         undeclared: bool = False,
         platform: str | None = None,
-        version: str = "2.0",
+        version: str | None = None,
         kind: str = "CoSimulation",
         guid: str | None = None,
         interpolates: bool = False,
         extra: Mapping[str, str] | None = None,
+        more: str = "",
+        aliases: Mapping[str, str] | None = None,
     ) -> Path:
         """An FMU that differs from the plain one.
 
         units        variable -> other unit
         undeclared   leave out all dependencies
         platform     folder of the binary; "" for none
+        extra        file in the archive -> content
+        more         XML of more variables
+        aliases      variable -> its other name, in FMI 3.0
         """
         name = name or model
         path = self.folder / f"{name}.fmu"
@@ -149,8 +179,13 @@ class Workshop:
             V(v.name, v.causality, (units or {}).get(v.name, v.unit), v.start, v.kind, v.depends)
             for v in MODELS[model]
         ]
-        text = describe(name, guid or model, variables, undeclared, version, kind, interpolates)
-        where = fmpy.platform if platform is None else platform
+        head = Head(name, guid or model, version or f"{self.fmi}.0", kind, undeclared, interpolates)
+        if self.fmi == 2:
+            text = describe2(head, variables, more)
+        else:
+            text = describe3(head, variables, more, aliases or {})
+        usual = fmpy.platform if self.fmi == 2 else fmpy.platform_tuple
+        where = usual if platform is None else platform
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("modelDescription.xml", text)
             if where:
@@ -160,50 +195,123 @@ class Workshop:
         return path
 
 
-def describe(
-    name: str, guid: str, variables: list[V], undeclared: bool, version: str, kind: str, interpolates: bool
-) -> str:
-    """modelDescription.xml."""
-    index = {v.name: i + 1 for i, v in enumerate(variables)}
-    counts = {"Real": 0, "Whole": 0, "String": 0}
-    lines = []
-    for v in variables:
-        family = v.kind if v.kind in counts else "Whole"
-        lines.append(_scalar(v, counts[family]))
-        counts[family] += 1
-    unknowns = "".join(_unknown(v, index, undeclared) for v in variables if v.causality == "output")
-    used = sorted({v.unit for v in variables if v.unit})
+@dataclass(frozen=True)
+class Head:
+    """What a description says about the whole FMU."""
+
+    name: str
+    guid: str
+    version: str
+    kind: str
+    undeclared: bool
+    interpolates: bool
+
+
+def describe2(head: Head, variables: list[V], more: str) -> str:
+    """modelDescription.xml of FMI 2.0; dependencies are indices, references start at 0 for each type."""
+    index = {v.name: str(i + 1) for i, v in enumerate(variables)}
+    outputs = [v for v in variables if v.causality == "output"]
+    unknowns = "".join(f'<Unknown index="{index[v.name]}"{_on(v, index, head)}/>' for v in outputs)
+    lines = [_scalar2(v, reference % 100) for v, reference in _references(variables)]
     ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUstate='true'"
-    ability += " maxOutputDerivativeOrder='1'" + (" canInterpolateInputs='true'" if interpolates else "")
+    ability += " canSerializeFMUstate='true' maxOutputDerivativeOrder='1'"
+    ability += " canInterpolateInputs='true'" if head.interpolates else ""
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="{version}" modelName="{name}" guid="{guid}">
-<{kind} modelIdentifier="{name}" {ability if kind == "CoSimulation" else ""}/>
-{"<UnitDefinitions>" + "".join(map(_unit, used)) + "</UnitDefinitions>" if used else ""}
-<TypeDefinitions><SimpleType name="Colour"><Enumeration>
-<Item name="red" value="1"/><Item name="green" value="2"/></Enumeration></SimpleType></TypeDefinitions>
-<LogCategories><Category name="logStatusWarning"/><Category name="logStatusError"/></LogCategories>
-<ModelVariables>{"".join(lines)}</ModelVariables>
+<fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" guid="{head.guid}">
+<{head.kind} modelIdentifier="{head.name}" {ability if head.kind == "CoSimulation" else ""}/>
+{_units(variables)}
+<TypeDefinitions><SimpleType name="Colour"><Enumeration>{ITEMS}</Enumeration></SimpleType></TypeDefinitions>
+{CATEGORIES}
+<ModelVariables>{"".join(lines)}{more}</ModelVariables>
 <ModelStructure><Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
 
 
-def _scalar(v: V, reference: int) -> str:
-    attributes = {"unit": v.unit, "start": v.start if v.causality != "output" else None}
+def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, str]) -> str:
+    """modelDescription.xml of FMI 3.0; dependencies are references, unique over all types."""
+    place = {v.name: str(reference) for v, reference in _references(variables)}
+    outputs = [v for v in variables if v.causality == "output"]
+    unknowns = [f'valueReference="{place[v.name]}"{_on(v, place, head)}' for v in outputs]
+    structure = [f"<{kind} {u}/>" for kind in ("Output", "InitialUnknown") for u in unknowns]
+    lines = [_scalar3(v, place[v.name], aliases.get(v.name)) for v in variables]
+    ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUState='true'"
+    ability += (
+        " canSerializeFMUState='true' maxOutputDerivativeOrder='1' providesDirectionalDerivatives='true'"
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" instantiationToken="{head.guid}">
+<{head.kind} modelIdentifier="{head.name}" {ability if head.kind == "CoSimulation" else ""}/>
+{_units(variables)}
+<TypeDefinitions><EnumerationType name="Colour">{ITEMS}</EnumerationType></TypeDefinitions>
+{CATEGORIES}
+<ModelVariables>{"".join(lines)}{more}
+<Float64 name="time" valueReference="300" causality="independent" variability="continuous"/></ModelVariables>
+<ModelStructure>{"".join(structure)}</ModelStructure>
+</fmiModelDescription>
+"""
+
+
+ITEMS = '<Item name="red" value="1"/><Item name="green" value="2"/>'
+CATEGORIES = """<LogCategories><Category name="logStatusWarning"/><Category name="logStatusError"/>
+</LogCategories>"""
+NAMES3 = {"Real": "Float64", "Integer": "Int32"}
+
+
+def _references(variables: list[V]) -> list[tuple[V, int]]:
+    """Reals from 0, whole numbers from 100, texts from 200, each in order."""
+    following = {"Real": 0, "Whole": 100, "String": 200}
+    found = []
+    for v in variables:
+        family = {"Float32": "Real"}.get(v.kind, v.kind if v.kind in following else "Whole")
+        found.append((v, following[family]))
+        following[family] += 1
+    return found
+
+
+def _on(v: V, place: Mapping[str, str], head: Head) -> str:
+    """The dependencies of an output, as an attribute."""
+    if head.undeclared or v.depends is None:
+        return ""
+    return f' dependencies="{" ".join(place[d] for d in v.depends)}"'
+
+
+def _attributes(v: V) -> str:
+    start = v.start if v.causality != "output" and v.kind != "String" else None
+    attributes = {"unit": v.unit, "start": start}
     if v.kind == "Enumeration":
         attributes["declaredType"] = "Colour"
-    inner = "".join(f' {k}="{x}"' for k, x in attributes.items() if x is not None)
-    steady = {"parameter": "fixed"}.get(v.causality, "continuous" if v.kind == "Real" else "discrete")
+    return "".join(f' {k}="{x}"' for k, x in attributes.items() if x is not None)
+
+
+def _steady(v: V) -> str:
+    """The variability."""
+    real = v.kind in ("Real", "Float32")
+    fixed = v.causality in ("parameter", "structuralParameter")
+    return "fixed" if fixed else "continuous" if real else "discrete"
+
+
+def _scalar2(v: V, reference: int) -> str:
+    text = f' start="{v.start}"' if v.kind == "String" and v.start is not None else ""
     return (
         f'<ScalarVariable name="{v.name}" valueReference="{reference}" causality="{v.causality}" '
-        f'variability="{steady}"><{v.kind}{inner}/></ScalarVariable>'
+        f'variability="{_steady(v)}"><{v.kind}{_attributes(v)}{text}/></ScalarVariable>'
     )
 
 
-def _unknown(v: V, index: Mapping[str, int], undeclared: bool) -> str:
-    if undeclared or v.depends is None:
-        return f'<Unknown index="{index[v.name]}"/>'
-    return f'<Unknown index="{index[v.name]}" dependencies="{" ".join(str(index[d]) for d in v.depends)}"/>'
+def _scalar3(v: V, reference: str, alias: str | None) -> str:
+    kind = NAMES3.get(v.kind, v.kind)
+    inner = f'<Alias name="{alias}"/>' if alias else ""
+    inner += f'<Start value="{v.start}"/>' if v.kind == "String" and v.start is not None else ""
+    return (
+        f'<{kind} name="{v.name}" valueReference="{reference}" causality="{v.causality}" '
+        f'variability="{_steady(v)}"{_attributes(v)}>{inner}</{kind}>'
+    )
+
+
+def _units(variables: list[V]) -> str:
+    used = sorted({v.unit for v in variables if v.unit})
+    return f"<UnitDefinitions>{''.join(map(_unit, used))}</UnitDefinitions>" if used else ""
 
 
 def _unit(name: str) -> str:

@@ -1,0 +1,154 @@
+/* The equations of the models in models.h, and what goes wrong in FAILS. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "models.h"
+
+int instances = 0;
+
+enum Model named(const char *guid) {
+    static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails", "types", "spring", "wide"};
+    for (int model = MASS_A; model < MODELS; model++)
+        if (!strcmp(guid, guids[model])) return model;
+    return NOBODY;
+}
+
+enum Status complain(Instance *m, enum Status status, const char *what, double value) {
+    char text[2 * LENGTH];
+    if (status >= FAILED) m->mode = BROKEN;
+    snprintf(text, sizeof text, "%s: %g", what, value);
+    if (m->logging) m->say(m, status, status == WARNED ? "logStatusWarning" : "logStatusError", text);
+    return status;
+}
+
+void begin(Instance *m, enum Model model, const char *name, const char *resources) {
+    m->model = model;
+    strncpy(m->name, name, LENGTH - 1);
+    switch (model) {
+    case MASS_A: m->r[A_V] = 100, m->r[A_MASS] = 1, m->r[A_SPRING] = 10, m->r[A_COUPLING] = 100; break;
+    case MASS_B: m->r[B_V] = -100, m->r[B_MASS] = 1, m->r[B_SPRING] = 1000; break;
+    case SPRING: m->r[K_STIFFNESS] = 100; break;
+    case SOURCE: m->r[S_AMPLITUDE] = 1, m->r[S_OMEGA] = 1; break;
+    case GAIN: m->r[G_FACTOR] = 1; break;
+    case FAILS: m->r[F_WHEN] = 1e9; break;
+    case TYPES: m->r[T_GAIN] = 1; strcpy(m->s[T_LABEL], "nobody"); break;
+    case WIDE: m->i[W_SIZE] = 3; break;
+    default: break;
+    }
+    strncpy(m->s[T_RESOURCES], resources ? resources : "", LENGTH - 1);
+    instances++;
+}
+
+enum Status move(Instance *m, enum Mode from, enum Mode to) {
+    if (m->mode != from) return complain(m, FAILED, "call out of order in mode", m->mode);
+    m->mode = to;
+    return GOOD;
+}
+
+void outputs(Instance *m) {
+    double *r = m->r;
+    long long *i = m->i;
+    switch (m->model) {
+    case MASS_A: r[A_FORCE] = r[A_COUPLING] * (r[A_X2] - r[A_X]); break;
+    case SPRING: r[K_FORCE] = r[K_STIFFNESS] * r[K_STRETCH]; break;
+    case SOURCE: r[S_Y] = r[S_OFFSET] + r[S_AMPLITUDE] * sin(r[S_OMEGA] * m->time); break;
+    case GAIN: r[G_Y] = r[G_FACTOR] * r[G_U] + r[G_OFFSET]; break;
+    case TYPES:
+        r[T_OUT] = r[T_GAIN] * r[T_IN];
+        i[T_INT_OUT] = i[T_INT] + 1, i[T_BOOL_OUT] = !i[T_BOOL], i[T_ENUM_OUT] = i[T_ENUM], i[T_ALIVE] = instances;
+        snprintf(m->s[T_ECHO], LENGTH, "hello %.40s", m->s[T_LABEL]);
+        break;
+    case WIDE:
+        r[1] = r[0];
+        for (int k = 0; k < W_PAIRS; k++) i[2 * k + 1] = i[2 * k];
+        i[W_SIZE_OUT] = i[W_SIZE];
+        break;
+    default: break;
+    }
+}
+
+/* the input with value reference 0 at time tau after the start of the step */
+static double input(const Instance *m, double tau) {
+    return m->r[0] + tau * (m->slope[0][0] + tau * (m->slope[0][1] / 2 + tau * m->slope[0][2] / 6));
+}
+
+static int first_state(const Instance *m) {
+    static const int first[MODELS] = {[MASS_A] = A_X, [MASS_B] = B_X, [FAILS] = F_Y, [SPRING] = K_STRETCH};
+    return first[m->model];
+}
+
+static int states(const Instance *m) {
+    static const int count[MODELS] = {[MASS_A] = 2, [MASS_B] = 2, [FAILS] = 1, [SPRING] = 1};
+    return count[m->model];
+}
+
+static void rates(const Instance *m, double tau, const double *x, double *dx) {
+    double u = input(m, tau);
+    switch (m->model) {
+    case MASS_A:
+        dx[0] = x[1];
+        dx[1] = (-m->r[A_SPRING] * x[0] + m->r[A_COUPLING] * (u - x[0])) / m->r[A_MASS];
+        break;
+    case MASS_B:
+        dx[0] = x[1];
+        dx[1] = (-m->r[B_SPRING] * x[0] - u) / m->r[B_MASS];
+        break;
+    default: dx[0] = u; break;
+    }
+}
+
+int derivative(const Instance *m, int reference, double *value) {
+    double dx[STATES] = {0};
+    int state = reference - first_state(m);
+    if (state < 0 || state >= states(m)) return 0;
+    rates(m, 0, m->r + first_state(m), dx);
+    *value = dx[state];
+    return 1;
+}
+
+double gain(const Instance *m, int output, int input) {
+    if (m->model != GAIN || output != G_Y) return NAN;
+    return input == G_U ? m->r[G_FACTOR] : input == G_FACTOR ? m->r[G_U] : 1;
+}
+
+static void integrate(Instance *m, double length) {
+    int n = states(m), count = (int)ceil(length / 2.5e-4 - 1e-9);
+    double *x = m->r + first_state(m), k[4][STATES], y[STATES], h = length / count;
+    for (int step = 0; n && step < count; step++) {
+        double tau = step * h;
+        rates(m, tau, x, k[0]);
+        for (int j = 0; j < n; j++) y[j] = x[j] + h / 2 * k[0][j];
+        rates(m, tau + h / 2, y, k[1]);
+        for (int j = 0; j < n; j++) y[j] = x[j] + h / 2 * k[1][j];
+        rates(m, tau + h / 2, y, k[2]);
+        for (int j = 0; j < n; j++) y[j] = x[j] + h * k[2][j];
+        rates(m, tau + h, y, k[3]);
+        for (int j = 0; j < n; j++) x[j] += h / 6 * (k[0][j] + 2 * k[1][j] + 2 * k[2][j] + k[3][j]);
+    }
+}
+
+static enum Status misbehave(Instance *m) {
+    if (m->model != FAILS || m->time < m->r[F_WHEN]) return GOOD;
+    switch (m->i[F_HOW]) {
+    case WARNING: return complain(m, WARNED, "the oil is warm at", m->r[F_Y]);
+    case DISCARD: return DISCARDED;
+    case FAULT: return complain(m, FAILED, "the pump broke, y is", m->r[F_Y]);
+    case FATAL: return complain(m, DEAD, "the house burnt down, y is", m->r[F_Y]);
+    case NOT_A_NUMBER: m->r[F_Y] = NAN; return GOOD;
+    default: return GOOD;
+    }
+}
+
+enum Status advance(Instance *m, double t, double h) {
+    if (m->mode != READY) return complain(m, FAILED, "step in mode", m->mode);
+    if (t != m->time) return complain(m, FAILED, "the step does not start at the FMU's time", m->time);
+    if (m->stop_defined && t + h > m->stop) return complain(m, FAILED, "step beyond the stop time", m->stop);
+    enum Status status = misbehave(m);
+    if (status > WARNED) return status;
+    integrate(m, h);
+    m->r[0] = m->model == SOURCE ? m->r[0] : input(m, h);
+    memset(m->slope, 0, sizeof m->slope);
+    m->time = t + h;
+    return status;
+}

@@ -1,0 +1,52 @@
+/* Small co-simulation models for tests of the orchestrator, behind FMI 2.0 (fmi2.c) and FMI 3.0 (fmi3.c).
+ *
+ * The GUID (instantiation token) tells which model an instance is. Variables of a family (real, whole, text)
+ * are numbered from 0 in the order in which they are listed at each model; models.py lists the same
+ * variables for modelDescription.xml. A call out of order, a step that does not start at the FMU's own time,
+ * and a step beyond the stop time are errors, without any tolerance.
+ */
+#include <stddef.h>
+
+enum { REALS = 16, INTEGERS = 20, STRINGS = 4, LENGTH = 256, STATES = 2, ORDERS = 3 };
+enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, MODELS };
+enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
+enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
+enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT };
+
+enum { A_X2, A_FORCE, A_X, A_V, A_MASS, A_SPRING, A_COUPLING }; /* MASS_A: x'' = (-k x + F) / m */
+enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING };                   /* MASS_B: x'' = (-k x - F) / m */
+enum { K_V, K_FORCE, K_STRETCH, K_STIFFNESS };                 /* SPRING: stretch' = v, force = k stretch */
+enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET };                   /* SOURCE: y = offset + amplitude sin(omega t) */
+enum { G_U, G_Y, G_FACTOR, G_OFFSET };                          /* GAIN: y = factor u + offset */
+enum { F_U, F_Y, F_WHEN };                                      /* FAILS: y' = u, fails once t >= when */
+enum { F_HOW };
+enum { T_IN, T_OUT, T_GAIN }; /* TYPES: every output follows its input */
+enum { T_INT, T_INT_OUT, T_BOOL, T_BOOL_OUT, T_ENUM, T_ENUM_OUT, T_ALIVE };
+enum { T_LABEL, T_ECHO, T_RESOURCES };
+enum { W_PAIRS = 7, W_SIZE = 2 * W_PAIRS, W_SIZE_OUT }; /* WIDE: outputs follow inputs of all widths */
+
+typedef struct Instance Instance;
+struct Instance {
+    enum Model model;
+    enum Mode mode;
+    char name[LENGTH];
+    int logging;
+    void (*say)(Instance *, enum Status, const char *category, const char *text);
+    double time, stop;
+    int stop_defined;
+    double r[REALS];
+    double slope[REALS][ORDERS]; /* derivatives of inputs, for the next step only */
+    long long i[INTEGERS];       /* integers, enumerations and booleans */
+    char s[STRINGS][LENGTH];
+};
+
+extern int instances; /* alive; read through TYPES' integer "alive" */
+
+enum Model named(const char *guid);                 /* NOBODY if there is none */
+void begin(Instance *, enum Model, const char *name, const char *resources);
+enum Status complain(Instance *, enum Status, const char *what, double value);
+enum Status move(Instance *, enum Mode from, enum Mode to);
+void outputs(Instance *);
+int derivative(const Instance *, int reference, double *value); /* of an output; 0 if it has none */
+double gain(const Instance *, int output, int input);           /* partial derivative */
+enum Status advance(Instance *, double t, double h);
