@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orchestrator.bonds import Bond
 from orchestrator.network import Network
-from orchestrator.slave import Call
+from orchestrator.slave import Call, access
 from orchestrator.system import Port
 
 ROWS = 1024  # steps between two summations
@@ -55,7 +55,7 @@ class Monitor:
         self._bonds, self._network, self._values = bonds, network, network.real.values
         self._places = network.real.places(ports)
         self._sloped: NDArray[np.bool_] | None = None  # which bond inputs the master gives slopes to
-        by_component = sorted(range(len(ports)), key=lambda i: ports[i].component)
+        by_component = sorted(range(len(ports)), key=lambda i: _group(network, ports[i]))
         self._seen, self._spread = np.zeros(len(ports)), np.argsort(by_component)
         self._readers = _readers(network, [ports[i] for i in by_component], self._seen)
         self._step = np.zeros(ROWS)
@@ -107,10 +107,14 @@ class Monitor:
         return [BondEnergy(b.name, *(b.scale * self._sums[:, i])) for i, b in enumerate(self._bonds)]
 
 
+def _group(network: Network, port: Port) -> tuple[str, str]:
+    return port.component, access(network.system.variable(port))
+
+
 def _readers(network: Network, ports: list[Port], into: NDArray[np.float64]) -> list[Call]:
-    """One call per component; `ports` are sorted by component."""
+    """One call per component and type; `ports` are sorted by them."""
     calls, first = [], 0
-    for component, group in groupby(ports, key=lambda p: p.component):
+    for (component, _), group in groupby(ports, key=lambda p: _group(network, p)):
         names = [p.variable for p in group]
         calls.append(network.slaves[component].reader(names, into[first : first + len(names)]))
         first += len(names)

@@ -21,6 +21,7 @@ KINDS = {
     **dict.fromkeys(INTEGERS, "Integer"),
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
+SHOWN = 5  # names in a list
 SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
@@ -116,6 +117,13 @@ class Interface:
         if variable in self.refused:
             kind = self.refused[variable]
             raise Problem(f"{where}: expected a scalar number or text, got {kind}, which is not supported")
+
+    @property
+    def left_out(self) -> str:
+        """The refused variables as text; empty when there are none."""
+        told = [f"{name}, {what}" for name, what in self.refused.items()]
+        more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+        return f"left out: {'; '.join(told[:SHOWN])}{more}" if told else ""
 
 
 def read_interface(fmu: Location) -> Interface:

@@ -30,6 +30,9 @@ def lines(system: System, kind: str | None = None) -> Iterator[str]:
         for wanted in ("output", "input", "parameter"):
             if kind in (None, wanted):
                 yield from _table(f"{component.name}: {wanted}s", _variables(system, component, wanted))
+        if kind is None and component.interface.refused:
+            yield from textwrap.wrap(f"{component.name}: {component.interface.left_out}", WIDTH)
+            yield ""
 
 
 def _inlets(system: System) -> list[Entry]:

@@ -186,6 +186,10 @@ class _Job:
             loop = _Loop(network, recorder, monitor, times, bar)
             return self._judge(loop, lambda: loop.go(prepare(network)))
 
+    def _left_out(self) -> tuple[str, ...]:
+        faces = {name: c.interface for name, c in self.system.components.items()}
+        return tuple(f"{name}: {face.left_out}" for name, face in faces.items() if face.refused)
+
     def _bonds(self) -> list[Bond]:
         if self.bonds is None:
             return find_bonds(self.system)
@@ -215,7 +219,7 @@ class _Job:
             wall=time.perf_counter() - began,
             bonds=tuple(loop.monitor.energies()),
             warnings=tuple(line for log in logs for line in log.warnings()),
-            notes=self.system.notes + loop.network.order.notes + loop.times.notes,
+            notes=self.system.notes + self._left_out() + loop.network.order.notes + loop.times.notes,
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
         return Result(self.system, trace, card, tuple(messages), complete)

@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 from orchestrator.archive import Location
 from orchestrator.errors import Problem, suggest
+from orchestrator.interface import FLOATS
 from orchestrator.units import Linear, Unit
 from orchestrator.xml import Element, child, children, flag, local, number, parse, transformation, units
 
+SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
+SINKS = ("input", "parameter", "structuralParameter")
 FMU, SSD, SSP = "application/x-fmu-sharedlibrary", "application/x-ssp-definition", "application/x-ssp-package"
 SOURCE, SINK = "source", "sink"
 
@@ -52,6 +55,7 @@ class Flat:
     kinds: dict[Node, str] = field(default_factory=dict)
     units: dict[Node, Unit] = field(default_factory=dict)
     hops: dict[Node, Hop] = field(default_factory=dict)
+    arrays: set[Node] = field(default_factory=set)
     bindings: list[Binding] = field(default_factory=list)  # innermost first
     known_units: dict[str, Unit] = field(default_factory=dict)
     start: float | None = None
@@ -67,8 +71,8 @@ def read_ssd(file: Location) -> Flat:
     """Read a .ssd file and every system inside it."""
     root = parse(file, "SystemStructureDescription")
     flat = Flat(root.get("name") or "system", file)
-    if not (root.get("version") or "").startswith("1."):
-        flat.notes.append(f"{file}: SSP version {root.get('version')} is read as version 1.0")
+    if not (root.get("version") or "").startswith(("1.", "2.")):
+        flat.notes.append(f"{file}: SSP version {root.get('version')} is read as version 2.0")
     experiment = child(root, "DefaultExperiment")
     if experiment is not None:
         flat.start = number(file, experiment, "startTime") if "startTime" in experiment.attrib else None
@@ -126,8 +130,9 @@ class _Reader:
 
     def _component(self, element: Element, full: str) -> None:
         kind, source = element.get("type") or FMU, self._file.beside(element.get("source") or "")
-        if element.get("implementation") == "ModelExchange":
-            raise Problem(f"{self._file}: component {full}: expected co-simulation, got model exchange")
+        implementation = element.get("implementation") or "any"
+        if implementation not in ("any", "CoSimulation"):
+            raise Problem(f"{self._file}: component {full}: expected CoSimulation, got {implementation}")
         if kind == FMU:
             self._flat.sources[full] = source
         elif kind in (SSD, SSP):
@@ -142,10 +147,11 @@ class _Reader:
         for connector in children(element, "Connectors", "Connector"):
             node = Node(owner, connector.get("name"))
             self._flat.kinds[node] = connector.get("kind")
-            real = child(connector, "Real")
-            if real is not None and real.get("unit"):
-                name = real.get("unit")
-                self._flat.units[node] = self._flat.known_units.get(name, Unit(name))
+            if child(connector, "Dimension") is not None:
+                self._flat.arrays.add(node)
+            for name in (e.get("unit") for e in connector if local(e) in FLOATS):
+                if name:
+                    self._flat.units[node] = self._flat.known_units.get(name, Unit(name))
 
     def _bindings(self, element: Element, owner: str) -> None:
         for binding in children(element, "ParameterBindings", "ParameterBinding"):
@@ -177,15 +183,16 @@ class _Reader:
                 f"{self._file}: connection to {name}.{connector}: no element {name!r}{suggest(name, owners)}"
             )
         node = Node(path if name is None else owners[name], connector)
+        if node in self._flat.arrays or element.get(f"{side}Indices"):
+            raise Problem(f"{self._file}: connection to {node}: expected a scalar, arrays are not supported")
         kind = self._flat.kinds.get(node)
         if kind is None and node.owner in self._flat.systems:
             known = [n.connector for n in self._flat.kinds if n.owner == node.owner]
             label = node.owner or self._flat.name
             raise Problem(f"{self._file}: {label} has no connector {connector!r}{suggest(connector, known)}")
-        if kind not in ("input", "parameter", "output", "calculatedParameter"):
+        if kind not in (*SOURCES, *SINKS):
             return node, None
-        gives = kind in ("output", "calculatedParameter")
-        return node, SOURCE if gives != (name is None) else SINK
+        return node, SOURCE if (kind in SOURCES) != (name is None) else SINK
 
 
 def _join(path: str, name: str) -> str:

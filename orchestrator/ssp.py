@@ -1,4 +1,4 @@
-"""Reading SSP 1.0: a .ssp archive, an unpacked one, a .ssd file, or a single .fmu.
+"""Reading SSP 1.0 and 2.0: a .ssp archive, an unpacked one, a .ssd file, or a single .fmu.
 
 Nested systems (also those in other .ssd and .ssp files) are flattened: components are named by their path,
 and each component input is traced back through the connectors of systems to the output that feeds it.
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.archive import Location
 from orchestrator.errors import Problem
-from orchestrator.ssd import Flat, Node, read_ssd
+from orchestrator.ssd import SINKS, Flat, Node, read_ssd
 from orchestrator.ssv import apply
 from orchestrator.system import Connection, Inlet, Outlet, Port, System, connection, open_component
 from orchestrator.units import IDENTITY, Linear, Unit
@@ -57,7 +57,7 @@ def _flatten(flat: Flat, system: System) -> System:
     notes = list(flat.notes)
     wires = find_wires(flat, system)
     maps = [(wire, wire.map(flat, system, notes)) for wire in wires]
-    inputs = {n.connector: _inlet(flat, system, n, maps) for n in flat.connectors("", "input", "parameter")}
+    inputs = {n.connector: _inlet(flat, system, n, maps) for n in flat.connectors("", *SINKS)}
     start = apply(flat, system, wires, notes)
     components = {name: replace(c, start=start[name]) for name, c in system.components.items()}
     return replace(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from orchestrator.archive import Location
 from orchestrator.errors import Problem
-from orchestrator.interface import Value
+from orchestrator.interface import KINDS, Value
 from orchestrator.ssd import Binding, Flat, Node
 from orchestrator.system import Port, System, coerce
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
@@ -53,6 +53,8 @@ def _targets(
         name = full.removeprefix(f"{owner}.") if owner else full
         if owner and name == full:
             continue
+        if owner in flat.sources:
+            system.components[owner].interface.allow(name, f"parameter {full}")
         if owner in flat.sources and name in system.components[owner].interface.variables:
             port = Port(owner, name)
             target = system.variable(port).unit
@@ -110,9 +112,7 @@ def entries(file: Location, root: Element, known: Mapping[str, Unit]) -> list[En
 
 
 def _entry(file: Location, parameter: Element, known: Mapping[str, Unit]) -> Entry:
-    value = next(
-        (e for e in parameter if local(e) in ("Real", "Integer", "Boolean", "String", "Enumeration")), None
-    )
+    value = next((e for e in parameter if local(e) in KINDS), None)
     if value is None or value.get("value") is None:
         raise Problem(f"{file}: parameter {parameter.get('name')!r}: expected a value, got none")
     unit = value.get("unit")

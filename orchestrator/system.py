@@ -95,9 +95,11 @@ class System:
 
     def _find(self, name: str) -> Port | None:
         for component in sorted(self.components, key=len, reverse=True):
-            rest = name.removeprefix(component + ".")
-            if rest != name and rest in self.components[component].interface.variables:
-                return Port(component, rest)
+            rest, face = name.removeprefix(component + "."), self.components[component].interface
+            if rest != name:
+                face.allow(rest, name)
+                if rest in face.variables:
+                    return Port(component, rest)
         return None
 
     def targets(self, name: str) -> tuple[tuple[Port, Linear], ...]:

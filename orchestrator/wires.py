@@ -87,7 +87,9 @@ def _check(flat: Flat, system: System, node: Node) -> None:
     """A connector of a component must be a variable of its FMU."""
     if node.owner not in flat.sources:
         return
-    variables = system.components[node.owner].interface.variables
+    interface = system.components[node.owner].interface
+    interface.allow(node.connector, f"connection to {node}")
+    variables = interface.variables
     if node.connector not in variables:
         fmu = flat.sources[node.owner]
         close = suggest(node.connector, variables)
