@@ -1,1 +1,71 @@
 """harvester check: what is wrong with an FMU, and which tool will refuse it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from orchestrator.check.finding import Finding, Rule
+from orchestrator.check.report import Report
+from orchestrator.check.static.description import told_already
+from orchestrator.check.subject import Subject, opened
+from orchestrator.check.tools import ANY, TOOLS
+from orchestrator.errors import Problem, suggest
+
+DEFECT = "check.defect"
+
+
+def rules() -> tuple[Rule, ...]:
+    """All rules, in the order in which they are applied."""
+    from orchestrator.check.experiment import EXPERIMENT
+    from orchestrator.check.probes import PROBES
+    from orchestrator.check.static import STATIC
+
+    return (*STATIC, *PROBES, EXPERIMENT)
+
+
+def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
+    """Check one FMU.
+
+    tool   id of the tool that shall take it; any: all findings
+    run    also load and run it, in child processes
+    """
+    from orchestrator.check.static import STATIC
+
+    if tool != ANY and tool not in TOOLS:
+        raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any{suggest(tool, TOOLS)}")
+    if not path.is_file():
+        raise Problem(
+            f"{path}: " + ("expected an .fmu file, got a folder" if path.is_dir() else "no such file")
+        )
+    with opened(path) as subject:
+        found = [f for rule in (rules() if run else STATIC) for f in _applied(rule, subject)]
+        title = _title(subject)
+    ids = {f.rule for f in found}
+    kept = tuple(f for f in found if f.rule != "fmpy.validate" or not told_already(f, ids))
+    return Report(path, title, kept, tool)
+
+
+def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
+    """What a rule finds; a rule that fails on a strange FMU must not hide what the others find."""
+    try:
+        yield from rule(subject)
+    except Exception as problem:
+        text = f"rule {rule.id} could not be applied: {type(problem).__name__}: {problem}"
+        yield Finding(DEFECT, "warning", text)
+
+
+def _title(subject: Subject) -> str:
+    """What the file is, in a few words."""
+    model = subject.model
+    if subject.root is None or not model.interfaces:
+        return "not an FMU that can be read"
+    kinds = {
+        "ModelExchange": "Model Exchange",
+        "CoSimulation": "Co-Simulation",
+        "ScheduledExecution": "Scheduled",
+    }
+    offered = " and ".join(kinds[k] for k in model.interfaces)
+    maker = subject.root.get("generationTool") or "unknown tool"
+    platforms = ", ".join(dict.fromkeys(b.platform for b in subject.binaries)) or "no binaries"
+    return f"FMI {subject.version}, {offered}, {len(model.variables)} variables, by {maker}; {platforms}"

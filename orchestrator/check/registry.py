@@ -1,4 +1,4 @@
-"""The table of rules: each rule enters itself with the decorator `rule`."""
+"""A table of rules: each rule enters itself with a decorator, so that none is forgotten."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from collections.abc import Callable
 from orchestrator.check.finding import Check, Rule
 
 
-def rule(table: list[Rule], name: str, text: str, *threads: str) -> Callable[[Check], Check]:
-    """Enter a function into `table` as the rule `name`."""
+class Table(list[Rule]):
+    """Rules in the order in which they are applied."""
 
-    def enter(check: Check) -> Check:
-        table.append(Rule(name, text, check, threads))
-        return check
+    def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
+        """Enter the function below as the rule `name`."""
 
-    return enter
+        def enter(check: Check) -> Check:
+            self.append(Rule(name, text, check, threads))
+            return check
+
+        return enter

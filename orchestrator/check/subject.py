@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orchestrator.check.finding import Finding
+from orchestrator.check.unpack import DESCRIPTION, unpack
+
+if TYPE_CHECKING:
+    from orchestrator.check.binary import Binary
+    from orchestrator.check.model import Model
 
 Element = Any  # lxml ships no types
 
@@ -21,7 +30,7 @@ class Subject:
     root          root element of modelDescription.xml, with line numbers; None when it is not XML
     description   FMPy's ModelDescription; None when FMPy cannot read it
     names         names of all members of the archive, as written
-    faults        what went wrong while opening
+    faults        what went wrong while opening, with the ids of the rules that tell it
     """
 
     path: Path
@@ -37,3 +46,62 @@ class Subject:
         """2 or 3; 0 when unknown or not supported."""
         head = self.version.partition(".")[0]
         return int(head) if head in ("2", "3") else 0
+
+    @cached_property
+    def files(self) -> frozenset[str]:
+        """The unpacked files, with forward slashes."""
+        there = (p for p in self.folder.rglob("*") if p.is_file())
+        return frozenset(p.relative_to(self.folder).as_posix() for p in there)
+
+    @cached_property
+    def model(self) -> Model:
+        """What modelDescription.xml says, read without judging it."""
+        from orchestrator.check.model import read
+
+        return read(self.root, self.major)
+
+    @cached_property
+    def binaries(self) -> tuple[Binary, ...]:
+        """The shared libraries of all platforms; of a universal one, each architecture."""
+        from orchestrator.check.binary import read_all
+
+        return read_all(self.folder, sorted(self.files))
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Subject]:
+    """Open an FMU for the time of a check; whatever is wrong with it becomes a fault of the subject."""
+    with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        names, faults = unpack(path, folder)
+        root, more = _parsed(folder / DESCRIPTION)
+        version = "" if root is None else root.get("fmiVersion", "")
+        description = None if root is None else _described(folder)
+        yield Subject(path, folder, version, root, description, names, (*faults, *more))
+
+
+def _parsed(file: Path) -> tuple[Element | None, tuple[Finding, ...]]:
+    """The root element of modelDescription.xml. Entities are not expanded and nothing is fetched."""
+    from lxml import etree
+
+    if not file.is_file():
+        return None, ()
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
+    try:
+        tree = etree.parse(str(file), parser)
+    except (etree.XMLSyntaxError, OSError) as problem:
+        return None, (Finding("xml.syntax", "error", f"{DESCRIPTION}: is not XML: {problem}"),)
+    if tree.docinfo.doctype:
+        text = f"{DESCRIPTION}: has a document type {tree.docinfo.doctype[:60]!r}, expected none"
+        return None, (Finding("xml.syntax", "error", text),)
+    return tree.getroot(), ()
+
+
+def _described(folder: Path) -> Any | None:
+    """What FMPy reads; it raises plain exceptions of all kinds, and the rules of FMPy tell them."""
+    from fmpy import read_model_description
+
+    try:
+        return read_model_description(str(folder), validate=False)
+    except Exception:
+        return None

@@ -1,0 +1,218 @@
+"""What the shared libraries of an FMU say about themselves: ELF, PE and Mach-O in the same terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+SUFFIXES = {"ELF": ".so", "PE": ".dll", "Mach-O": ".dylib"}
+MACHINES = {
+    "X86_64": "x86_64",
+    "AMD64": "x86_64",
+    "I386": "x86",
+    "X86": "x86",
+    "AARCH64": "aarch64",
+    "ARM64": "aarch64",
+    "ARM": "aarch32",
+    "ARMNT": "aarch32",
+}
+DEBUG = (".debug_info", ".zdebug_info", "__debug_info")
+
+
+@dataclass(frozen=True)
+class Binary:
+    """One shared library, or one architecture of a universal one.
+
+    file         path inside the FMU: binaries/linux64/swing.so
+    format       ELF, PE, Mach-O; "" when it is none of them
+    exports      names of exported functions, without the underscore of Mach-O
+    libraries    the libraries that it names
+    unsupplied   undefined symbols that none of these can supply, as far as the file tells
+    versions     newest version of each family that it needs: {"GLIBC": (2, 17)}
+    rpaths       where it looks for libraries
+    traits       what else is unusual: "executable stack", "writable code", "text relocations", "unsigned"
+    debug        bytes of debug sections
+    minimum      oldest macOS that loads it, as written
+    """
+
+    file: str
+    size: int
+    format: str = ""
+    machine: str = ""
+    is_library: bool = True
+    exports: frozenset[str] = frozenset()
+    libraries: tuple[str, ...] = ()
+    imports: frozenset[str] = frozenset()
+    unsupplied: tuple[str, ...] = ()
+    versions: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    rpaths: tuple[str, ...] = ()
+    traits: tuple[str, ...] = ()
+    debug: int = 0
+    minimum: tuple[int, ...] = ()
+    head: bytes = b""
+
+    def __str__(self) -> str:
+        return self.file
+
+    @property
+    def platform(self) -> str:
+        """The folder below binaries."""
+        return self.file.split("/")[1]
+
+    @property
+    def name(self) -> str:
+        return self.file.rpartition("/")[2]
+
+    @property
+    def stem(self) -> str:
+        return self.name.rpartition(".")[0]
+
+
+def read_all(folder: Path, files: Iterable[str]) -> tuple[Binary, ...]:
+    """The shared libraries among the files, those directly in a platform folder."""
+    chosen = [f for f in files if f.startswith("binaries/") and f.count("/") == 2]
+    return tuple(b for f in chosen if f.endswith(tuple(SUFFIXES.values())) for b in _read(folder / f, f))
+
+
+def _read(path: Path, file: str) -> Iterator[Binary]:
+    """One library; a universal one gives one for each architecture."""
+    import lief
+
+    lief.logging.disable()
+    size = path.stat().st_size
+    with path.open("rb") as opened:
+        head = opened.read(64)
+    if head[:4] in (b"\xca\xfe\xba\xbe", b"\xca\xfe\xba\xbf"):
+        fat = lief.MachO.parse(str(path))
+        for part in fat or ():
+            yield _macho(part, file, size)
+        if fat is None:
+            yield Binary(file, size, head=head)
+        return
+    parsed = lief.parse(str(path)) if size else None
+    if isinstance(parsed, lief.ELF.Binary):
+        yield _elf(parsed, file, size)
+    elif isinstance(parsed, lief.PE.Binary):
+        yield _pe(parsed, file, size)
+    elif isinstance(parsed, lief.MachO.Binary):
+        yield _macho(parsed, file, size)
+    else:
+        yield Binary(file, size, head=head)
+
+
+def _machine(value: Any) -> str:
+    """Our word for a machine type, else that of the file."""
+    return MACHINES.get(value.name, str(value.name).lower())
+
+
+def _elf(b: Any, file: str, size: int) -> Binary:
+    import lief
+
+    tags, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment
+    undefined = [s for s in b.dynamic_symbols if not s.shndx and s.name]
+    needed: dict[str, tuple[int, ...]] = {}
+    families = {}
+    for requirement in b.symbols_version_requirement:
+        for auxiliary in requirement.get_auxiliary_symbols():
+            family, _, version = auxiliary.name.partition("_")
+            families[requirement.name] = family
+            numbers = tuple(int(n) for n in version.split(".") if n.isdigit())
+            needed[family] = max(needed.get(family, ()), numbers)
+    traits = [
+        "executable stack"
+        if any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments)
+        else "",
+        "writable code" if any(_writes_code(s, flag) for s in b.segments) else "",
+        "text relocations" if b.has(tags.TEXTREL) else "",
+    ]
+    libraries = tuple(str(n) for n in b.libraries)
+    rpaths = [e for e in b.dynamic_entries if e.tag in (tags.RPATH, tags.RUNPATH)]
+    return Binary(
+        file=file,
+        size=size,
+        format="ELF",
+        machine=_machine(b.header.machine_type),
+        is_library=b.header.file_type == lief.ELF.Header.FILE_TYPE.DYN,
+        exports=frozenset(s.name for s in b.dynamic_symbols if s.shndx and s.name),
+        libraries=libraries,
+        imports=frozenset(s.name for s in undefined),
+        unsupplied=_unsupplied(undefined, libraries, families),
+        versions=needed,
+        rpaths=tuple(p for e in rpaths for p in e.paths),
+        traits=tuple(t for t in traits if t),
+        debug=sum(s.size for s in b.sections if s.name in DEBUG),
+    )
+
+
+def _writes_code(segment: Any, flag: Any) -> bool:
+    load = segment.type == flag.TYPE.LOAD
+    return bool(load and segment.has(flag.FLAGS.W) and segment.has(flag.FLAGS.X))
+
+
+def _unsupplied(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
+    """Undefined symbols without a version, when every named library gives its symbols versions.
+
+    The symbols of glibc and of the compiler's libraries all have versions, so one without must come from a
+    library that the file does not name.
+    """
+    if not set(versioned) or set(libraries) - set(versioned):
+        return ()
+    import lief
+
+    weak = lief.ELF.Symbol.BINDING.WEAK
+    return tuple(
+        sorted(
+            s.name
+            for s in symbols
+            if s.binding != weak and not (s.has_version and s.symbol_version.has_auxiliary_version)
+        )
+    )
+
+
+def _pe(b: Any, file: str, size: int) -> Binary:
+    import lief
+
+    flags = lief.PE.Section.CHARACTERISTICS
+    both = [
+        s
+        for s in b.sections
+        if s.has_characteristic(flags.MEM_EXECUTE) and s.has_characteristic(flags.MEM_WRITE)
+    ]
+    return Binary(
+        file=file,
+        size=size,
+        format="PE",
+        machine=_machine(b.header.machine),
+        is_library=b.header.has_characteristic(lief.PE.Header.CHARACTERISTICS.DLL),
+        exports=frozenset(e.name for e in b.exported_functions),
+        libraries=tuple(dict.fromkeys(str(n) for n in b.libraries)),
+        imports=frozenset(e.name for i in b.imports for e in i.entries if e.name),
+        traits=("writable code",) if both else (),
+        debug=sum(s.size for s in b.sections if s.name.startswith((".debug", "/"))),
+    )
+
+
+def _macho(b: Any, file: str, size: int) -> Binary:
+    import lief
+
+    arm = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64
+    minimum = (
+        b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
+    )
+    return Binary(
+        file=file,
+        size=size,
+        format="Mach-O",
+        machine=_machine(b.header.cpu_type),
+        is_library=b.header.file_type
+        in (lief.MachO.Header.FILE_TYPE.DYLIB, lief.MachO.Header.FILE_TYPE.BUNDLE),
+        exports=frozenset(e.name.removeprefix("_") for e in b.exported_functions),
+        libraries=tuple(n.name for n in b.libraries if n.command != lief.MachO.LoadCommand.TYPE.ID_DYLIB),
+        imports=frozenset(s.name.removeprefix("_") for s in b.imported_symbols),
+        rpaths=tuple(r.path for r in b.rpaths),
+        traits=("unsigned",) if arm and not b.has_code_signature else (),
+        debug=sum(s.size for s in b.sections if s.name in DEBUG),
+        minimum=tuple(minimum),
+    )

@@ -1,0 +1,125 @@
+"""modelDescription.xml as a file: XML, version, schema, and what FMPy says of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.registry import Table
+from orchestrator.check.subject import Subject
+from orchestrator.check.unpack import DESCRIPTION
+from orchestrator.xml import local
+
+RULES = Table()
+SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
+# What FMPy says -> the rules that say it better. FMPy's message is told when none of them found anything.
+COVERED = {
+    r"ERROR \(line": ("xml.schema",),
+    r"backslash": ("archive.name",),
+    r"is not unique": ("variable.duplicate",),
+    r"must have variability != |combination causality": ("variable.combination", "variable.type"),
+    r"start value": ("variable.start",),
+    r"unit .* is not defined": ("unit.undefined", "unit.display"),
+    r"legal variable name|contains an illegal": ("name.grammar", "name.characters"),
+    r"dependenc": ("structure.kinds",),
+    r"Outputs must have": ("structure.outputs",),
+    r"must have the attribute .derivative": ("structure.derivatives",),
+    r"InitialUnknowns": ("structure.initial", "structure.derivatives"),
+    r"independent variable": ("variable.independent",),
+    r"same value reference": ("variable.reference",),
+}
+
+
+@RULES.rule("xml.syntax", "modelDescription.xml is XML without document type")
+def syntax(subject: Subject) -> Iterator[Finding]:
+    yield from (f for f in subject.faults if f.rule == "xml.syntax")
+    root = subject.root
+    if root is not None and local(root) != "fmiModelDescription":
+        yield error(f"{DESCRIPTION} line {root.sourceline}: expected fmiModelDescription, got {local(root)}")
+
+
+@RULES.rule("xml.encoding", "modelDescription.xml is written in UTF-8")
+def encoding(subject: Subject) -> Iterator[Finding]:
+    if subject.root is None:
+        return
+    said = subject.root.getroottree().docinfo.encoding or "UTF-8"
+    if said.upper() not in ("UTF-8", "ASCII", "US-ASCII"):
+        yield error(f"{DESCRIPTION}: encoding is {said}, expected UTF-8")
+
+
+@RULES.rule("version.known", "The FMI version is 2.0 or 3.0")
+def version(subject: Subject) -> Iterator[Finding]:
+    said = subject.version
+    if subject.root is None or local(subject.root) != "fmiModelDescription":
+        return
+    if said.startswith("1."):
+        yield error(
+            f"FMI {said} is not supported by this check, expected 2.0 or 3.0; newer tools drop it too"
+        )
+    elif not subject.major:
+        yield error(f"{DESCRIPTION}: fmiVersion is {said!r}, expected 2.0 or 3.0")
+
+
+@RULES.rule("version.new", "Tools that take FMI 2.0 only can use the FMU")
+def new(subject: Subject) -> Iterator[Finding]:
+    if subject.major == 3:
+        yield note("FMI 3.0: some tools take FMI 2.0 only or FMI 3.0 in part; ship an FMI 2.0 FMU beside it")
+
+
+@RULES.rule("xml.schema", "modelDescription.xml keeps the schema of its version", "FMPy#774")
+def schema(subject: Subject) -> Iterator[Finding]:
+    if subject.root is None or not subject.major or local(subject.root) != "fmiModelDescription":
+        return
+    for line, message in violations(subject.root, SCHEMAS[subject.major]):
+        yield error(f"{DESCRIPTION} line {line}: {message}")
+
+
+def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
+    """Line and message of each violation of one of FMPy's schemas."""
+    import fmpy
+    from lxml import etree
+
+    judge = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / name))
+    judge.validate(root)
+    for entry in judge.error_log:
+        yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
+
+
+@RULES.rule("fmpy.validate", "FMPy's validation has no complaint that no other rule has")
+def fmpy_validate(subject: Subject) -> Iterator[Finding]:
+    if subject.root is None or not subject.major:
+        return
+    from fmpy.validation import validate_fmu
+
+    for problem in dict.fromkeys(str(p) for p in validate_fmu(str(subject.folder))):
+        yield error(f"FMPy: {' '.join(problem.split())}", "fmpy")
+
+
+def told_already(found: Finding, others: Iterable[str]) -> bool:
+    """True when a rule among `others` has told what FMPy's message tells."""
+    covering = {r for pattern, rules in COVERED.items() if re.search(pattern, found.text) for r in rules}
+    return bool(covering & set(others))
+
+
+@RULES.rule("kind.some", "The FMU offers Model Exchange or Co-Simulation")
+def kinds(subject: Subject) -> Iterator[Finding]:
+    offered = subject.model.interfaces
+    if subject.model.variables and not offered:
+        yield error(f"{DESCRIPTION}: expected ModelExchange or CoSimulation, found neither")
+    elif list(offered) == ["ScheduledExecution"]:
+        yield warning("offers Scheduled Execution only; few tools take it")
+
+
+@RULES.rule("kind.simulation", "The FMU offers Co-Simulation")
+def simulation(subject: Subject) -> Iterator[Finding]:
+    if "ModelExchange" in subject.model.interfaces and "CoSimulation" not in subject.model.interfaces:
+        yield note("no Co-Simulation: masters without a solver of their own cannot run it")
+
+
+@RULES.rule("kind.exchange", "The FMU offers Model Exchange")
+def exchange(subject: Subject) -> Iterator[Finding]:
+    if "CoSimulation" in subject.model.interfaces and "ModelExchange" not in subject.model.interfaces:
+        yield note("no Model Exchange: the equations cannot join the solver of the importing tool")

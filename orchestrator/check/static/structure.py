@@ -1,0 +1,192 @@
+"""ModelStructure: the right unknowns in the right lists, and honest dependencies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from orchestrator.check.finding import Finding, error, warning
+from orchestrator.check.model import Model, Unknown, Variable, whole
+from orchestrator.check.registry import Table
+from orchestrator.check.subject import Subject
+
+RULES = Table()
+WHERE = "modelDescription.xml: ModelStructure"
+UNKNOWN = ("calculated", "approx")  # values of `initial` of what initialisation computes
+PLAIN = ("dependent", "constant")
+KINDS = (*PLAIN, "fixed", "tunable", "discrete")
+LISTS = {
+    2: {"outputs": "Outputs", "initial": "InitialUnknowns"},
+    3: {"outputs": "Output", "initial": "InitialUnknown"},
+}
+
+
+def _differences(model: Model, section: str, expected: list[Variable], why: str) -> Iterator[Finding]:
+    """What is missing in a list, and what does not belong there."""
+    listed = dict.fromkeys(u.variable for u in model.structure.get(section, ()) if u.variable)
+    name = LISTS[model.major][section]
+    missing = [v.name for v in expected if v not in listed]
+    right = set(expected)
+    extra = [v.name for v in listed if v not in right]
+    if missing:
+        yield error(f"{WHERE}: {name} lacks {_some(missing)}; expected {why}")
+    if extra:
+        yield error(f"{WHERE}: {name} has {_some(extra)}; expected only {why}")
+
+
+def _some(names: list[str]) -> str:
+    """The first names, and how many more there are."""
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+    return ", ".join(names[:6]) + more
+
+
+@RULES.rule(
+    "structure.outputs",
+    "Outputs lists every output and nothing else",
+    "OMSimulator#838 FMUComplianceChecker#27",
+)
+def outputs(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    if model.major:
+        yield from _differences(model, "outputs", list(model.of("output")), "exactly the outputs")
+
+
+@RULES.rule(
+    "structure.initial",
+    "InitialUnknowns lists exactly what initialisation computes",
+    "PythonFMU#112 Simulix#28 OpenModelica#15692",
+)
+def initial(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    if not model.major:
+        return
+    listed = [u.variable for u in model.structure["derivatives"] if u.variable]
+    core = {*listed, *model.states}
+    expected = [
+        v
+        for v in model.variables
+        if v.causality == "calculatedParameter"
+        or (v.initial in UNKNOWN and not v.clocked and (v.causality == "output" or v in core))
+    ]
+    clocked = (u.variable for u in model.structure["initial"] if u.variable and u.variable.clocked)
+    chosen = list(clocked) if model.major == 3 else []
+    why = "outputs, states and derivatives that are calculated or approx, and calculated parameters"
+    yield from _differences(model, "initial", expected + chosen, why)
+
+
+@RULES.rule(
+    "structure.derivatives", "The listed derivatives are derivatives of states", "FMUComplianceChecker#27"
+)
+def derivatives(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    for unknown in model.structure.get("derivatives", ()):
+        variable = unknown.variable
+        if variable is None:
+            continue
+        key = variable.said.get("derivative")
+        state = model.by_key.get(whole(key) or -1) if key != "0" else model.by_key.get(0)
+        if key is None:
+            yield error(f"{unknown}: the variable has no attribute derivative")
+        elif state is None:
+            yield error(f"{variable}: derivative={key!r} is no variable")
+        elif not (state.is_float and state.variability == "continuous"):
+            yield error(f"{variable}: is the derivative of {state.name}, which is not continuous")
+        elif state.causality not in ("local", "output"):
+            yield error(f"{variable}: its state {state.name} is {state.causality}, expected local or output")
+
+
+@RULES.rule(
+    "structure.entries", "Entries of ModelStructure name variables, each once, in the order of the standard"
+)
+def entries(subject: Subject) -> Iterator[Finding]:
+    for unknowns in subject.model.structure.values():
+        for unknown in unknowns:
+            if unknown.variable is None:
+                yield error(f"{unknown}: expected a variable, found none with number {unknown.key}")
+        for key, count in Counter(u.key for u in unknowns if u.variable).items():
+            if count > 1:
+                twice = next(u for u in unknowns if u.key == key)
+                yield error(f"{twice}: is there {count} times, expected once")
+    keys = [u.key for u in subject.model.structure.get("initial", ()) if u.key is not None]
+    if subject.major == 2 and keys != sorted(keys) and len(set(keys)) == len(keys):
+        yield warning(f"{WHERE}: InitialUnknowns is not ordered by index")
+
+
+@RULES.rule(
+    "structure.dependencies",
+    "Outputs and derivatives say what they depend on; else every input feeds through",
+    "FMIKit#21 PyFMI#232",
+)
+def dependencies(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    inputs = len(model.of("input"))
+    for section in ("outputs", "derivatives") if inputs else ():
+        silent = [u for u in model.structure.get(section, ()) if u.dependencies is None and u.variable]
+        silent = [u for u in silent if u.variable and u.variable.variability != "constant"]
+        if silent:
+            names = _some([u.variable.name for u in silent if u.variable])
+            yield warning(
+                f"{silent[0]}: no dependencies for {len(silent)} of {len(model.structure[section])} {section}"
+                f" ({names}); tools assume direct feed-through from all {inputs} inputs"
+            )
+
+
+@RULES.rule("structure.knowns", "Dependencies name inputs, states and what is known by then")
+def knowns(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    states = set(model.states)
+    for section, unknowns in model.structure.items():
+        for unknown in unknowns if section in ("outputs", "derivatives", "initial") else ():
+            for key in unknown.dependencies or ():
+                known = model.by_key.get(-1 if key is None else key)
+                if known is None:
+                    yield error(f"{unknown}: dependency {key} is no variable")
+                elif not _known(known, section, states, model.major):
+                    yield warning(
+                        f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
+                        " expected an input, a state or what is known by then"
+                    )
+                if known is None:
+                    break
+
+
+def _known(v: Variable, section: str, states: set[Variable], major: int) -> bool:
+    """True for what the standard calls a known of this list."""
+    if v.causality in ("input", "independent"):
+        return True
+    if section == "initial":
+        return v.initial == "exact"
+    parameter = v.causality in ("parameter", "structuralParameter")
+    return (
+        v in states or (parameter and major == 3) or v.clocked or (major == 3 and v.variability == "discrete")
+    )
+
+
+@RULES.rule("structure.kinds", "dependenciesKind has one allowed word for each dependency")
+def kinds(subject: Subject) -> Iterator[Finding]:
+    for section, unknowns in subject.model.structure.items():
+        for unknown in unknowns:
+            yield from _kinds(unknown, section)
+
+
+def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
+    if unknown.kinds is None:
+        return
+    if unknown.dependencies is None:
+        yield error(f"{unknown}: dependenciesKind without dependencies")
+        return
+    if len(unknown.kinds) != len(unknown.dependencies):
+        yield error(
+            f"{unknown}: {len(unknown.kinds)} dependenciesKind for {len(unknown.dependencies)} dependencies"
+        )
+    allowed = PLAIN if section == "initial" else KINDS
+    wrong = [k for k in unknown.kinds if k in KINDS and k not in allowed]
+    if wrong:
+        yield error(
+            f"{unknown}: dependenciesKind {wrong[0]} is not allowed here, expected {' or '.join(allowed)}"
+        )
+    special = [k for k in unknown.kinds if k != "dependent"]
+    if special and unknown.variable and not unknown.variable.is_float:
+        yield error(
+            f"{unknown}: dependenciesKind {special[0]} of a {unknown.variable.type}, expected dependent"
+        )
