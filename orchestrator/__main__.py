@@ -214,6 +214,28 @@ def validate(
         raise typer.Exit(1)
 
 
+@app.command()
+def check(
+    fmu: Annotated[Path | None, typer.Argument(metavar="FILE", help="Any .fmu file.")] = None,
+    for_: Annotated[
+        str,
+        typer.Option(
+            "--for", metavar="TOOL", help="simulink, dymola, openmodelica, amesim, another, or any."
+        ),
+    ] = "any",
+    json: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="Write the findings to a file, for programs.")
+    ] = None,
+    static: Annotated[bool, typer.Option("--static", help="Run nothing of the FMU.")] = False,
+    rules: Annotated[bool, typer.Option("--rules", help="Print the table of rules.")] = False,
+) -> None:
+    """Tell what is wrong with an FMU and which tool will refuse it; exit status 1 if there are errors."""
+    from orchestrator.check import command
+
+    if not command.run(fmu, for_, json, rules, static):
+        raise typer.Exit(1)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; a mistake becomes one line on stderr and exit status 2."""
     try:

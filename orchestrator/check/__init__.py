@@ -10,7 +10,7 @@ from orchestrator.check.report import Report
 from orchestrator.check.static.description import told_already
 from orchestrator.check.subject import Subject, opened
 from orchestrator.check.tools import ANY, TOOLS
-from orchestrator.errors import Problem, suggest
+from orchestrator.errors import Problem
 
 DEFECT = "check.defect"
 
@@ -33,7 +33,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
     from orchestrator.check.static import STATIC
 
     if tool != ANY and tool not in TOOLS:
-        raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any{suggest(tool, TOOLS)}")
+        raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
     if not path.is_file():
         raise Problem(
             f"{path}: " + ("expected an .fmu file, got a folder" if path.is_dir() else "no such file")

@@ -1,0 +1,23 @@
+"""The command `harvester check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from orchestrator.check import check, rules
+from orchestrator.check.report import table
+from orchestrator.errors import Problem
+
+
+def run(fmu: Path | None, tool: str, json: Path | None, show_rules: bool, static: bool) -> bool:
+    """Check and print, or print the rules; True when nothing stands against the FMU."""
+    if show_rules:
+        print(table(rules()))
+        return True
+    if fmu is None:
+        raise Problem("check: expected an FMU or --rules")
+    report = check(fmu, tool, run=not static)
+    print(report.text())
+    if json:
+        json.write_text(report.json(), "utf-8")
+    return not report.failed
