@@ -9,6 +9,7 @@ from importlib.resources import files
 
 import casadi as ca
 
+from fmus.export.elimination import eliminate
 from fmus.export.emit import Routine, routine
 from fmus.export.interface import Interface, Variable
 
@@ -50,14 +51,14 @@ def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
 
 
 def _generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
-    routines, adjoint, common = _routines(face)
+    routines, adjoint, inner = _routines(face)
     names = {
         "x": [v.name for v in face.states],
         "u": [v.name for v in face.inputs],
         "p": [v.name for v in face.parameters],
     }
     equations = "\n".join(routine(r, names) for r in routines)
-    code = {"sizes.h": _sizes(face, common, guid), "model.c": f"{_table(face)}\n{equations}"}
+    code = {"sizes.h": _sizes(face, inner, guid), "model.c": f"{_table(face)}\n{equations}"}
     if fmi == 3:
         head = f"/* {face.name}: derivatives in reverse. Generated. */"
         includes = '#include <math.h>\n\n#include "model.h"\n'
@@ -65,13 +66,15 @@ def _generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
     return code
 
 
-def _sizes(face: Interface, common: int, guid: str) -> str:
+def _sizes(face: Interface, inner: Mapping[str, int], guid: str) -> str:
     sizes = {
         "NP": (len(face.parameters), "parameters"),
         "NU": (len(face.inputs), "inputs"),
         "NX": (len(face.states), "states"),
         "NY": (len(face.outputs), "outputs that are not states"),
-        "NC": (common, "quantities that depend on parameters alone"),
+        "NC": (inner["NC"], "quantities that depend on parameters alone"),
+        "NJ": (inner["NJ"], "entries of df/dx that are not constant"),
+        "NLU": (inner["NLU"], "entries of the factors that are not constant"),
         "NREQUIRE": (len(face.equations.statements), "requirements"),
     }
     lines = [
@@ -157,10 +160,11 @@ def _number(value: float) -> str:
 # ---- equations -------------------------------------------------------------------------------------
 
 
-def _routines(face: Interface) -> tuple[list[Routine], list[Routine], int]:
-    """The functions of native/model.h, the adjoint ones, and how many quantities depend on parameters."""
+def _routines(face: Interface) -> tuple[list[Routine], list[Routine], dict[str, int]]:
+    """The functions of native/model.h, the adjoint ones, and the lengths of the vectors between them."""
     sym = face.equations
     x, u, p = sym.x, sym.u, sym.p
+    system = eliminate(ca.jacobian(sym.dx, x))
     du, vx, vu, vp = (ca.SX.sym(n, v.numel()) for n, v in (("du", u), ("vx", x), ("vu", u), ("vp", p)))
     known, at_start = (x, u), (x, u, p)
     wx0, wdx, wy = (ca.SX.sym(n, v.numel()) for n, v in (("wx0", x), ("wdx", x), ("wy", face.y)))
@@ -171,7 +175,7 @@ def _routines(face: Interface) -> tuple[list[Routine], list[Routine], int]:
     wanted = {
         "x0": sym.start,
         "dx": sym.dx,
-        "jac": ca.vec(ca.jacobian(sym.dx, x).T),
+        "jac": system.entries,
         "ft": ca.jtimes(sym.dx, u, du),
         "y": face.y,
         "require": sym.require,
@@ -201,6 +205,12 @@ def _routines(face: Interface) -> tuple[list[Routine], list[Routine], int]:
             give("model_start", model, "x0"),
             give("model_dynamics", model, "dx"),
             give("model_jacobian", model | {"du": du}, "dx", "jac", "ft"),
+            Routine(
+                "model_factorise",
+                {"diagonal": system.diagonal, "jac": system.jac},
+                {"lu": system.factors, "trust": system.trust},
+            ),
+            Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
             give("model_observe", model, "y", "require"),
             give("model_forward", model | direction, "vdx", "vy"),
             give("model_start_forward", model | direction | {"vp": vp}, "vx0", "vdx0", "vy0"),
@@ -209,7 +219,7 @@ def _routines(face: Interface) -> tuple[list[Routine], list[Routine], int]:
             give("model_reverse", model | weights, "wx", "wu"),
             give("model_start_reverse", model | {"wx0": wx0} | weights, "wx_start", "wu_start", "wp_start"),
         ],
-        c.numel(),
+        {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()},
     )
 
 

@@ -50,9 +50,15 @@ LOCAL void model_start(const double *x, const double *u, const double *p, const 
 /* dx = f(x, u, p) */
 LOCAL void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
 
-/* dx as above, jac = df/dx by rows, ft = df/du du */
+/* dx as above, jac = what is not constant in df/dx, ft = df/du du */
 LOCAL void model_jacobian(const double *x, const double *u, const double *p, const double *c,
                           const double *du, double *dx, double *jac, double *ft);
+
+/* factors lu of I * diagonal - df/dx; trust is 0 where they are not accurate: try a larger diagonal */
+LOCAL void model_factorise(const double *diagonal, const double *jac, double *lu, double *trust);
+
+/* k from (I * diagonal - df/dx) k = b */
+LOCAL void model_solve(const double *lu, const double *b, double *k);
 
 /* y = g(x, u, p) and the values that must be positive */
 LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,

@@ -50,71 +50,26 @@ LOCAL void motion_slope(const Motion *motion, double tau, double *du) {
     }
 }
 
-/* Factorises I * diagonal - jac with row exchanges; returns 0 when it is singular. */
-static int factorise(double diagonal, Work *w) {
-    for (int i = 0; i < NX * NX; i++) w->lu[i] = -w->jac[i];
-    for (int i = 0; i < NX; i++) w->lu[i * NX + i] += diagonal;
-    for (int k = 0; k < NX; k++) {
-        int best = k;
-        for (int i = k + 1; i < NX; i++)
-            if (fabs(w->lu[i * NX + k]) > fabs(w->lu[best * NX + k])) best = i;
-        w->pivot[k] = best;
-        if (best != k)
-            for (int j = 0; j < NX; j++) {
-                const double swapped = w->lu[k * NX + j];
-                w->lu[k * NX + j] = w->lu[best * NX + j];
-                w->lu[best * NX + j] = swapped;
-            }
-        const double pivot = w->lu[k * NX + k];
-        if (pivot == 0.0) return 0;
-        const double inverse = w->lu[k * NX + k] = 1.0 / pivot; /* all that is needed of it later */
-        for (int i = k + 1; i < NX; i++) {
-            if (w->lu[i * NX + k] == 0.0) continue;
-            const double factor = w->lu[i * NX + k] *= inverse;
-            for (int j = k + 1; j < NX; j++) w->lu[i * NX + j] -= factor * w->lu[k * NX + j];
-        }
-    }
-    return 1;
-}
-
-/* Solves with the factors above, in place. */
-static void solve(const Work *w, double *b) {
-    for (int k = 0; k < NX; k++) {
-        const double swapped = b[w->pivot[k]];
-        b[w->pivot[k]] = b[k];
-        b[k] = swapped;
-    }
-    for (int i = 1; i < NX; i++)
-        for (int j = 0; j < i; j++) b[i] -= w->lu[i * NX + j] * b[j];
-    for (int i = NX - 1; i >= 0; i--) {
-        for (int j = i + 1; j < NX; j++) b[i] -= w->lu[i * NX + j] * b[j];
-        b[i] *= w->lu[i * NX + i];
-    }
-}
-
 /* All stages of one step of size h from x at tau; the new states are then x->x + k_6 in w->x. */
 static void stages(const double *x, const double *p, const double *c, const Motion *motion, double tau,
                    double h, Work *w) {
     for (int s = 0; s < STAGES; s++) {
-        double *k = w->k[s];
         if (s == 0) {
-            for (int i = 0; i < NX; i++) k[i] = w->f0[i];
+            for (int i = 0; i < NX; i++) w->b[i] = w->f0[i];
         } else {
-            for (int i = 0; i < NX; i++) {
-                w->x[i] = x[i];
-                for (int j = 0; j < s; j++) w->x[i] += A[s][j] * w->k[j][i];
-            }
+            for (int i = 0; i < NX; i++) w->x[i] = x[i];
+            for (int j = 0; j < s; j++)
+                for (int i = 0; i < NX; i++) w->x[i] += A[s][j] * w->k[j][i];
             if (motion->moving && s < STAGES - 1) motion_value(motion, tau + ALPHA[s] * h, w->u);
-            model_dynamics(w->x, w->u, p, c, k);
-            for (int i = 0; i < NX; i++) {
-                double sum = 0.0;
-                for (int j = 0; j < s; j++) sum += C[s][j] * w->k[j][i];
-                k[i] += sum / h;
-            }
+            model_dynamics(w->x, w->u, p, c, w->b);
+            double sum[ROOM(NX)] = {0.0};
+            for (int j = 0; j < s; j++)
+                for (int i = 0; i < NX; i++) sum[i] += C[s][j] * w->k[j][i];
+            for (int i = 0; i < NX; i++) w->b[i] += sum[i] / h;
         }
         if (motion->moving && s < 4)
-            for (int i = 0; i < NX; i++) k[i] += G[s] * h * w->ft[i];
-        solve(w, k);
+            for (int i = 0; i < NX; i++) w->b[i] += G[s] * h * w->ft[i];
+        model_solve(w->lu, w->b, w->k[s]);
     }
     for (int i = 0; i < NX; i++) w->x[i] += w->k[STAGES - 1][i];
 }
@@ -169,8 +124,10 @@ LOCAL Report rosenbrock(double *x, const double *p, const double *c, const Motio
                 return report;
             }
         }
-        double error = INFINITY;
-        if (factorise(1.0 / (GAMMA * h), w)) {
+        const double diagonal = 1.0 / (GAMMA * h);
+        double error = INFINITY, trust;
+        model_factorise(&diagonal, w->jac, w->lu, &trust);
+        if (trust != 0.0) {
             stages(x, p, c, motion, tau, h, w);
             error = error_norm(x, w, tolerance, &report);
         }

@@ -21,9 +21,9 @@ typedef struct {
 
 /* Scratch memory of the solver: nothing in it outlives a call. */
 typedef struct {
-    double jac[ROOM(NX) * ROOM(NX)]; /* df/dx by rows */
-    double lu[ROOM(NX) * ROOM(NX)];  /* factors of I / (gamma h) - df/dx */
-    int pivot[ROOM(NX)];
+    double jac[ROOM(NJ)]; /* what is not constant in df/dx */
+    double lu[ROOM(NLU)]; /* factors of I / (gamma h) - df/dx */
+    double b[ROOM(NX)];   /* right-hand side of a stage */
     double f0[ROOM(NX)], ft[ROOM(NX)];
     double x[ROOM(NX)]; /* states at a stage */
     double u[ROOM(NU)], du[ROOM(NU)];
