@@ -45,6 +45,7 @@ def validate(
     from orchestrator.judge import judge
     from orchestrator.validation import read_reference, summary
     from orchestrator.validation.layout import Layout, read_layout
+    from orchestrator.validation.matching import by_variable
 
     against = read_reference(reference or usual[0])
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
@@ -54,6 +55,9 @@ def validate(
     if reference and not scenario and not options.get("parameters"):
         result = _noted(result, "no --scenario given: ran what the system plays by itself")
     write(result.trace, trace)
+    if len(result.system.components) == 1:
+        known = by_variable(result.trace, [*against.signals, *(signal for _, signal in shown.named)])
+        result = replace(result, trace=known)
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
         title = named or f"{(scenario or system).stem} against {against.title}"
