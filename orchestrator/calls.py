@@ -13,6 +13,15 @@ from orchestrator.log import FATAL, STATUS, WARNING, Log
 from orchestrator.slave import Call
 
 
+def ready(argument: Any) -> Any:
+    """An argument in the form that ctypes passes on as it is, which halves the cost of a call."""
+    if isinstance(argument, ctypes.Array):
+        return ctypes.byref(argument)
+    if isinstance(argument, ctypes._SimpleCData):
+        return type(argument).from_param(argument.value)
+    return argument
+
+
 class Calls:
     """Calls into one instance; they raise, naming variables and time, when the FMU fails.
 
@@ -26,13 +35,13 @@ class Calls:
         self.handle = ctypes.c_void_p()
         self.worst = 0
 
-    def function(self, name: str, *types: Any, result: Any = ctypes.c_int) -> Callable[..., Any]:
-        """A function with the instance as its first argument; types: of the arguments, the instance first."""
-        return partial(self._library.function(self._prefix + name, result, *types), self.handle)
+    def function(self, name: str, result: Any = ctypes.c_int) -> Callable[..., Any]:
+        """A function with the instance as its first argument."""
+        return partial(self._library.function(self._prefix + name, result), ready(self.handle))
 
     def bound(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> Call:
         """A call with all arguments fixed; `of` are the variables it is about."""
-        call = partial(self.function(name), *arguments)
+        call = partial(self.function(name), *map(ready, arguments))
         about = f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else ""
         what = f"{self._prefix}{name}{about}"
 

@@ -28,8 +28,7 @@ class Fmi2:
 
     prefix, state, thaw, slopes = "fmi2", "FMUstate", "DeSerialize", "GetRealOutputDerivatives"
     types = TYPES
-    step_types = ctypes.c_double, ctypes.c_double, ctypes.c_int
-    results = ()
+    results: tuple[Any, ...] = ()
     flags = ctypes.c_uint32(0)
 
     def __init__(self, interface: Interface, log: Log) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.callbacks import Environment, logger3
-from orchestrator.calls import Calls
+from orchestrator.calls import Calls, ready
 from orchestrator.interface import Interface
 from orchestrator.library import Library
 from orchestrator.log import WARNING, Log
@@ -31,7 +31,6 @@ class Fmi3:
 
     prefix, state, thaw, slopes = "fmi3", "FMUState", "Deserialize", "GetOutputDerivatives"
     types = TYPES
-    step_types = ctypes.c_double, ctypes.c_double, ctypes.c_bool, *[ctypes.c_void_p] * 4
 
     def __init__(self, interface: Interface, log: Log) -> None:
         self._interface, self._log = interface, log
@@ -41,7 +40,8 @@ class Fmi3:
         self.flags, self._reached = ctypes.c_uint32(0), ctypes.c_double(float("nan"))
         first = ctypes.addressof(self.flags)
         booleans = [ctypes.c_void_p(first + byte) for byte in (EVENT, TERMINATE, EARLY)]
-        self.results = (*booleans, ctypes.c_void_p(ctypes.addressof(self._reached)))
+        reached = ctypes.c_void_p(ctypes.addressof(self._reached))
+        self.results = tuple(map(ready, (*booleans, reached)))
 
     def instantiate(self, library: Library, folder: Path, verbose: bool) -> int | None:
         """The handle of a new instance."""

@@ -33,7 +33,7 @@ class Standard(Protocol):
 
     prefix, state, thaw, slopes   how functions are called
     types                         word in a function's name -> ctypes type
-    step_types, results           of fmiXDoStep: types of its first three arguments, and all further ones
+    results                       further arguments of fmiXDoStep, for what it says about a step
     flags                         not zero after a step that wants something
     """
 
@@ -42,7 +42,6 @@ class Standard(Protocol):
     thaw: str
     slopes: str
     types: dict[str, Any]
-    step_types: tuple[Any, ...]
     results: tuple[Any, ...]
     flags: ctypes.c_uint32
     release: Callable[[], None]
@@ -85,8 +84,8 @@ class FmuSlave:
         if not handle:  # the second, verbose try made it say what is wrong
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.last()}")
         self.calls.handle = ctypes.c_void_p(handle)
-        self._undo.callback(self.calls.unless_fatal, self.calls.function("FreeInstance", result=None))
-        self._step = self.calls.function("DoStep", ctypes.c_void_p, *self._fmi.step_types)
+        self._undo.callback(self.calls.unless_fatal, self.calls.function("FreeInstance", None))
+        self._step = self.calls.function("DoStep")
         self._flags, self._results = self._fmi.flags, self._fmi.results
         self._listen()
 
@@ -196,7 +195,7 @@ class FmuSlave:
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]."""
         self.log.time = t
-        status = self._step(t, h, self._final, *self._results)
+        status = self._step(ctypes.c_double(t), ctypes.c_double(h), self._final, *self._results)
         if status or self._flags.value:
             self._fmi.stepped(self.calls, status)
 

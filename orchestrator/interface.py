@@ -73,6 +73,7 @@ class Interface:
     rollback      the FMU can save and restore its state
     serializes    it can turn a saved state into bytes
     directional   it offers directional derivatives
+    start, step, stop, tolerance   of the experiment that the FMU suggests
     version, tool, text   of the FMU: its version, what made it, its description
     """
 
@@ -89,6 +90,7 @@ class Interface:
     serializes: bool = False
     directional: bool = False
     categories: tuple[str, ...] = ()
+    start: float | None = None
     step: float | None = None
     stop: float | None = None
     tolerance: float | None = None
@@ -186,6 +188,7 @@ def _interface(description: Any, root: Any) -> Interface:
         serializes=bool(tool.canSerializeFMUstate),
         directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
+        start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(tool, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=_number(experiment, "tolerance"),

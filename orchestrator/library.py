@@ -47,15 +47,13 @@ class Library:
             os.chdir(before)
         self._label = label
 
-    def function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Callable[..., Any]:
+    def function(self, name: str, result: Any = ctypes.c_int) -> Callable[..., Any]:
         """A function of the library by name; missing ones are reported by name."""
         try:
             function = self._dll[name]
         except AttributeError:
             raise Problem(f"{self._label}: its binary lacks the function {name}") from None
         function.restype = result
-        if arguments:
-            function.argtypes = arguments
         return function
 
     def close(self) -> None:

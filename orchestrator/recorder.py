@@ -48,7 +48,7 @@ class Recorder:
         self._real_places = network.real.places(self._real) if chosen is not None else slice(None)
         self._whole_places = network.whole.places(self._whole)
         self._fresh = _Rows(BLOCK, len(self._real), len(self._whole))  # not yet settled
-        self._kept = _Rows(times.rows + 1, len(self._real), len(self._whole))
+        self._kept = _room(times.rows + 1, len(self._real), len(self._whole))
         self._filled = self._rows = self.points = 0
 
     def add(self, t: float) -> None:
@@ -94,6 +94,15 @@ class Recorder:
                 signals[outlet.name] = outlet.map.factor * columns[outlet.source] + outlet.map.offset
                 units |= {outlet.name: outlet.unit.name} if outlet.unit else {}
         return Trace(self._kept.time[:n].copy(), signals, units)
+
+
+def _room(rows: int, reals: int, wholes: int) -> _Rows:
+    """Room for all points to keep."""
+    try:
+        return _Rows(rows, reals, wholes)
+    except MemoryError:
+        many = f"{rows:.3g} points of {reals + wholes} signals"
+        raise Problem(f"{many} do not fit into memory; choose a longer record step or stop earlier") from None
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:

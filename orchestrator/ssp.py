@@ -40,7 +40,8 @@ def single(fmu: Location) -> System:
     component = open_component(fmu.path.stem, fmu)
     inputs = [v for v in component.interface.of("input") if v.kind != "String"]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
-    return System(component.name, {component.name: component}, inputs=inlets, source=fmu)
+    start = component.interface.start
+    return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
 
 
 def _load_ssd(ssd: Location) -> System:
