@@ -12,7 +12,7 @@ A name that stands both in the states and in the outputs is one variable.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypeVar, get_type_hints
@@ -37,6 +37,7 @@ class Quantity:
     tunable      parameters only: may be changed while the simulation runs
     rate         inputs only: name of the input that carries this one's exact time derivative
     warn_above   outputs only: |value| above which the FMU logs a warning, once per excursion
+    group        parameters only: the heading it stands under; without one, that of the parameter before
     """
 
     unit: str
@@ -47,6 +48,7 @@ class Quantity:
     tunable: bool = False
     rate: str | None = None
     warn_above: float | None = None
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,18 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
     """The declared quantities of a variable group, in field order."""
     if group not in _DECLARED:
         hints = get_type_hints(group, include_extras=True)
-        _DECLARED[group] = MappingProxyType({f.name: hints[f.name].__metadata__[0] for f in fields(group)})
+        declared = {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
+        _DECLARED[group] = MappingProxyType(_headed(declared))
     return _DECLARED[group]
+
+
+def _headed(declared: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Each quantity with the heading it stands under."""
+    heading, headed = "", {}
+    for name, quantity in declared.items():
+        heading = quantity.group or heading
+        headed[name] = replace(quantity, group=heading)
+    return headed
 
 
 def symbols(group: type[G]) -> G:

@@ -23,7 +23,13 @@ from typing import Any, TypeAlias
 
 from fmus.contract import ModelError, Quantity, Subsystem, quantities
 
-SOURCES = ("paper", "derived", "literature", "assumed", "identified")
+SOURCES = {
+    "paper": "printed in the paper or read from it, as the note says: the only FERIC data",
+    "derived": "follows by a named formula from such numbers or, for start values, from the model",
+    "literature": "published for a comparable machine",
+    "assumed": "a free choice",
+    "identified": "fitted to measurements",
+}
 KEYS = {"value": (int, float), "unit": str, "source": str, "note": str, "sd": (int, float)}
 
 

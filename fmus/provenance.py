@@ -11,12 +11,7 @@ from fmus.contract import ModelError, Subsystem, quantities
 from fmus.machine import SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
 
-LEGEND = """\
-paper       printed in the paper or read from it, as the note says: the only FERIC data
-derived     follows by a named formula from such numbers or, for start values, from the model
-literature  published for a comparable machine
-assumed     a free choice
-identified  fitted to measurements"""
+LEGEND = "\n".join(f"{word:<11} {meaning}" for word, meaning in SOURCES.items())
 
 
 def lines(sub: Subsystem, source: str | None = None) -> Iterator[str]:

@@ -70,11 +70,24 @@ DISPLAY: Mapping[str, str] = MappingProxyType(
     {
         "Pa": "bar",
         "Pa/s": "bar/s",
+        "Pa.s/m3": "bar.min/L",
+        "Pa.s2/m6": "bar.min2/L2",
         "m3/s": "L/min",
         "m3": "L",
+        "m3/rad": "cm3/rev",
+        "m3/Pa": "cm3/bar",
+        "m3/(s.Pa)": "L/(min.bar)",
+        "m2": "mm2",
         "rad": "deg",
         "rad/s": "deg/s",
         "rad/s2": "deg/s2",
+        "N": "kN",
+        "N/s": "kN/s",
+        "N/m": "kN/mm",
+        "N.m": "kN.m",
+        "N.m/s": "kN.m/s",
+        "J": "kJ",
+        "W": "kW",
     }
 )
 

@@ -15,29 +15,38 @@ class BoomStickParameters(ValveParameters):
 
     bulk_modulus: Annotated[Scalar, Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)]
     initial_preload: Annotated[
-        Scalar, Quantity("Pa", "Pressure of the unloaded side of a cylinder at the start", 1e6, minimum=1e3)
+        Scalar,
+        Quantity(
+            "Pa", "Pressure of the unloaded side of a cylinder at the start", 1e6, minimum=1e3, group="Start"
+        ),
     ]
-    boom_bore: Annotated[Scalar, Quantity("m", "Bore of the boom cylinder", 0.1, minimum=1e-3)]
+    boom_bore: Annotated[
+        Scalar, Quantity("m", "Bore of the boom cylinder", 0.1, minimum=1e-3, group="Boom cylinder")
+    ]
     boom_rod: Annotated[Scalar, Quantity("m", "Rod diameter of the boom cylinder", 0.1, minimum=0.0)]
     boom_stroke: Annotated[Scalar, Quantity("m", "Stroke of the boom cylinder", minimum=1e-3)]
     boom_dead_volume: Annotated[
-        Scalar, Quantity("m3", "Volume of each chamber of the boom cylinder at its end", 1e-4, minimum=1e-9)
+        Scalar, Quantity("m3", "Dead volume of each chamber of the boom cylinder", 1e-4, minimum=1e-9)
     ]
-    boom_hose_inertance: Annotated[Scalar, Quantity("kg/m4", "Inertance of each boom hose", 1e7, minimum=1.0)]
+    boom_hose_inertance: Annotated[
+        Scalar, Quantity("kg/m4", "Inertance of each boom hose", 1e7, minimum=1.0, group="Boom hoses")
+    ]
     boom_hose_capacitance: Annotated[
         Scalar, Quantity("m3/Pa", "Capacitance of each boom hose", 1e-12, minimum=0.0)
     ]
     boom_hose_resistance: Annotated[
         Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each boom hose", 1e10, minimum=0.0)
     ]
-    stick_bore: Annotated[Scalar, Quantity("m", "Bore of the stick cylinder", 0.1, minimum=1e-3)]
+    stick_bore: Annotated[
+        Scalar, Quantity("m", "Bore of the stick cylinder", 0.1, minimum=1e-3, group="Stick cylinder")
+    ]
     stick_rod: Annotated[Scalar, Quantity("m", "Rod diameter of the stick cylinder", 0.1, minimum=0.0)]
     stick_stroke: Annotated[Scalar, Quantity("m", "Stroke of the stick cylinder", minimum=1e-3)]
     stick_dead_volume: Annotated[
-        Scalar, Quantity("m3", "Volume of each chamber of the stick cylinder at its end", 1e-4, minimum=1e-9)
+        Scalar, Quantity("m3", "Dead volume of each chamber of the stick cylinder", 1e-4, minimum=1e-9)
     ]
     stick_hose_inertance: Annotated[
-        Scalar, Quantity("kg/m4", "Inertance of each stick hose", 1e7, minimum=1.0)
+        Scalar, Quantity("kg/m4", "Inertance of each stick hose", 1e7, minimum=1.0, group="Stick hoses")
     ]
     stick_hose_capacitance: Annotated[
         Scalar, Quantity("m3/Pa", "Capacitance of each stick hose", 1e-12, minimum=0.0)

@@ -11,17 +11,19 @@ from fmus.contract import Quantity, Scalar
 
 @dataclass(frozen=True)
 class ValveParameters:
-    """Oil density and the numbers of one valve, to inherit from."""
+    """The numbers of one valve and the density of the oil, to inherit from."""
 
-    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0)]
     valve_area: Annotated[
-        Scalar, Quantity("m2", "Area of a metering edge at full command", 1e-5, minimum=0.0)
+        Scalar,
+        Quantity(
+            "m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0, group="Valve"
+        ),
     ]
     valve_discharge_coefficient: Annotated[
         Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
     ]
     valve_dead_band: Annotated[
-        Scalar, Quantity("V", "Command up to which the valve stays closed", minimum=0.0)
+        Scalar, Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0)
     ]
     valve_full_command: Annotated[
         Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
@@ -35,6 +37,7 @@ class ValveParameters:
     valve_transition_flow: Annotated[
         Scalar, Quantity("m3/s", "Flow below which edges, hoses and lines are laminar", 1e-5, minimum=1e-8)
     ]
+    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")]
 
     @property
     def valve(self) -> Valve:

@@ -1,34 +1,46 @@
-"""documentation/index.html of an FMU: the subsystem's README and a table of its variables."""
+"""documentation/index.html of an FMU: what it is, its ports and numbers, its equations, in one file."""
 
 from __future__ import annotations
 
-from html import escape
+from base64 import b64encode
 
-from markdown_it import MarkdownIt
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from fmus.contract import Subsystem
-from fmus.export.interface import Interface, Variable
+from fmus.export import tables
+from fmus.export.codegen import DEFAULT_TOLERANCE
+from fmus.export.interface import Interface
+from fmus.export.model_description import LOG_CATEGORIES, package_version
+from fmus.export.prose import prose
+from fmus.parameters import SOURCES
 
-_STYLE = "body{font-family:sans-serif;max-width:60em;margin:2em auto}td,th{padding:.1em .8em;text-align:left}"
-_HEADER = ("name", "kind", "unit", "start", "meaning")
 
-
-def page(sub: Subsystem, face: Interface) -> str:
-    """One self-contained HTML page."""
-    readme = sub.values.parent / "README.md"
-    text = readme.read_text(encoding="utf-8") if readme.is_file() else f"# {sub.name}\n\n{sub.text}\n"
-    body = MarkdownIt("commonmark").enable("table").render(text)
-    head = "".join(f"<th>{name}</th>" for name in _HEADER)
-    rows = "\n".join(_row(v) for v in face.variables)
-    return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{escape(sub.name)}</title>'
-        f"<style>{_STYLE}</style></head>\n<body>\n{body}\n<h2>Variables</h2>\n"
-        f"<table>\n<tr>{head}</tr>\n{rows}\n</table>\n</body>\n</html>\n"
+def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
+    """One self-contained HTML page; step and stop are the default experiment [s]."""
+    loader = PackageLoader("fmus.export")
+    environment = Environment(
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-
-
-def _row(v: Variable) -> str:
-    kind = v.kind.lower().replace("_", " ")
-    start = "" if v.start is None else f"{v.start:g}"
-    cells = (v.name, kind, v.quantity.unit, start, v.quantity.text)
-    return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+    text, sections = prose(sub.values.parent / "README.md")
+    groups = tables.parameters(sub, face)
+    start = tables.start_values(sub, face)
+    used = {row.number.source for group in (*groups, *start) for row in group.rows if row.number}
+    return environment.get_template("page.html.j2").render(
+        sub=sub,
+        fmi=fmi,
+        version=package_version(),
+        step=tables.figure(step),
+        stop=tables.figure(stop),
+        tolerance=tables.figure(DEFAULT_TOLERANCE),
+        icon=b64encode(icon).decode() if icon else "",
+        style=Markup(environment.get_template("page.css").render()),
+        text=text,
+        sections=sections,
+        ports=tables.ports(sub, face),
+        parameters=groups,
+        start=start,
+        hidden=tables.hidden(face),
+        sources={word: meaning for word, meaning in SOURCES.items() if word in used},
+        categories=LOG_CATEGORIES,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import uuid
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +16,12 @@ from fmus.export.interface import Interface, interface
 from fmus.export.model_description import model_description
 from fmus.export.model_description3 import build_description, model_description3
 from fmus.export.terminals import terminals
+from fmus.files import shipped
 from fmus.parameters import Values, document, values
 
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
 _COMPILED = ("all.c",)
+VERSIONS = (2, 3)  # of FMI
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
 
@@ -43,36 +45,44 @@ class Package:
 def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values | None = None) -> Package:
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
     face = interface(sub, numbers or values(sub))
-    code = sources(face, _PLACEHOLDER, fmi)
-    if fmi == 2:
-        draft = model_description(face, _PLACEHOLDER, _COMPILED, step, stop).decode()
-    else:
-        draft = model_description3(face, _PLACEHOLDER, step, stop).decode()
-    token = _fingerprint(draft, code)
-    content = {f"sources/{name}": text.replace(_PLACEHOLDER, token).encode() for name, text in code.items()}
-    content["modelDescription.xml"] = draft.replace(_PLACEHOLDER, token).encode()
+    drafts = {version: _drafts(face, version, step, stop) for version in VERSIONS}
+    token = _fingerprint(drafts.values())
+    content = {path: text.replace(_PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description(sub.name, _COMPILED)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
-    return Package(sub.name, fmi, content | _shown(sub, face), _COMPILED)
+    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop), _COMPILED)
 
 
-def _fingerprint(draft: str, code: Mapping[str, str]) -> str:
-    """The GUID: another one for another description or other code."""
-    text = "\n".join([draft, *(code[name] for name in sorted(code))])
+def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:
+    """The files that carry the GUID or instantiation token, or that it stands for, with a placeholder."""
+    files = {f"sources/{name}": text for name, text in sources(face, _PLACEHOLDER, fmi).items()}
+    if fmi == 2:
+        description = model_description(face, _PLACEHOLDER, _COMPILED, step, stop)
+    else:
+        description = model_description3(face, _PLACEHOLDER, step, stop)
+    return files | {"modelDescription.xml": description.decode()}
+
+
+def _fingerprint(drafts: Iterable[Mapping[str, str]]) -> str:
+    """The GUID of all versions of an FMU: another one for another description or other code."""
+    text = "\n".join(files[path] for files in drafts for path in sorted(files))
     return f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
 
 
-def _shown(sub: Subsystem, face: Interface) -> dict[str, bytes]:
-    """What a person reads: documentation, icon, numbers with their sources."""
-    content = {"documentation/index.html": page(sub, face).encode()}
+def _shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -> dict[str, bytes]:
+    """What a person reads: icon, documentation, licence, numbers with their sources."""
+    picture, licence = sub.values.parent / "icon.png", shipped("LICENSE")
+    icon = picture.read_bytes() if picture.is_file() else None
+    content = {"documentation/index.html": page(sub, face, fmi, step, stop, icon).encode()}
+    if icon is not None:
+        content["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
+    if licence is not None:
+        content["documentation/licenses/license.txt"] = licence.read_bytes()
     if sub.numbers is not None:
         content["resources/parameters.toml"] = document(sub.numbers).encode()
-    elif sub.values.is_file():  # provenance of the numbers
+    elif sub.values.is_file():
         content["resources/parameters.toml"] = sub.values.read_bytes()
-    icon = sub.values.parent / "icon.png"
-    if icon.is_file():
-        content["model.png"] = icon.read_bytes()
     return content
 
 

@@ -12,13 +12,16 @@ from fmus.contract import Quantity, Scalar
 class ManipulatorParameters:
     """Constants; their numbers and sources are in parameters.toml."""
 
-    gravity: Annotated[Scalar, Quantity("m/s2", "Acceleration of free fall", 10.0)]
+    gravity: Annotated[Scalar, Quantity("m/s2", "Acceleration of free fall", 10.0, group="Gravity")]
     column_inertia: Annotated[
-        Scalar, Quantity("kg.m2", "Inertia of column and gear about the swing axis", 1e3, minimum=1e-3)
+        Scalar,
+        Quantity(
+            "kg.m2", "Inertia of column and gear about the swing axis", 1e3, minimum=1e-3, group="Column"
+        ),
     ]
     boom_pivot_x: Annotated[Scalar, Quantity("m", "Boom pivot on the column, radius from the swing axis")]
     boom_pivot_z: Annotated[Scalar, Quantity("m", "Boom pivot on the column, height above the column's foot")]
-    boom_mass: Annotated[Scalar, Quantity("kg", "Mass of the boom", 1e2, minimum=1e-3)]
+    boom_mass: Annotated[Scalar, Quantity("kg", "Mass of the boom", 1e2, minimum=1e-3, group="Boom")]
     boom_inertia: Annotated[
         Scalar,
         Quantity("kg.m2", "Inertia of the boom about its centre of mass, across its axis", 1e2, minimum=0.0),
@@ -31,7 +34,7 @@ class ManipulatorParameters:
     ]
     stick_pivot_x: Annotated[Scalar, Quantity("m", "Stick pivot, along the boom from the boom pivot")]
     stick_pivot_z: Annotated[Scalar, Quantity("m", "Stick pivot, across the boom from the boom pivot")]
-    stick_mass: Annotated[Scalar, Quantity("kg", "Mass of the stick", 1e2, minimum=1e-3)]
+    stick_mass: Annotated[Scalar, Quantity("kg", "Mass of the stick", 1e2, minimum=1e-3, group="Stick")]
     stick_inertia: Annotated[
         Scalar,
         Quantity("kg.m2", "Inertia of the stick about its centre of mass, across its axis", 1e2, minimum=0.0),
@@ -44,9 +47,20 @@ class ManipulatorParameters:
     ]
     stick_length: Annotated[Scalar, Quantity("m", "Length of the stick, pivot to head", minimum=1e-3)]
     head_mass: Annotated[
-        Scalar, Quantity("kg", "Mass of the processing head with its load", 1e2, minimum=1e-3, tunable=True)
+        Scalar,
+        Quantity(
+            "kg",
+            "Mass of the processing head with its load",
+            1e2,
+            minimum=1e-3,
+            tunable=True,
+            group="Processing head",
+        ),
     ]
-    boom_base_x: Annotated[Scalar, Quantity("m", "Base pin of the boom cylinder from the boom pivot, radial")]
+    boom_base_x: Annotated[
+        Scalar,
+        Quantity("m", "Base pin of the boom cylinder from the boom pivot, radial", group="Boom cylinder"),
+    ]
     boom_base_z: Annotated[
         Scalar, Quantity("m", "Base pin of the boom cylinder from the boom pivot, upwards")
     ]
@@ -61,7 +75,10 @@ class ManipulatorParameters:
     ]
     boom_stroke: Annotated[Scalar, Quantity("m", "Stroke of the boom cylinder", minimum=1e-3)]
     stick_base_x: Annotated[
-        Scalar, Quantity("m", "Base pin of the stick cylinder from the stick pivot, along the boom")
+        Scalar,
+        Quantity(
+            "m", "Base pin of the stick cylinder from the stick pivot, along the boom", group="Stick cylinder"
+        ),
     ]
     stick_base_z: Annotated[
         Scalar, Quantity("m", "Base pin of the stick cylinder from the stick pivot, across the boom")
@@ -78,22 +95,33 @@ class ManipulatorParameters:
     stick_stroke: Annotated[Scalar, Quantity("m", "Stroke of the stick cylinder", minimum=1e-3)]
     swing_damping: Annotated[
         Scalar,
-        Quantity("N.m.s/rad", "Viscous damping B_sw of the swing gear", 1e2, minimum=0.0, tunable=True),
+        Quantity(
+            "N.m.s/rad",
+            "Viscous friction B_sw of the swing gear",
+            1e2,
+            minimum=0.0,
+            tunable=True,
+            group="Friction",
+        ),
     ]
     boom_joint_damping: Annotated[
-        Scalar, Quantity("N.m.s/rad", "Viscous damping of the boom joint", 1e2, minimum=0.0, tunable=True)
+        Scalar, Quantity("N.m.s/rad", "Viscous friction of the boom joint", 1e2, minimum=0.0, tunable=True)
     ]
     stick_joint_damping: Annotated[
-        Scalar, Quantity("N.m.s/rad", "Viscous damping of the stick joint", 1e2, minimum=0.0, tunable=True)
+        Scalar, Quantity("N.m.s/rad", "Viscous friction of the stick joint", 1e2, minimum=0.0, tunable=True)
     ]
     boom_piston_damping: Annotated[
-        Scalar, Quantity("N.s/m", "Viscous damping B of the boom piston", 1e4, minimum=0.0, tunable=True)
+        Scalar,
+        Quantity("N.s/m", "Viscous friction B of the boom cylinder's piston", 1e4, minimum=0.0, tunable=True),
     ]
     stick_piston_damping: Annotated[
-        Scalar, Quantity("N.s/m", "Viscous damping B of the stick piston", 1e4, minimum=0.0, tunable=True)
+        Scalar,
+        Quantity(
+            "N.s/m", "Viscous friction B of the stick cylinder's piston", 1e4, minimum=0.0, tunable=True
+        ),
     ]
     stop_stiffness: Annotated[
-        Scalar, Quantity("N/m", "Stiffness of the cylinders' end stops", 1e8, minimum=1.0)
+        Scalar, Quantity("N/m", "Stiffness of the cylinders' end stops", 1e8, minimum=1.0, group="End stops")
     ]
     stop_damping: Annotated[
         Scalar, Quantity("s/m", "Contact damping of the end stops (Hunt and Crossley)", minimum=0.0)

@@ -16,7 +16,7 @@ def _stroke(lever: str, number: int) -> tuple[Quantity, ...]:
     """The parameters of one stroke, in the order of WORDS."""
     which = f"stroke {number} of the {lever} lever"
     return (
-        Quantity("s", f"Time at which {which} begins"),
+        Quantity("s", f"Time at which {which} begins", group=f"{lever.capitalize()} lever"),
         Quantity("V", f"Command at the top of {which}", 10.0, -10.0, 10.0),
         Quantity("s", f"Duration of the ramp up of {which}", minimum=0.0),
         Quantity("s", f"Duration of the top of {which}", minimum=0.0),

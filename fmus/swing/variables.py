@@ -14,9 +14,11 @@ class SwingParameters(ValveParameters):
     """Constants; their numbers and sources are in parameters.toml."""
 
     initial_preload: Annotated[
-        Scalar, Quantity("Pa", "Pressure of both lines at the start", 1e6, minimum=1e3)
+        Scalar, Quantity("Pa", "Pressure of both lines at the start", 1e6, minimum=1e3, group="Start")
     ]
-    line_inertance: Annotated[Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0)]
+    line_inertance: Annotated[
+        Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0, group="Swing lines")
+    ]
     line_capacitance: Annotated[
         Scalar, Quantity("m3/Pa", "Capacitance C of each line with its motor side", 1e-12, minimum=1e-18)
     ]
@@ -27,17 +29,23 @@ class SwingParameters(ValveParameters):
         Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each swing line", 1e10, minimum=0.0)
     ]
     motor_displacement: Annotated[
-        Scalar, Quantity("m3/rad", "Displacement D_m of the motor", 1e-5, minimum=1e-9)
+        Scalar,
+        Quantity(
+            "m3/rad", "Displacement D_m of the swing motor", 1e-5, minimum=1e-9, group="Swing motor and gear"
+        ),
     ]
     gear_ratio: Annotated[
-        Scalar, Quantity("1", "Gear ratio N, motor speed over swing speed", 10.0, minimum=0.1)
+        Scalar, Quantity("1", "Gear ratio N: motor speed over swing speed", 10.0, minimum=0.1)
     ]
     internal_leakage_resistance: Annotated[
-        Scalar, Quantity("Pa.s/m3", "Cross-port leakage resistance R_in of the motor", 1e12, minimum=1e6)
+        Scalar,
+        Quantity("Pa.s/m3", "Cross-port leakage resistance R_in of the swing motor", 1e12, minimum=1e6),
     ]
     external_leakage_resistance: Annotated[
         Scalar,
-        Quantity("Pa.s/m3", "Leakage resistance R_ex of each motor port to the drain", 1e12, minimum=1e6),
+        Quantity(
+            "Pa.s/m3", "Case leakage resistance R_ex of each port of the swing motor", 1e12, minimum=1e6
+        ),
     ]
 
 

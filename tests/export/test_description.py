@@ -99,7 +99,7 @@ def test_archive_holds_sources_and_documentation(toy_dir):
     assert listed == {"all.c"}
     assert {f"sources/{name}" for name in listed | included} == {n for n in names if n.endswith(".c")}
     assert {"sources/model.h", "sources/sizes.h"} <= set(names)
-    assert "<td>pressure_rate</td>" in page
+    assert "<code>pressure_rate</code>" in page
 
 
 def test_building_twice_gives_the_same_bytes(toys, toy_dir, tmp_path):
