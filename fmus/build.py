@@ -1,4 +1,4 @@
-"""Builds the machine and its operator: FMUs and the system that connects them, `harvester.ssp`."""
+"""Builds the machine: FMUs of its parts and operator, their system `harvester.ssp`, and all in one FMU."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from pathlib import Path
 
 from fmus.contract import ModelError
 from fmus.export.build import build_all
-from fmus.export.ssp import write_ssp
-from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS
+from fmus.harvester import HARVESTER
+from fmus.machine import ALL
 from fmus.scenarios import WORK_CYCLE_STOP
+from fmus.system import write_system
 
 STEP = 1e-3  # default communication step [s]
 
@@ -23,10 +24,8 @@ def data(name: str) -> Path:
 
 
 def build_machine(folder: Path) -> list[Path]:
-    """Write the FMUs of the machine and its operator and harvester.ssp, which connects them; their paths."""
-    fmus = dict(zip(ALL, build_all(list(ALL.values()), {2: folder}, STEP, WORK_CYCLE_STOP)[2], strict=True))
-    # some tools initialise in the order of the file: the manipulator's holding forces come first
-    ordered = {name: fmus[name] for name in ("manipulator", "boom_stick", "swing", "operator")}
-    path = Path(folder) / "harvester.ssp"
-    write_ssp(path, "harvester", ordered, CONNECTIONS + COMMAND_WIRES, stop=WORK_CYCLE_STOP, step=STEP)
-    return [*fmus.values(), path]
+    """Write the FMUs of the machine, its operator and the whole, and harvester.ssp; their paths."""
+    subs = [*ALL.values(), HARVESTER]
+    built = build_all(subs, {2: folder}, STEP, WORK_CYCLE_STOP)[2]
+    fmus = dict(zip((sub.name for sub in subs), built, strict=True))
+    return [*fmus.values(), write_system(folder, fmus, STEP)]

@@ -7,7 +7,7 @@ sampling grid, so linear interpolation between the samples gives the moves back 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +71,14 @@ WORK_CYCLE: tuple[Move, ...] = (
     Move("stick", 37.4, -1.8, 0.30, 0.50, 0.30),
 )
 WORK_CYCLE_STOP = 42.0  # s
+
+# programs of the operator by name; boom_up is also data/scenarios/boom_up.csv
+DEFAULT = "work_cycle"
+PROGRAMS: Mapping[str, tuple[Move, ...]] = {
+    DEFAULT: WORK_CYCLE,
+    "boom_up": (Move("boom", 1.0, 5.0, 0.3, 1.0, 0.5),),
+    "still": (),
+}
 
 
 def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

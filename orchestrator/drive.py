@@ -77,7 +77,8 @@ class Drive:
     def _replaced(self, system: System, component: str) -> str:
         fed = [c.target for c in system.connections if c.source.component == component]
         left = ", ".join(str(port) for port in fed if port not in self.columns)
-        return f"the scenario replaces {component}" + (f"; without it these keep their start values: {left}" if left else "")
+        rest = f"; without it these keep their start values: {left}" if left else ""
+        return f"the scenario replaces {component}{rest}"
 
     def initial(self, system: System, t: float) -> dict[Port, Value]:
         """Values of the driven inputs at the start."""

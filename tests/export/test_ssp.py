@@ -1,14 +1,16 @@
 """A system of FMUs as an .ssp: valid for the schema, and run by another tool's master."""
 
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
-from fmpy.ssp.ssd import read_ssd
+from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
 from lxml import etree
 
 from fmus.contract import ModelError
+from fmus.export.build import build
 from fmus.export.ssp import write_ssp
 
 WIRES = [("first.level", "second.target"), ("second.mixed", "product.left")]
@@ -33,6 +35,8 @@ def system(fmus, tmp_path_factory):
         start={"first.level": 0.5, "second.gain": 4.0},
         stop=2.0,
         resources={"readme.txt": b"read me"},
+        sets={"slow": {"first.gain": 0.1, "second.gain": 0.2}, "fast": {"first.gain": 10.0}},
+        bound=("slow",),
     )
 
 
@@ -44,11 +48,33 @@ def test_structure_is_valid_and_complete(system):
     ends = [(c.startElement, c.startConnector, c.endElement, c.endConnector) for c in ssd.system.connections]
     assert ("first", "level", "second", "target") in ends
     assert (None, "command", "product", "right") in ends
-    root = etree.fromstring(zipfile.ZipFile(system).read("SystemStructure.ssd"))
+    root = structure(system)
     assert root.find("{*}DefaultExperiment").get("stopTime") == "2"
     assert [u.get("name") for u in root.iterfind("{*}Units/{*}Unit")] == ["1", "1/s"]
     second = root.find(".//{*}Component[@name='second']")
     assert [(p.get("name"), p[0].get("value")) for p in second.iter("{*}Parameter")] == [("gain", "4")]
+
+
+def test_parameter_sets_and_dictionary_are_valid_and_complete(system):
+    """Every set is a file that FMPy reads against its schema; those that hold by default are bound."""
+    root = structure(system)
+    (bound,) = (
+        b for b in root.iterfind("{*}System/{*}ParameterBindings/{*}ParameterBinding") if b.get("source")
+    )
+    assert bound.get("source") == "resources/slow.ssv"
+    found = {p.name: (p.value, p.unit) for p in read_ssv(str(system), "resources/slow.ssv").parameters}
+    assert found == {"first.gain": ("0.1", "1"), "second.gain": ("0.2", "1")}
+    dictionary = root.find("{*}System/{*}SignalDictionaries/{*}SignalDictionary").get("source")
+    entries = etree.fromstring(zipfile.ZipFile(system).read(dictionary))
+    validate_tree(entries, "SystemStructureSignalDictionary.xsd")
+    signals = {e.get("name"): e[0].get("unit") for e in entries.iterfind("{*}DictionaryEntry")}
+    assert signals["second.mixed"] == "1"
+    assert {name.split(".")[0] for name in signals} == {"first", "second", "product"}
+
+
+def structure(system):
+    """The root of SystemStructure.ssd."""
+    return etree.fromstring(zipfile.ZipFile(system).read("SystemStructure.ssd"))
 
 
 def test_only_connected_inputs_are_connectors(system):
@@ -81,7 +107,7 @@ def test_fmpy_simulates_the_system(system):
         ([("first.nothing", "second.target")], {}, {}, "first.nothing has no such variable"),
         ([("first.target", "second.target")], {}, {}, "first.target has causality input"),
         ([*WIRES, ("second.level", "second.target")], {}, {}, "second.target is connected to first.level"),
-        (WIRES, {}, {"first.nothing": 1.0}, "first.nothing, which is no variable"),
+        (WIRES, {}, {"first.nothing": 1.0}, "start value of first.nothing, which is no variable"),
     ],
 )
 def test_impossible_system_is_refused_by_name(fmus, tmp_path, wires, inputs, start, words):
@@ -107,5 +133,47 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
                 data = data.replace(b"<BaseUnit/>", b'<BaseUnit K="1" offset="273.15"/>')
             new.writestr(name, data)
     system = write_ssp(tmp_path / "x.ssp", "x", {"warm": target}, [])
-    root = etree.fromstring(zipfile.ZipFile(system).read("SystemStructure.ssd"))
-    assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.14999999999998"}
+    root = structure(system)
+    assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.15"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"sets": {"odd": {"first.nothing": 1.0}}}, "set odd of first.nothing, which is no variable"),
+        ({"sets": {"one": {}}, "bound": ("two",)}, "two is bound, expected one of the sets one"),
+        ({"version": "3.0"}, "SSP version '3.0', expected one of 1.0, 2.0"),
+    ],
+)
+def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
+    """Values of no variable, a binding to no set, a version that does not exist."""
+    with pytest.raises(ModelError, match=words):
+        write_ssp(tmp_path / "x.ssp", "x", fmus, WIRES, **options)
+
+
+SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues", "ssb": "SignalDictionary"}
+
+
+def test_version_2_is_valid_against_its_schema(toys, tmp_path):
+    """With FMUs of FMI 3.0 and the types of that version."""
+    sub, numbers = toys["decay"]
+    decay = build(sub, tmp_path, numbers=numbers, fmi=3)
+    system = write_ssp(
+        tmp_path / "chain.ssp",
+        "chain",
+        {"first": decay, "second": decay},
+        WIRES[:1],
+        start={"first.level": 0.5},
+        sets={"slow": {"first.gain": 0.1}},
+        bound=("slow",),
+        version="2.0",
+    )
+    folder = Path(__file__).with_name("ssp2")
+    with zipfile.ZipFile(system) as archive:
+        for name in archive.namelist():
+            kind = name.rpartition(".")[2]
+            if kind in SCHEMAS:
+                schema = etree.XMLSchema(file=str(folder / f"SystemStructure{SCHEMAS[kind]}.xsd"))
+                schema.assertValid(etree.fromstring(archive.read(name)))
+    types = {c[0].tag.rpartition("}")[2] for c in structure(system).iter("{*}Connector")}
+    assert types == {"Float64"}

@@ -1,0 +1,53 @@
+"""Poses to start from: joint angles, and what every FMU needs to know to stand still there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from fmus.contract import quantities, symbolic
+from fmus.manipulator import MANIPULATOR
+from fmus.parameters import values
+
+JOINTS = ("boom", "stick")
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Joint angles [rad], as the manipulator counts them."""
+
+    boom: float
+    stick: float
+    swing: float = 0.0
+
+
+_START = values(MANIPULATOR).x
+NOMINAL = "nominal"
+POSES: Mapping[str, Pose] = {
+    NOMINAL: Pose(_START["boom_angle"], _START["stick_angle"], _START["swing_angle"]),
+    "reach": Pose(0.05, -0.65),  # arm out, head near the ground at 5.8 m
+    "folded": Pose(0.7, -2.1),  # stick under the raised boom, head 2.8 m out: to drive between trees
+    "close": Pose(-0.2, -2.0),  # head near the ground, 1.7 m beside the column
+    "raised": Pose(0.95, -1.0),  # boom up, head 4.3 m high
+}
+
+
+def pose_set(pose: Pose) -> dict[str, float]:
+    """Start values for a pose, also those that tools which pass nothing on at initialisation need.
+
+    Piston positions are x(q) and holding forces G(q) / J, by the manipulator's own equations.
+    """
+    model, start = symbolic(MANIPULATOR), values(MANIPULATOR)
+    angles = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
+    numbers = [list(group.values()) for group in ({**start.x, **angles}, start.u, start.p)]
+    outputs = model.function()(*numbers)[1].full()[:, 0]
+    y = dict(zip(quantities(MANIPULATOR.outputs), map(float, outputs), strict=True))
+    found = {f"manipulator.{name}": value for name, value in angles.items()}
+    for joint in JOINTS:
+        force = y[f"{joint}_holding_force"]
+        found |= {
+            f"manipulator.{joint}_force": force,
+            f"boom_stick.{joint}_position": y[f"{joint}_position"],
+            f"boom_stick.{joint}_holding_force": force,
+        }
+    return found

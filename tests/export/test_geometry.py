@@ -1,0 +1,92 @@
+"""The diagram of a system: wires end at their connectors, run straight where they can, cross no component."""
+
+from __future__ import annotations
+
+from itertools import combinations, pairwise
+from types import SimpleNamespace
+
+import pytest
+
+from fmus.export.geometry import GAP, PITCH, WIDTH, bends, boxes
+from fmus.export.structure import Element, Structure
+
+
+def element(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Element:
+    """A component with these connectors."""
+    causality = dict.fromkeys(inputs, "input") | dict.fromkeys(outputs, "output")
+    variables = {n: SimpleNamespace(name=n, unit="1", causality=c) for n, c in causality.items()}
+    return Element(SimpleNamespace(unitDefinitions=[]), variables, inputs, outputs)
+
+
+def structure(columns, wires, **elements) -> Structure:
+    return Structure("s", {n: element(*e) for n, e in elements.items()}, wires, {}, columns=columns)
+
+
+LOOP = structure(
+    [["driver"], ["left", "right"], ["body"]],
+    [
+        *(("driver.l", "left.command"), ("driver.r", "right.command")),
+        *(("left.force", "body.left_force"), ("body.left_speed", "left.speed")),
+        *(("right.force", "body.right_force"), ("body.right_speed", "right.speed")),
+    ],
+    driver=((), ("l", "r")),
+    left=(("command", "speed"), ("force", "heat")),
+    right=(("command", "speed"), ("force", "heat")),
+    body=(("left_force", "right_force"), ("left_speed", "right_speed", "energy")),
+)
+TANGLE = structure(
+    [["a"], ["b", "d"], ["c"]],
+    [("a.y", "b.u"), ("a.z", "c.w"), ("b.y", "c.u"), ("a.y", "c.v"), ("c.y", "b.v"), ("c.y", "d.u")],
+    a=((), ("y", "z")),
+    b=(("u", "v"), ("y",)),
+    c=(("u", "v", "w"), ("y",)),
+    d=(("u",), ("y",)),
+)
+ROW = structure([], [("a.y", "b.u"), ("b.y", "c.u")], a=((), ("y",)), b=(("u",), ("y",)), c=(("u",), ()))
+
+
+@pytest.mark.parametrize("system", [LOOP, TANGLE, ROW], ids=["loop", "tangle", "row"])
+def test_components_stand_apart_in_their_columns(system):
+    """In the column that was asked for, with every connector on its edge and none on another."""
+    placed = boxes(system)
+    for i, names in enumerate(system.columns or [[n] for n in system.elements]):
+        for name in names:
+            x1, y1, x2, y2 = placed[name].corners
+            assert (x1, x2 - x1) == (i * (WIDTH + GAP), WIDTH)
+            assert y1 < y2
+        for a, b in combinations((placed[n] for n in names), 2):
+            assert a.bottom > b.top or b.bottom > a.top
+    for name, e in system.elements.items():
+        points = {placed[name].connector(v) for v in (*e.inputs, *e.outputs)}
+        assert len(points) == len(e.inputs) + len(e.outputs)
+        assert all(x in (0.0, 1.0) and 0 < y < 1 for x, y in points)
+
+
+def test_wires_between_neighbours_are_straight():
+    """Both ways: the inputs from a component on the right are on the right side."""
+    placed = boxes(LOOP)
+    assert bends(LOOP, placed) == {}
+    for wire in LOOP.wires:
+        (_, y), (_, y2) = (placed[p.split(".")[0]].absolute(p.split(".")[1]) for p in wire)
+        assert y == y2
+
+
+@pytest.mark.parametrize("system", [LOOP, TANGLE, ROW], ids=["loop", "tangle", "row"])
+def test_no_wire_crosses_a_component(system):
+    """Each runs along the axes from connector to connector, outside of all components."""
+    placed = boxes(system)
+    turned = bends(system, placed)
+    for wire in system.wires:
+        start, end = (placed[p.split(".")[0]].absolute(p.split(".")[1]) for p in wire)
+        for (x, y), (x2, y2) in pairwise([start, *turned.get(wire, []), end]):
+            assert x == x2 or y == y2
+            for left, bottom, right, top in (box.corners for box in placed.values()):
+                inside = min(x, x2) < right and max(x, x2) > left and min(y, y2) < top and max(y, y2) > bottom
+                assert not inside, wire
+
+
+def test_connectors_are_apart():
+    """No closer than the pitch of the diagram, so that their names can be read."""
+    for box in boxes(TANGLE).values():
+        for heights in box.sides:
+            assert all(abs(a - b) >= PITCH for a, b in combinations(heights.values(), 2))

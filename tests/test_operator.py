@@ -1,0 +1,128 @@
+"""The operator: plays its strokes as declared, with rates to the right of each corner; the built program."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from driver import driving
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.build import data
+from fmus.contract import ModelError, symbolic
+from fmus.operator import OPERATOR
+from fmus.operator.stroke import AHEAD, Stroke, sample
+from fmus.operator.variables import LEVERS, STROKES
+from fmus.parameters import numbers, values
+from fmus.poses import NOMINAL, POSES, pose_set
+from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE, WORK_CYCLE_STOP, Move, operator_numbers, program
+from fmus.scenarios import sample as sampled
+
+_NAMES = ("start", "command", "rise", "hold", "fall")
+_TIME, _STROKE = ca.SX.sym("t"), [ca.SX.sym(n) for n in _NAMES]
+_SAMPLE = ca.Function("sample", [_TIME, *_STROKE], list(sample(Stroke(*_STROKE), _TIME)))
+duration = st.integers(0, 3000).map(lambda ms: ms / 1000)
+
+
+@st.composite
+def moves(draw):
+    """A stroke with corners on a grid of 1 ms; ramps and top may be of no length."""
+    return Move(
+        "boom", draw(duration), draw(st.floats(-10, 10)), draw(duration), draw(duration), draw(duration)
+    )
+
+
+def at(move: Move, time: float) -> tuple[float, float]:
+    """Command and rate of the operator's stroke."""
+    value, rate = _SAMPLE(time, *(getattr(move, n) for n in _NAMES))
+    return float(value), float(rate)
+
+
+@given(moves(), st.integers(0, 12_000_000))
+def test_a_stroke_is_the_move_of_the_scenario(move, microseconds):
+    """Between the corners, and at them the value to the right of a jump."""
+    time = microseconds / 1e6
+    corners = np.cumsum([move.start, move.rise, move.hold, move.fall])
+    beside = np.abs(corners - time)
+    if np.any((beside > 0) & (beside < 1e-9)):  # rounding decides on which side of a jump this is
+        return
+    # a ramp is no steeper than 10 V in 1 ms: rounding of 12 s
+    assert at(move, time)[0] == pytest.approx(move.sample(np.array([time]))[0], abs=1e-10)
+
+
+@given(moves(), st.integers(0, 12_000))
+def test_the_rate_at_a_millisecond_leads_to_the_next(move, ms):
+    """Value plus rate times 1 ms is the value just before the next jump: also one rounding below a corner."""
+    now, after = ms / 1000, (ms + 1) / 1000
+    for time in (now, now - 1e-12, now + 1e-12):
+        value, rate = at(move, time)
+        # up to 1e4 V/s times 2 AHEAD
+        assert value + rate * 1e-3 == pytest.approx(at(move, after - 2 * AHEAD)[0], abs=1e-3)
+        assert at(move, now + 5e-4)[1] == rate  # no corner lies between milliseconds
+
+
+def test_the_rates_are_the_derivatives_of_the_commands():
+    """Of the model's own expressions, at random instants of the work cycle."""
+    s, v = symbolic(OPERATOR), values(OPERATOR)
+    rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:]])
+    clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
+    for t in clock:
+        _, derivative, told = rate(t, list(v.p.values()))
+        np.testing.assert_array_equal(derivative, told)  # the same factors
+
+
+def test_the_fmu_plays_the_work_cycle(fmu_dir):
+    """At every millisecond the commands and rates of the scenario."""
+    time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
+    names = [f"{lever}_command" for lever in LEVERS]
+    rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
+    with driving(fmu_dir / "operator.fmu") as operator:
+        for n in range(len(time) - 1):
+            # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
+            np.testing.assert_allclose(operator.get(*names), commands[n], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(
+                operator.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
+            )
+            operator.step(1e-3, 5)
+
+
+def test_the_shipped_program_is_the_work_cycle():
+    """parameters.toml is what `python -m fmus.reference` writes."""
+    assert numbers(OPERATOR)["parameters"] == operator_numbers()["parameters"]
+
+
+def test_programs_are_the_shipped_scenarios():
+    """data/scenarios holds the same moves for those who drive the inputs themselves."""
+    for name in ("work_cycle", "boom_up"):
+        path = data(f"scenarios/{name}.csv")
+        header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        time, commands = sampled(PROGRAMS[name], table[-1, 0])
+        for axis, column in zip(LEVERS, commands.T, strict=True):
+            known = (
+                table[:, header.index(f"{axis}_command")] if f"{axis}_command" in header else 0 * table[:, 0]
+            )
+            # ten digits of the file
+            np.testing.assert_allclose(np.interp(time, table[:, 0], known), column, rtol=0, atol=1e-9)
+
+
+def test_a_program_that_is_too_long_is_refused():
+    """With the lever and both numbers."""
+    many = [Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
+    with pytest.raises(ModelError, match="stick lever: 11 strokes, expected at most 10"):
+        program(many)
+    assert program(many[:10])["stick_10_start"] == 9.0
+    assert len(program(())) == len(LEVERS) * len(STROKES) * 5
+
+
+def test_the_default_sets_are_the_start_values():
+    """The pose and the program that the system binds change nothing in the FMUs."""
+    assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
+    from fmus.machine import SUBSYSTEMS
+
+    for port, value in pose_set(POSES[NOMINAL]).items():
+        component, name = port.split(".")
+        found = values(SUBSYSTEMS[component])
+        # stated with nine digits
+        assert ({**found.u, **found.x})[name] == pytest.approx(value, rel=1e-8)
