@@ -129,14 +129,29 @@ def run(
 
 @app.command()
 def build(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")] = BUILD,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where the files go; those of FMI 3.0 to fmi3/ in it.")
+    ] = BUILD,
+    fmi: Annotated[str, typer.Option(metavar="VERSION", help="2, 3 or both.")] = "both",
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="host (the default), all, or one such as x86_64-windows or aarch64-linux; repeatable.",
+        ),
+    ] = None,
 ) -> None:
-    """Build swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
+    """Build the FMUs of the machine, harvester.fmu, which is all of it in one, and harvester.ssp."""
     from fmus.build import build_machine
+    from fmus.export.platforms import select
     from orchestrator import commands
 
+    versions = {"2": (2,), "3": (3,), "both": (2, 3)}
+    if fmi not in versions:
+        raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
+    platforms = select(platform or ["host"])
     commands.folder(out)
-    for path in build_machine(out):
+    for path in build_machine(out, versions[fmi], platforms):
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 
 
