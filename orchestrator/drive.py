@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.errors import Problem, suggest
+from orchestrator.errors import Problem, Unsupported, suggest
 from orchestrator.interface import Value
 from orchestrator.system import Port, System
 from orchestrator.trace import Trace
@@ -120,7 +120,7 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear]
     try:
         targets = system.targets(name)
     except Problem as problem:
-        if name in {p.variable for p in system.ports("input")}:
+        if isinstance(problem, Unsupported) or name in {p.variable for p in system.ports("input")}:
             raise Problem(f"{label}: column {problem}") from None
         inputs = system.ports("input")
         bare = dict.fromkeys([*system.inputs, *(p.variable for p in inputs)])

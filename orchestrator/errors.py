@@ -10,6 +10,10 @@ class Problem(Exception):
     """Names the file, the thing, what was expected and what was found. No traceback is shown."""
 
 
+class Unsupported(Problem):
+    """A variable of a kind that cannot be used here, such as an array."""
+
+
 class UnknownSignal(Problem, KeyError):
     """A name that no signal has; a KeyError too, because traces are looked up like mappings."""
 

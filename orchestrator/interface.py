@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orchestrator.archive import Location
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, Unsupported
 from orchestrator.units import BASES, Unit
 
 Value = float | int | bool | str
@@ -118,7 +118,7 @@ class Interface:
         """Refuse, beginning with `where`, a variable of a kind that is not supported."""
         if variable in self.refused:
             kind = self.refused[variable]
-            raise Problem(f"{where}: expected a scalar number or text, got {kind}, which is not supported")
+            raise Unsupported(f"{where}: expected a scalar number or text, got {kind}, not supported")
 
     @property
     def left_out(self) -> str:

@@ -162,6 +162,7 @@ class Workshop:
         interpolates: bool = False,
         extra: Mapping[str, str] | None = None,
         more: str = "",
+        experiment: str = "",
         aliases: Mapping[str, str] | None = None,
     ) -> Path:
         """An FMU that differs from the plain one.
@@ -171,6 +172,7 @@ class Workshop:
         platform     folder of the binary; "" for none
         extra        file in the archive -> content
         more         XML of more variables
+        experiment   attributes of DefaultExperiment
         aliases      variable -> its other name, in FMI 3.0
         """
         name = name or model
@@ -179,7 +181,9 @@ class Workshop:
             V(v.name, v.causality, (units or {}).get(v.name, v.unit), v.start, v.kind, v.depends)
             for v in MODELS[model]
         ]
-        head = Head(name, guid or model, version or f"{self.fmi}.0", kind, undeclared, interpolates)
+        head = Head(
+            name, guid or model, version or f"{self.fmi}.0", kind, undeclared, interpolates, experiment
+        )
         if self.fmi == 2:
             text = describe2(head, variables, more)
         else:
@@ -205,6 +209,7 @@ class Head:
     kind: str
     undeclared: bool
     interpolates: bool
+    experiment: str
 
 
 def describe2(head: Head, variables: list[V], more: str) -> str:
@@ -222,6 +227,7 @@ def describe2(head: Head, variables: list[V], more: str) -> str:
 {_units(variables)}
 <TypeDefinitions><SimpleType name="Colour"><Enumeration>{ITEMS}</Enumeration></SimpleType></TypeDefinitions>
 {CATEGORIES}
+<DefaultExperiment {head.experiment}/>
 <ModelVariables>{"".join(lines)}{more}</ModelVariables>
 <ModelStructure><Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
@@ -245,6 +251,7 @@ def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, s
 {_units(variables)}
 <TypeDefinitions><EnumerationType name="Colour">{ITEMS}</EnumerationType></TypeDefinitions>
 {CATEGORIES}
+<DefaultExperiment {head.experiment}/>
 <ModelVariables>{"".join(lines)}{more}
 <Float64 name="time" valueReference="300" causality="independent" variability="continuous"/></ModelVariables>
 <ModelStructure>{"".join(structure)}</ModelStructure>

@@ -21,6 +21,19 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 
 @pytest.fixture(scope="session")
+def fmus3(fmus: Workshop) -> Workshop:
+    """The same with FMI 3.0."""
+    return fmus.other(3)
+
+
+@pytest.fixture(params=["fmus", "fmus3"])
+def each(request: pytest.FixtureRequest) -> Workshop:
+    """FMUs of one version of FMI after the other."""
+    workshop: Workshop = request.getfixturevalue(request.param)
+    return workshop
+
+
+@pytest.fixture(scope="session")
 def oscillator(fmus: Workshop) -> System:
     """Two masses and three springs, undamped: a sends a force with feed-through, b its position."""
     files = {"a": fmus["mass_a"], "b": fmus["mass_b"]}

@@ -83,10 +83,13 @@ def test_records_at_200_hz_unless_told(options, times, capsys):
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_single_fmu_runs(fmus):
-    """`harvester run some.fmu`."""
-    assert main(["run", str(fmus["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
+def test_a_single_fmu_runs(each, capsys):
+    """`harvester run some.fmu` and `harvester signals some.fmu`, for both versions of FMI."""
+    assert main(["run", str(each["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
     assert len(read("o.csv").time) == 11
+    capsys.readouterr()
+    assert main(["signals", str(each["source"])]) == 0
+    assert "  source.amplitude  m" in capsys.readouterr().out
 
 
 def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):

@@ -115,6 +115,12 @@ def test_wrong_options_are_told(oscillator, options, message):
         run(oscillator, **options)
 
 
+def test_too_many_points_are_told(fmus):
+    """Before the run begins; 1e16 numbers fit into no memory."""
+    with pytest.raises(Problem, match=r"1e\+16 points of 1 signals do not fit into memory"):
+        run(str(fmus["source"]), step=1e-3, stop=1e13)
+
+
 def test_outputs_exist_at_the_first_instant(fmus):
     """Also behind feed-through, and with the scenario's first value."""
     level = Trace(np.array([0.0, 1.0]), {"u": np.array([5.0, 5.0])})

@@ -58,12 +58,20 @@ def connector(name, kind, unit=""):
     )
 
 
-@pytest.fixture
-def make(fmus, zip_ssp):
-    """An .ssp around gain.fmu from the text of its System."""
+def second(text):
+    """SSP 1.0 as SSP 2.0, with the type names of FMI 3.0."""
+    text = text.replace('version="1.0" name', 'version="2.0" name')
+    return text.replace(":Real", ":Float64").replace("<Real", "<Float64")
+
+
+@pytest.fixture(params=[1, 2], ids=["ssp1", "ssp2"])
+def make(request, each, zip_ssp):
+    """An .ssp of version 1.0 or 2.0 around gain.fmu of either FMI version, from the text of its System."""
+    edition = second if request.param == 2 else str
 
     def write(text, files=None, tail=UNITS):
-        return zip_ssp(ssd(text, tail), {"resources/gain.fmu": fmus["gain"], **(files or {})})
+        parts = {name: edition(f) if isinstance(f, str) else f for name, f in (files or {}).items()}
+        return zip_ssp(edition(ssd(text, tail)), {"resources/gain.fmu": each["gain"], **parts})
 
     return write
 
@@ -293,3 +301,52 @@ def test_an_input_of_the_system_goes_before_a_bare_name(fmus, zip_ssp):
     trace = run(zip_ssp(text, {"resources/gain.fmu": fmus["gain"]}), set={"u": 3.0}, step=0.5).trace
     np.testing.assert_array_equal(trace["p.y"], 3.0)
     np.testing.assert_array_equal(trace["q.y"], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("connector", "wire", "message"),
+    [
+        (
+            '<ssd:Connector name="u" kind="input"><ssc:Float64/><ssc:Dimension size="3"/></ssd:Connector>',
+            'endElement="a" endConnector="u"',
+            r"connection to a.u: expected a scalar, arrays are not supported",
+        ),
+        (
+            '<ssd:Connector name="u" kind="input"><ssc:Float64/></ssd:Connector>',
+            'endElement="a" endConnector="u" endIndices="2"',
+            r"connection to a.u: expected a scalar, arrays are not supported",
+        ),
+    ],
+)
+def test_arrays_of_ssp_2_are_told(fmus3, zip_ssp, connector, wire, message):
+    """Connectors with dimensions, and connections of single elements."""
+    part = f"""<ssd:Component name="a" source="gain.fmu"><ssd:Connectors>{connector}</ssd:Connectors>
+</ssd:Component>"""
+    wires = [f'<ssd:Connection startConnector="command" {wire}/>']
+    inlet = '<ssd:Connector name="command" kind="input"/>'
+    path = zip_ssp(second(ssd(system([part], wires, inlet))), {"gain.fmu": fmus3["gain"]})
+    with pytest.raises(Problem, match=message):
+        load(path)
+
+
+def test_an_array_that_is_not_connected_does_no_harm(fmus3, zip_ssp):
+    """The rest of the system runs."""
+    part = """<ssd:Component name="a" source="gain.fmu"><ssd:Connectors><ssd:Connector name="t" kind="input">
+<ssc:Float64/><ssc:Dimension size="3"/></ssd:Connector></ssd:Connectors></ssd:Component>"""
+    path = zip_ssp(second(ssd(system([part], []))), {"gain.fmu": fmus3["gain"]})
+    assert run(path, step=0.5, set={"a.offset": 2.0}).trace["a.y"][-1] == 2.0
+
+
+@pytest.mark.parametrize("implementation", ["ModelExchange", "ScheduledExecution"])
+def test_other_implementations_are_told(make, implementation):
+    """A component may ask for an interface that is not the one for co-simulation."""
+    part = gain("a").replace("<ssd:Component ", f'<ssd:Component implementation="{implementation}" ', 1)
+    with pytest.raises(Problem, match=rf"component a: expected CoSimulation, got {implementation}"):
+        load(make(system([part], [])))
+
+
+def test_later_versions_are_read_with_a_note(fmus3, zip_ssp):
+    """As the latest one that is known."""
+    text = ssd(system([gain("a", source="gain.fmu")], [])).replace('version="1.0" name', 'version="3.0" name')
+    path = zip_ssp(text, {"gain.fmu": fmus3["gain"]})
+    assert load(path).notes == (f"{path}/SystemStructure.ssd: SSP version 3.0 is read as version 2.0",)

@@ -1,0 +1,312 @@
+"""What is particular to FMI 3.0: types, names, steps, and what is refused; and systems of both versions."""
+
+import os
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from any_fmu.models import WIDTHS
+
+from orchestrator import Problem, Trace, assemble, library, load, run
+from orchestrator.archive import Location
+from orchestrator.callbacks import named
+from orchestrator.fmu import FmuSlave
+from orchestrator.interface import read_interface
+from orchestrator.signals import lines
+
+ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
+<Dimension start="3"/></Float64>
+<Binary name="blob" valueReference="401" causality="output"/>"""
+
+
+def opened(path):
+    """An instance, not yet initialised."""
+    return FmuSlave("it", read_interface(Location(Path(path))), Location(Path(path)))
+
+
+def started(path):
+    """An instance, ready to step from 0."""
+    slave = opened(path)
+    slave.setup(0.0, 10.0, None)
+    slave.enter()
+    slave.exit()
+    return slave
+
+
+@pytest.mark.parametrize("model", ["mass_a", "fails", "types", "wide"])
+def test_the_test_fmus_are_valid(fmus3, model):
+    """Schema, variables and model structure as FMPy checks them."""
+    fmpy.read_model_description(str(fmus3[model]), validate=True, validate_model_structure=True)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
+    """The same equations behind both: bit for bit, whoever sends and whoever receives."""
+    traces = []
+    for first in (fmus, fmus3):
+        for second in (fmus, fmus3):
+            files = {"a": first["mass_a"], "b": second["mass_b"]}
+            system = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+            traces.append(run(system, master=master, step=1e-2, stop=0.5).trace)
+    for other in traces[1:]:
+        for name, values in traces[0].signals.items():
+            np.testing.assert_array_equal(other[name], values)
+    assert np.ptp(traces[0]["a.x"]) > 1.0
+
+
+def test_units_are_converted_between_the_versions(fmus, fmus3):
+    """2 bar out of an FMI 3.0 FMU are 2e5 Pa in an FMI 2.0 FMU."""
+    source = fmus3.make("source", "source_bar", units={"y": "bar"})
+    gain = fmus.make("gain", "gain_pa", units={"u": "Pa"})
+    start = {"s.offset": 2.0, "s.amplitude": 0.0}
+    trace = run(assemble({"s": source, "g": gain}, ["s.y -> g.u"], start), step=0.1, stop=0.2).trace
+    np.testing.assert_array_equal(trace["g.u"], 2e5)
+
+
+# ---- types
+
+
+def test_numbers_of_all_widths_pass(fmus3):
+    """From a scenario through an FMU and a connection; Float32 keeps seven digits."""
+    lower = {kind: 0 if kind.startswith("U") else -7 for kind in WIDTHS}
+    columns = {f"{kind.lower()}_in": np.array([lower[kind], 100.0]) for kind in WIDTHS}
+    columns["float32_in"] = np.array([0.1, 1.1])
+    files = {"p": fmus3["wide"], "q": fmus3["wide"]}
+    wires = [f"p.{name}_out -> q.{name}_in" for name in ("float32", *(k.lower() for k in WIDTHS))]
+    scenario = Trace(np.array([0.0, 1.0]), {f"p.{name}": values for name, values in columns.items()})
+    trace = run(assemble(files, wires), scenario, step=0.5).trace
+    for kind in WIDTHS:
+        np.testing.assert_array_equal(trace[f"q.{kind.lower()}_out"], [lower[kind], lower[kind], 100])
+    np.testing.assert_array_equal(trace["q.float32_out"], np.float32([0.1, 0.6, 1.1]).astype(float))
+
+
+def test_texts_booleans_and_enumerations_pass(fmus3):
+    """With the names of the enumeration, and texts as parameters."""
+    wires = [f"p.{kind}_out -> q.{kind}_in" for kind in ("real", "int", "bool", "enum")]
+    system = assemble({"p": fmus3["types"], "q": fmus3["types"]}, wires)
+    values = {"p.real_in": 1.5, "p.int_in": 5, "p.bool_in": "true", "p.enum_in": "green"}
+    trace = run(system, step=0.1, stop=0.2, set=values).trace
+    last = {name: trace[f"q.{name}_out"][-1] for name in ("real", "int", "bool", "enum")}
+    assert last == {"real": 1.5, "int": 7.0, "bool": 1.0, "enum": 2.0}
+    slave = opened(fmus3["types"])
+    slave.setup(0.0, 1.0, None)
+    slave.set("label", "crane")
+    slave.enter()
+    assert slave.get("echo") == "hello crane"
+    assert slave.get("bool_out") is True
+    slave.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("wide.int8_in", 200, r"int8_in: 200 does not fit into Int8"),
+        ("wide.uint16_in", -1, r"uint16_in: -1 does not fit into UInt16"),
+    ],
+)
+def test_start_values_must_fit(fmus3, name, value, message):
+    """Name, value, type."""
+    with pytest.raises(Problem, match=message):
+        run(str(fmus3["wide"]), step=0.1, stop=0.2, set={name: value})
+
+
+def test_values_must_fit_during_a_run(fmus3):
+    """On their way into an FMU, and out of it where the run keeps 32 bits."""
+    ramp = Trace(np.array([0.0, 1.0]), {"uint8_in": np.array([0.0, 256.0])})
+    with pytest.raises(Problem, match=r"uint8_in: 256 does not fit into uint8"):
+        run(str(fmus3["wide"]), ramp, step=0.5)
+    with pytest.raises(Problem, match=r"uint64_out: 4294967296 does not fit into int32"):
+        run(str(fmus3["wide"]), step=0.1, stop=0.2, set={"wide.uint64_in": 2**32})
+
+
+def test_structural_parameters_are_set_in_configuration_mode(fmus3):
+    """The FMU refuses them in any other mode."""
+    trace = run(str(fmus3["wide"]), step=0.1, stop=0.2, set={"wide.size": 9}).trace
+    np.testing.assert_array_equal(trace["wide.size_out"], 9)
+
+
+def test_an_alias_is_the_variable_itself(fmus3):
+    """Values, connections and dependencies hold for both names: here no false algebraic loop arises."""
+    aliases = {"u": "in", "y": "out"}
+    gain = fmus3.make("gain", "gain_alias", aliases=aliases)
+    face = read_interface(Location(gain))
+    assert face.depends("out") == face.depends("y") == {"u", "in"}
+    system = assemble({"s": fmus3["source"], "g": gain, "h": gain}, ["s.y -> g.in", "g.out -> h.u"])
+    trace = run(system, step=0.1, stop=0.3, set={"g.factor": 2.0, "h.factor": 3.0}).trace
+    np.testing.assert_array_equal(trace["h.out"], 6 * trace["s.y"])
+
+
+# ---- slaves
+
+
+def test_directional_derivatives(fmus3):
+    """y = factor u + offset along a direction of all three."""
+    slave = started(fmus3["gain"])
+    slave.writer(["u", "factor"], np.array([3.0, 5.0]))()
+    seed, into = np.array([1.0, 10.0, 100.0]), np.zeros(1)
+    slave.derivative(["y"], ["u", "factor", "offset"], seed, into)()
+    assert into[0] == 5.0 + 3.0 * 10.0 + 100.0
+    slave.close()
+
+
+def test_inputs_have_no_derivatives(fmus3):
+    """Masters hold the inputs; whoever asks nevertheless is told."""
+    slave = started(fmus3["fails"])
+    assert not slave.interface.interpolates
+    with pytest.raises(Problem, match=r"it: FMI 3.0 has no derivatives of inputs"):
+        slave.slope_writer(["u"], np.zeros(1))
+    slave.close()
+    ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
+    end = run(str(fmus3["fails"]), ramp, step=0.1).trace["fails.y"][-1]
+    assert end == pytest.approx(0.45, abs=1e-12)  # the sum of ten rectangles; rounding of 4000 inner steps
+
+
+def test_a_wish_for_event_handling_is_a_warning(fmus3):
+    """Event mode is off, so the FMU must not ask; the run goes on."""
+    card = run(str(fmus3["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.45, "fails.how": 8}).card
+    assert card.steps == 10
+    assert card.warnings == (
+        "fails: the FMU asks for event handling, which it was told to do itself"
+        " (5 times, first at t = 0.5 s)",
+    )
+
+
+def test_the_resources_are_a_path(fmus, fmus3):
+    """With a separator at its end; none when the FMU has no such folder. FMI 2.0 gets a URI."""
+    for workshop, model in ((fmus3, "types"), (fmus, "types")):
+        slave = started(workshop.make(model, "resourceful", extra={"resources/x.txt": ""}))
+        told = slave.get("resources")
+        if workshop is fmus3:
+            assert told.endswith(os.sep)
+            assert Path(told, "x.txt").is_file()
+        else:
+            assert told.startswith("file://")
+        slave.close()
+    bare = started(fmus3["types"])
+    assert bare.get("resources") == ""
+    bare.close()
+
+
+def test_messages_tell_names():
+    """FMI 3.0 writes variables as #reference# and the character # twice."""
+    assert named("#12# of pump ##4 is above #13#", {12: "a.p"}) == "a.p of pump #4 is above #13#"
+
+
+# ---- platforms
+
+
+def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3):
+    """The folder of FMI 2.0 does not count."""
+    with pytest.raises(Problem, match=rf"expected binaries/{fmpy.platform_tuple}/misplaced"):
+        opened(fmus3.make("gain", "misplaced", platform=fmpy.platform))
+
+
+def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch):
+    """linux64 does not tell the processor: on ARM aarch64-linux comes first, and linux64 may still do."""
+    monkeypatch.setattr(library, "platform_tuple", "aarch64-linux")
+    monkeypatch.setattr(library, "platform", "linux64")
+    assert library.folders(2) == ["aarch64-linux", "linux64"]
+    opened(fmus.make("gain", "arm", platform="aarch64-linux")).close()
+    with pytest.raises(Problem, match="expected binaries/aarch64-linux/windows"):
+        opened(fmus.make("gain", "windows", platform="win64"))
+    monkeypatch.setattr(library, "platform_tuple", "x86_64-linux")
+    assert library.folders(2) == ["linux64", "x86_64-linux"]
+
+
+# ---- what is refused
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("ModelExchange", "model exchange"), ("ScheduledExecution", "scheduled execution")]
+)
+def test_other_interfaces_are_told(fmus3, kind, name):
+    """By name."""
+    fmu = fmus3.make("gain", "other_interface", kind=kind)
+    with pytest.raises(Problem, match=rf"other_interface.fmu: expected an FMU .*, got one for {name} only"):
+        load(fmu)
+
+
+@pytest.mark.parametrize("version", ["3.0-beta.2", "30", "4.0", "2.1"])
+def test_unknown_versions_are_told(fmus3, version):
+    """Betas of 3.0 are another standard."""
+    with pytest.raises(Problem, match=rf"expected FMI version 2.0 or 3.0, got {version}"):
+        load(fmus3.make("gain", "odd_version", version=version))
+
+
+def test_versions_with_a_patch_number_are_read(fmus3):
+    """3.0.2 is 3.0."""
+    assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).fmi == 3
+
+
+def test_arrays_and_binary_values_are_left_out_with_a_note(fmus3):
+    """In the card and in the list of signals; the rest runs."""
+    fmu = fmus3.make("gain", "mixed", more=ARRAY)
+    note = "mixed: left out: table, an array of shape (3); blob, a variable of type Binary"
+    result = run(str(fmu), step=0.1, stop=0.2, set={"u": 2.0})
+    assert result.card.notes == (note,)
+    assert list(result.trace.signals) == ["mixed.y", "mixed.u"]
+    assert note in lines(load(fmu))
+
+
+@pytest.mark.parametrize("name", ["table", "blob"])
+def test_whoever_names_an_array_is_told(fmus3, name):
+    """In a start value, a recorded signal, a column of a scenario or a connection."""
+    fmu = str(fmus3.make("gain", "mixed", more=ARRAY))
+    message = rf"mixed.{name}: expected a scalar number or text, got a.*, not supported"
+    for options in ({"set": {f"mixed.{name}": 1.0}}, {"record": [f"mixed.{name}"]}):
+        with pytest.raises(Problem, match=message):
+            run(fmu, step=0.1, stop=0.2, **options)
+    with pytest.raises(Problem, match=message):
+        run(fmu, Trace(np.array([0.0, 1.0]), {f"mixed.{name}": np.zeros(2)}), step=0.1)
+    with pytest.raises(Problem, match=message):
+        assemble({"s": fmus3["source"], "mixed": fmu}, [f"s.y -> mixed.{name}"])
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ('<Clock name="tick" valueReference="400" causality="input" intervalVariability="triggered"/>',
+         r"tick is a clock: expected an FMU without clocks, they are not supported"),
+        ('<Clock name="tick" valueReference="400" causality="local" intervalVariability="triggered"/>'
+         '<Int32 name="n" valueReference="401" causality="output" clocks="400"/>',
+         r"tick is a clock: expected an FMU without clocks"),
+    ],
+)  # fmt: skip
+def test_clocks_are_told(fmus3, more, message):
+    """Such FMUs must be run with event mode."""
+    fmu = fmus3.make("gain", "clocked", more=more)
+    with pytest.raises(Problem, match=rf"clocked.fmu: {message}"):
+        load(fmu)
+
+
+def test_an_fmu_of_arrays_only_is_told(tmp_path):
+    """It has nothing that could be exchanged."""
+    array = '<Float64 name="{0}" valueReference="{1}" causality="{0}" {2}><Dimension start="2"/></Float64>'
+    variables = array.format("input", 1, 'start="0 0"') + array.format("output", 2, "")
+    with zipfile.ZipFile(tmp_path / "arrays.fmu", "w") as archive:
+        archive.writestr(
+            "modelDescription.xml",
+            f"""<fmiModelDescription fmiVersion="3.0" modelName="arrays" instantiationToken="x">
+<CoSimulation modelIdentifier="arrays"/><ModelVariables>{variables}</ModelVariables>
+<ModelStructure><Output valueReference="2"/></ModelStructure></fmiModelDescription>""",
+        )
+    message = r"arrays.fmu: input is an array of shape \(2\): .*, arrays are not supported"
+    with pytest.raises(Problem, match=message):
+        load(tmp_path / "arrays.fmu")
+
+
+def test_time_in_other_units_is_told(fmus3):
+    """Communication points are in seconds."""
+    more = '<Float64 name="hours" valueReference="400" causality="independent" unit="degC"/>'
+    fmu = fmus3.make("gain", "slow", units={"u": "degC"}, more=more)
+    with pytest.raises(Problem, match=r"slow.fmu: hours: expected time in seconds, got \[degC\]"):
+        load(fmu)
+
+
+def test_the_experiment_of_a_single_fmu_is_run(each):
+    """Start, stop and step."""
+    fmu = each.make("source", "later", experiment='startTime="5" stopTime="6" stepSize="0.25"')
+    time = run(str(fmu)).trace.time
+    np.testing.assert_array_equal(time, [5.0, 5.25, 5.5, 5.75, 6.0])
