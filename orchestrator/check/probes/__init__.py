@@ -1,7 +1,128 @@
-"""Rules that load and run the FMU, each in a child process."""
+"""Rules that load and run the FMU, each in a child process: a crash, a hang or an exit is a finding, too."""
 
 from __future__ import annotations
 
-from orchestrator.check.finding import Rule
+from orchestrator.check.finding import Check, Rule
+from orchestrator.check.probes.rules import loads, probe, runs
 
-PROBES: tuple[Rule, ...] = ()
+STATE = ("canGetAndSetFMUstate", "canGetAndSetFMUState")
+BYTES = ("canSerializeFMUstate", "canSerializeFMUState")
+SLOPE = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+ORDER = ("maxOutputDerivativeOrder",)
+UPDATE = ("providesIntermediateUpdate",)
+EARLY = ("canReturnEarlyAfterIntermediateUpdate",)
+CS = ("cs",)
+
+# name, what must hold, check, threads where it was seen
+TABLE: tuple[tuple[str, str, Check, str], ...] = (
+    (
+        "load",
+        "The binary for this machine loads and has the functions of its sides",
+        loads,
+        "PythonFMU#110 FMPy#545 FMPy#642",
+    ),
+    (
+        "default",
+        "The default experiment runs to its end with finite values",
+        runs,
+        "FMIKit#225 OpenModelica#11229 rumoca#347",
+    ),
+    (
+        "token",
+        "A GUID or token of another build is refused",
+        probe("basic:token"),
+        "FMPy#167 FMIKit#80 OpenModelica#3809",
+    ),
+    (
+        "first_output",
+        "Values are right at once after initialisation",
+        probe("first:first_output"),
+        "FMIKit#219",
+    ),
+    (
+        "drift",
+        "Summed communication points are accepted",
+        probe("times:drift", sides=CS),
+        "FMIKit#133 FMPy#887 fmu_manipulation_toolbox#35",
+    ),
+    (
+        "start_time",
+        "A start time other than 0 works",
+        probe("times:start_time"),
+        "PyFMI#261 FMPy#638 OpenModelica#11855 Reference-FMUs#275",
+    ),
+    ("stop_time", "No stop time is needed", probe("times:stop_time"), ""),
+    (
+        "instances",
+        "Instances in one process do not disturb each other",
+        probe("several:instances"),
+        "casadi#3937 casadi#4212 FMIKit#328 FMIKit#397 into-cps#17",
+    ),
+    ("threads", "Instances may run in different threads", probe("several:threads"), ""),
+    (
+        "leak",
+        "Two thousand instances leave nothing behind",
+        probe("leak:leak", "leak:reload"),
+        "FMPy#110 FMPy#608 FMPy#343 OpenModelica#9220 PythonFMU#229",
+    ),
+    (
+        "resources",
+        "Folders and forms of the resource location do not matter",
+        probe("files:resources"),
+        "FMPy#230 Reference-FMUs#74 chrono#772 rust-fmi#52",
+    ),
+    (
+        "state",
+        "A restored state goes on bit for bit",
+        probe("state:restore", needs=STATE),
+        "OpenModelica#7939 OpenModelica#12260 FMIKit#136 FMIKit#226 UniFMU#83",
+    ),
+    (
+        "serialize",
+        "A state goes on bit for bit in another process",
+        probe("state:serialize", "state:elsewhere", needs=BYTES),
+        "FMPy#811",
+    ),
+    ("reset", "A reset brings the first run again", probe("state:reset"), ""),
+    (
+        "directional",
+        "Directional derivatives are derivatives",
+        probe("slopes:directional", needs=SLOPE),
+        "FMPy#545",
+    ),
+    (
+        "output_derivatives",
+        "Output derivatives are the slopes of the outputs",
+        probe("slopes:output_derivatives", sides=CS, needs=ORDER),
+        "",
+    ),
+    (
+        "dependencies",
+        "What changes with an input lists it",
+        probe("slopes:dependencies"),
+        "FMIKit#21 PyFMI#232",
+    ),
+    ("values", "Senseless values are not answered with OK and NaN", probe("abuse:values"), "rumoca#347"),
+    (
+        "order",
+        "Calls in a wrong state do not end the process",
+        probe("abuse:order", crash="warning"),
+        "",
+    ),
+    ("log", "Messages are in the declared categories", probe("basic:log"), ""),
+    (
+        "intermediate",
+        "An intermediate update does not change the results",
+        probe("update:intermediate", sides=CS, needs=UPDATE, major=3),
+        "",
+    ),
+    (
+        "early_return",
+        "An early return is told",
+        probe("update:early_return", sides=CS, needs=EARLY, major=3),
+        "",
+    ),
+)
+PROBES: tuple[Rule, ...] = tuple(
+    Rule(f"run.{name}", text, check, tuple(threads.split())) for name, text, check, threads in TABLE
+)

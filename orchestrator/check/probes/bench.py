@@ -1,0 +1,71 @@
+"""What a probe has at hand in the child process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from orchestrator.check.probes.beacon import Beacon
+from orchestrator.check.probes.binary import Binary, find
+from orchestrator.check.probes.declared import Declared
+from orchestrator.check.probes.player import Player
+
+Said = tuple[str, str]  # severity, text
+Task = Callable[["Bench"], Iterator[Said]]
+
+
+@dataclass
+class Bench:
+    """One probe of one side of one FMU.
+
+    seconds   wall time that the probe may fill with work
+    pokes     the FMU takes small changes of its inputs
+    payload   what an earlier child handed over
+    result    what this child hands over
+    first     number of the stage to begin with: those before it were done by a child that crashed
+    at        tells the parent which stage begins
+    """
+
+    folder: Path
+    declared: Declared
+    side: str
+    beacon: Beacon
+    seconds: float = 1.0
+    pokes: bool = False
+    payload: Any = None
+    result: Any = None
+    first: int = 0
+    at: Callable[[int], None] = lambda _: None
+    _binary: list[Binary] = field(default_factory=list)
+
+    @property
+    def binary(self) -> Binary:
+        """The library, loaded on first use."""
+        if not self._binary:
+            self._binary.append(self.load(self.folder))
+        return self._binary[0]
+
+    def load(self, folder: Path) -> Binary:
+        """The library of an unpacked FMU."""
+        path = find(folder, self.declared, self.side)
+        if path is None:
+            raise FileNotFoundError("no binary for this platform")
+        return Binary(path, self.declared, self.beacon)
+
+    def can(self, *names: str) -> bool:
+        """Is one of these capabilities declared?"""
+        return self.declared.can(self.side, *names)
+
+    def player(self, **options: Any) -> Player:
+        """A new instance."""
+        options = {"start": self.declared.experiment.get("startTime", 0.0)} | options
+        return Player(options.pop("binary", None) or self.binary, self.side, self.folder, **options)
+
+    def record(self, count: int, **options: Any) -> list[list[float]]:
+        """Rows of one run from beginning to end; the first is that after initialisation."""
+        player = self.player(**options).begin()
+        rows = [player.row(), *player.run(count, self.pokes)]
+        player.close()
+        return rows

@@ -1,0 +1,1 @@
+"""What the probes do, in the child process: each task yields (severity, text)."""

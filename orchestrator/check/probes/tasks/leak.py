@@ -1,0 +1,111 @@
+"""Instances one after the other, two thousand times: what do they leave behind?"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+
+from orchestrator.check.probes.bench import Bench, Said
+from orchestrator.check.probes.instance import Instance
+
+ROUNDS = 2000  # instances
+WARM = 100  # before the memory is measured: caches fill once
+WINDOW = 100  # between two measurements
+LOADS = 40
+LEAK = 24.0  # bytes per instance: more than what fluctuates, less than any allocated block
+FULL = 64e6  # bytes: enough to be sure
+
+
+def leak(bench: Bench) -> Iterator[Said]:
+    """Two thousand instances leave no memory, no file handle and no thread behind."""
+    for _ in range(WARM):
+        _life(bench)
+    measures: dict[str, tuple[Callable[[], float], float]] = {
+        "bytes of memory": (memory, LEAK),
+        "file handles": (handles, 0.01),
+        "threads": (running, 0.01),
+    }
+    growth: dict[str, list[float]] = {name: [] for name in measures}
+    done, deadline = 0, time.monotonic() + 4 * bench.seconds
+    while done < ROUNDS and time.monotonic() < deadline and sum(growth["bytes of memory"]) * WINDOW < FULL:
+        before = {name: measure() for name, (measure, _) in measures.items()}
+        for _ in range(WINDOW):
+            _life(bench)
+        for name, (measure, _) in measures.items():
+            growth[name].append((measure() - before[name]) / WINDOW)
+        done += WINDOW
+    for name, (_, limit) in measures.items():
+        usual = median(growth[name])  # the interpreter's own memory goes up and down
+        if usual > limit:
+            yield "error", f"each instance leaves {usual:.3g} {name} behind (of {done} instances)"
+
+
+def _life(bench: Bench) -> None:
+    player = bench.player().begin()
+    player.close()
+    bench.binary.log.messages.clear()
+
+
+def memory() -> float:
+    """Bytes in use: exactly, from the C library, where it tells; else pages of the process."""
+    try:
+        function = ctypes.CDLL(None).mallinfo2
+    except (AttributeError, OSError, TypeError):
+        return _pages()
+    function.restype = _Mallinfo
+    info = function()
+    return float(info.uordblks + info.hblkhd)
+
+
+class _Mallinfo(ctypes.Structure):
+    _fields_ = [
+        (n, ctypes.c_size_t)
+        for n in (
+            *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+            *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+        )
+    ]
+
+
+def _pages() -> float:
+    if sys.platform == "linux":
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+        return float(pages) * os.sysconf("SC_PAGE_SIZE")
+    if sys.platform == "win32":
+        return 0.0
+    import resource
+
+    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def handles() -> float:
+    """Open files."""
+    if sys.platform == "win32":
+        count = ctypes.c_ulong(0)
+        kernel = ctypes.windll.kernel32
+        kernel.GetProcessHandleCount(kernel.GetCurrentProcess(), ctypes.byref(count))
+        return float(count.value)
+    return float(len(os.listdir("/dev/fd")))
+
+
+def running() -> float:
+    """Threads of this process, where it is known."""
+    folder = Path("/proc/self/task")
+    return float(len(os.listdir(folder))) if folder.is_dir() else 0.0
+
+
+def reload(bench: Bench) -> Iterator[Said]:
+    """Loading, making an instance, freeing and unloading, again and again."""
+    before = handles()
+    for _ in range(LOADS):
+        binary = bench.load(bench.folder)
+        instance = Instance(binary, bench.side, bench.folder)
+        instance.free()
+        binary.unload()
+    if handles() - before > LOADS / 2:
+        yield "error", f"each unloading leaves {(handles() - before) / LOADS:.3g} file handles behind"

@@ -1,0 +1,142 @@
+"""Time as masters count it: summed steps, a start that is not zero, no stop time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+from orchestrator.check.probes.bench import Bench, Said
+from orchestrator.check.probes.binary import Refused
+from orchestrator.check.probes.player import Player
+from orchestrator.check.probes.values import Values
+
+STEPS = 60
+LATE = 1000.0  # s
+FEW = 20
+
+
+def drift(bench: Bench) -> Iterator[Said]:
+    """Communication points that are summed up, and so drift by rounding errors, are accepted."""
+    own = bench.declared.step
+    lengths = [own]
+    if bench.can("canHandleVariableCommunicationStepSize"):
+        # much longer steps than the FMU recommends may fail for other reasons
+        lengths += [own / 3, *(x for x in (0.1, 1 / 60) if x <= 20 * own)]
+    for length in lengths:
+        player = bench.player(step=length)
+        player.stop = player.start + STEPS * length
+        player.begin()
+        plain = _counted(bench, length)
+        if plain is None:
+            yield "error", f"a communication step of {length:.9g} s is refused"
+            continue
+        message = _summed(player)
+        if message:
+            yield "error", message
+        elif player.number == len(plain):
+            yield from _lost_step(player, plain)
+
+
+def _summed(player: Player) -> str:
+    """Step with a summed time; a refusal in words."""
+    time = player.start
+    for n in range(STEPS):
+        try:
+            player.instance.step(time, player.step)
+        except Refused as refusal:
+            counted = player.start + n * player.step
+            more = f": {refusal.said}" if refusal.said else ""
+            text = f"step {n + 1} of {player.step:.9g} s is refused at the summed time {time:.17g} s"
+            return f"{text} (counted {counted:.17g} s){more}"
+        if player.instance.ended:
+            break
+        time += player.step
+        player.number += 1
+    return ""
+
+
+def _counted(bench: Bench, length: float) -> list[list[float]] | None:
+    """The same steps with a counted time; None when they are refused as well."""
+    try:
+        player = bench.player(step=length).begin()
+        rows = player.run(STEPS)
+        player.close()
+    except Refused:
+        return None
+    return rows
+
+
+def _lost_step(player: Player, plain: list[list[float]]) -> Iterator[Said]:
+    """Outputs that are a whole step behind."""
+    for i, (name, x) in enumerate(zip(player.outputs.names, player.row(), strict=True)):
+        column = [row[i] for row in plain]
+        moves = max((abs(b - a) for a, b in pairwise(column)), default=0.0)
+        if abs(x - column[-1]) > max(0.9 * moves, 1e-6 * abs(x)):
+            text = f"after {STEPS} steps of {player.step:.9g} s with summed times {name} is {x:.9g}"
+            yield "warning", f"{text}, with counted times {column[-1]:.9g}"
+            return
+
+
+def start_time(bench: Bench) -> Iterator[Said]:
+    """A start at t = 1000 s works, and its first step is one step."""
+    early = bench.player().begin()
+    first = early.row()
+    rows = [first, *early.run(FEW)]
+    early.close()
+    late = bench.player(start=early.start + LATE)
+    late.stop = late.start + FEW * late.step
+    try:
+        late.begin()
+        yield from _clock(late)
+        begin = late.row()
+        after = late.run(1)
+        yield from _clock(late)
+        late.run(FEW - 2)
+        late.close()
+    except Refused as refusal:
+        yield "error", f"a start at t = {late.start:g} s does not work: {refusal}"
+        return
+    if bench.side == "cs" and after:
+        yield from _leap(late, rows, begin, after[0])
+
+
+def _clock(player: Player) -> Iterator[Said]:
+    """The independent variable, where there is one, and the time the FMU says it reached."""
+    times = [v for v in player.instance.declared.of("independent") if v.is_float]
+    for v in times[:1]:
+        (value,) = Values(player.instance, [v]).get()
+        if not _timely(player, value):
+            yield "error", f"{v.name} is {value:.9g} s at t = {player.time:.9g} s"
+    tells = player.number and player.instance.declared.major == 3 and player.instance.side == "cs"
+    if tells and not _timely(player, player.reached):
+        yield "error", f"the last successful time is {player.reached:.9g} s at t = {player.time:.9g} s"
+
+
+def _timely(player: Player, value: float) -> bool:
+    """Not early; late by no more than an inner step, of which little may be known."""
+    late = max(50 * player.step, player.instance.declared.inner_step)
+    return -late <= value - player.time <= 1e-9 * abs(player.time)
+
+
+def _leap(late: Player, rows: list[list[float]], begin: list[float], after: list[float]) -> Iterator[Said]:
+    """One step that changes an output far more than any step of the run from the usual start."""
+    for i, (name, a, b) in enumerate(zip(late.outputs.names, begin, after, strict=True)):
+        usual = max((abs(y[i] - x[i]) for x, y in pairwise(rows)), default=0.0)
+        if abs(b - a) > 50 * usual and abs(b - a) > 1e-3 * max(abs(a), 1e-6) and not math.isinf(b):
+            text = f"the first step from t = {late.start:g} s changes {name} by {b - a:.3g}"
+            yield "error", f"{text}, from the default start by up to {usual:.3g}: the start time is ignored"
+            return
+
+
+def stop_time(bench: Bench) -> Iterator[Said]:
+    """Without a stop time the FMU runs on, beyond the stop time of the default experiment, too."""
+    start, stop = bench.declared.experiment.get("startTime", 0.0), bench.declared.experiment.get("stopTime")
+    late = start if stop is None else max(start, stop - bench.declared.step)
+    player = bench.player(start=late)
+    try:
+        player.begin()
+        player.run(3)
+        player.close()
+    except Refused as refusal:
+        yield "error", f"without a stop time, from t = {late:.9g} s: {refusal}"
