@@ -32,10 +32,14 @@ def flat_names(
     totals: Collection[str],
     hidden: Collection[str],
 ) -> Names:
-    """Names of parameters, states and outputs; `hidden` ones have none, those in `taken` belong to others."""
+    """Names of parameters, states and outputs, but `hidden` ones; those in `taken` belong to others."""
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
-    own = {v: v.partition(".")[2] for v in [*parameters, *states, *outputs] if v not in hidden}
-    merged = _common(parameters, tables) | {v for v in outputs if v in own and own[v] in totals}
+    unknown = set(hidden) - set(outputs)
+    if unknown:
+        raise ModelError(f"{min(unknown)} is hidden, expected an output of {', '.join(subsystems)}")
+    visible = [v for v in outputs if v not in hidden]
+    own = {v: v.partition(".")[2] for v in [*parameters, *states, *visible]}
+    merged = _common(parameters, tables) | {v for v in visible if own[v] in totals}
     single = [v for v in own if v not in merged]
     others = [*taken, *{own[v] for v in merged}]
     seen = Counter([*others, *(own[v] for v in single)])

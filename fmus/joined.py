@@ -56,15 +56,14 @@ def joined(
     start = {f"{c}.{v}": number for c, t in tables.items() for v, number in t["start"].items()}
     whole = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})
     names = flat_names(subsystems, tables, inputs, totals, hidden)
-    parameters, states, outputs = (
-        _shown(declared(subsystems, group), names) for group in ("parameters", "states", "outputs")
-    )
-    outputs |= {v: replace(outputs[v], text=words) for v, words in (texts or {}).items()}
+    parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
+    visible = _shown({v: q for v, q in outputs.items() if v not in hidden}, names)
+    visible |= {v: replace(visible[v], text=words) for v, words in (texts or {}).items()}
     groups = {
-        "parameters": parameters,
-        "states": states,
+        "parameters": _shown(parameters, names),
+        "states": _shown(states, names),
         "inputs": _fed(name, declared(subsystems, "inputs"), inputs, start),
-        "outputs": outputs,
+        "outputs": visible,
     }
     types = {group: _type(f"{name}_{group}", members) for group, members in groups.items()}
     return Subsystem(
@@ -82,8 +81,7 @@ def _shown(members: Mapping[str, Quantity], names: Names) -> dict[str, Quantity]
     """By their names in the whole; of several with one name the first counts."""
     found: dict[str, Quantity] = {}
     for variable, quantity in members.items():
-        if variable in names:
-            found.setdefault(names[variable], quantity)
+        found.setdefault(names[variable], quantity)
     return found
 
 
