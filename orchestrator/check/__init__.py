@@ -41,8 +41,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
     with opened(path) as subject:
         found = [f for rule in (rules() if run else STATIC) for f in _applied(rule, subject)]
         title = _title(subject)
-    ids = {f.rule for f in found}
-    kept = tuple(f for f in found if f.rule != "fmpy.validate" or not told_already(f, ids))
+    kept = tuple(f for f in found if f.rule != "fmpy.validate" or not told_already(f, found))
     return Report(path, title, kept, tool)
 
 

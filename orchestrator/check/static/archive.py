@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
-from orchestrator.check.unpack import DESCRIPTION
+from orchestrator.check.unpack import DESCRIPTION, unsafe
 
 RULES = Table()
 FOLDERS = {
@@ -76,8 +76,8 @@ def paths(subject: Subject) -> Iterator[Finding]:
 @RULES.rule("archive.stray", "The archive holds only what the standard names")
 def stray(subject: Subject) -> Iterator[Finding]:
     allowed = FOLDERS.get(subject.major, ())
-    top = {n.split("/")[0] for n in subject.names if "\\" not in n and not n.startswith("/")}
-    strange = sorted(top - {DESCRIPTION, "model.png", *allowed, ".."})
+    top = {n.split("/")[0] for n in subject.names if not unsafe(n)}
+    strange = sorted(top - {DESCRIPTION, "model.png", *allowed})
     if subject.major and strange:
         yield note(
             f"{', '.join(strange[:5])}: not a file or folder of an FMU; data for others belong into extra/"

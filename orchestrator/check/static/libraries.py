@@ -111,7 +111,7 @@ def _dotted(version: tuple[int, ...]) -> str:
 @RULES.rule("binary.macos", "Libraries for macOS run on versions in use")
 def macos(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
-        if b.minimum > MACOS:
+        if b.minimum[:1] > MACOS:
             yield warning(f"{b}: needs macOS {_dotted(b.minimum)}, expected at most {_dotted(MACOS)}")
 
 

@@ -70,13 +70,9 @@ def structured(subject: Subject) -> Iterator[Finding]:
 
 @RULES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
 def characters(subject: Subject) -> Iterator[Finding]:
-    odd = [
-        v
-        for v in subject.model.variables
-        if v.name
-        and not IDENTIFIER.fullmatch(v.name)
-        and not (_structured(subject) and STRUCTURED.fullmatch(v.name))
-    ]
+    if _structured(subject):
+        return  # the rule on the grammar speaks of these
+    odd = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
     if odd:
         yield note(f"{odd[0]}: {len(odd)} name(s) that are no identifiers; tools rename or quote them")
 

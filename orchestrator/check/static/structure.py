@@ -27,7 +27,7 @@ def _differences(model: Model, section: str, expected: list[Variable], why: str)
     name = LISTS[model.major][section]
     missing = [v.name for v in expected if v not in listed]
     right = set(expected)
-    extra = [v.name for v in listed if v not in right]
+    extra = [v.name for v in listed if v not in right and v.initial]  # "": another rule tells that
     if missing:
         yield error(f"{WHERE}: {name} lacks {_some(missing)}; expected {why}")
     if extra:
@@ -135,13 +135,14 @@ def dependencies(subject: Subject) -> Iterator[Finding]:
 def knowns(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     states = set(model.states)
+    whole_list = len(states) == len(model.structure.get("derivatives", ()))  # else some states are not known
     for section, unknowns in model.structure.items():
         for unknown in unknowns if section in ("outputs", "derivatives", "initial") else ():
             for key in unknown.dependencies or ():
                 known = model.by_key.get(-1 if key is None else key)
                 if known is None:
                     yield error(f"{unknown}: dependency {key} is no variable")
-                elif not _known(known, section, states, model.major):
+                elif whole_list and not _known(known, section, states, model.major):
                     yield warning(
                         f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
                         " expected an input, a state or what is known by then"
@@ -155,7 +156,7 @@ def _known(v: Variable, section: str, states: set[Variable], major: int) -> bool
     if v.causality in ("input", "independent"):
         return True
     if section == "initial":
-        return v.initial == "exact"
+        return v.initial in ("exact", "")
     parameter = v.causality in ("parameter", "structuralParameter")
     return (
         v in states or (parameter and major == 3) or v.clocked or (major == 3 and v.variability == "discrete")

@@ -22,7 +22,7 @@ CONNECTED = ("input", "output", "parameter", "calculatedParameter")
 
 
 def _root(subject: Subject) -> Element | None:
-    return parsed(subject, FILE)[0] if FILE in subject.files else None
+    return parsed(subject, FILE)[0] if FILE in subject.files and subject.model.variables else None
 
 
 @RULES.rule("terminal.schema", "terminalsAndIcons.xml keeps its schema")

@@ -1,0 +1,22 @@
+"""Fixtures of the tests of `harvester check`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from any_fmu.models import Workshop
+from check.good import Archive, make
+
+
+@pytest.fixture(scope="session")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Archive]:
+    """The good FMU of FMI 2 and of FMI 3."""
+    return {major: make(tmp_path_factory.mktemp(f"good{major}"), major) for major in (2, 3)}
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    """The small FMUs of the orchestrator's tests."""
+    return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()

@@ -1,0 +1,50 @@
+"""FMUs without fault: the check has nothing against them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from any_fmu.models import MODELS
+from check.good import Archive
+
+from orchestrator.check import check
+from orchestrator.check.tools import ANY, TOOLS
+
+
+@pytest.mark.parametrize("major", [2, 3])
+def test_the_complete_fmu_gives_no_finding(good: Mapping[int, Archive], major: int, tmp_path: Path) -> None:
+    """An FMU that has all the rules ask for gives no finding; FMI 3 alone is noted, as some tools lack it."""
+    report = check(good[major].write(tmp_path / "lag.fmu"), run=False)
+    assert [f.rule for f in report.findings] == (["version.new"] if major == 3 else [])
+    assert report.summary() == ("nothing found" if major == 2 else "0 errors, 0 warnings, 1 note")
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_the_complete_fmi_2_fmu_suits_every_tool(
+    good: Mapping[int, Archive], tool: str, tmp_path: Path
+) -> None:
+    """No tool's profile finds fault with the complete FMI 2 FMU."""
+    report = check(good[2].write(tmp_path / "lag.fmu"), tool, run=False)
+    assert report.findings == ()
+    assert not report.failed
+
+
+def test_the_machine_gives_neither_error_nor_warning(fmu_dir: Path) -> None:
+    """The project's own FMUs, of both versions, are clean."""
+    fmus = sorted(fmu_dir.rglob("*.fmu"))
+    assert fmus
+    for fmu in fmus:
+        report = check(fmu, ANY, run=False)
+        assert [f for f in report.findings if f.severity != "note"] == [], report.text()
+
+
+def test_other_small_fmus_lack_only_what_they_leave_out(fmus, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The small FMUs of the orchestrator's tests lack the optional functions; nothing else is wrong with most."""
+    del tmp_path
+    for model in MODELS:
+        report = check(fmus[model], run=False)
+        found = {f.rule for f in report.findings if f.severity != "note"}
+        assert "binary.functions" in found
+        assert found <= {"binary.functions"}, report.text()
