@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from fmus.contract import ModelError, Subsystem, quantities
-from fmus.machine import SUBSYSTEMS
+from fmus.machine import ALL, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
 
 LEGEND = "\n".join(f"{word:<11} {meaning}" for word, meaning in SOURCES.items())
@@ -51,12 +51,15 @@ def count(subs: Iterable[Subsystem], source: str | None = None) -> str:
 
 
 def show(name: str | None = None, source: str | None = None) -> None:
-    """Print the table of one subsystem, or of all, or what has one source; ModelError for an unknown name."""
-    if name is not None and name not in SUBSYSTEMS:
-        raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(SUBSYSTEMS)}")
+    """Print the table of one subsystem, or of the machine, or what has one source.
+
+    The operator's program is no number of the machine; it has a table of its own.
+    """
+    if name is not None and name not in ALL:
+        raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(ALL)}")
     if source is not None and source not in SOURCES:
         raise ModelError(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
-    subs = [sub for sub in SUBSYSTEMS.values() if name in (None, sub.name)]
+    subs = [ALL[name]] if name else list(SUBSYSTEMS.values())
     for table in filter(None, ("\n".join(lines(sub, source)) for sub in subs)):
         print(f"{table}\n")
     print(f"{LEGEND}\n\n{count(subs, source)}")

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.errors import Problem
+from orchestrator.interface import Variable
 from orchestrator.simulation import Result
-from orchestrator.system import Component, System
+from orchestrator.system import Component, System, coerce
 from orchestrator.trace import Trace
 from orchestrator.validation import report as reporting
 from orchestrator.validation.compare import Validation, compare
@@ -74,8 +75,14 @@ def parameters(system: System) -> Iterable[reporting.Parameter]:
                 text=v.text,
                 source=str(number.get("source", "")),
                 note=str(number.get("note", "")),
-                changed=v.name in component.start,
+                changed=_changed(v, component),
             )
+
+
+def _changed(v: Variable, component: Component) -> bool:
+    """Is the value of a parameter another one than the FMU's own?"""
+    value = component.start.get(v.name)
+    return value is not None and (v.start is None or coerce(v.name, v, v.start) != value)
 
 
 def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:

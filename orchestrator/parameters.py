@@ -53,7 +53,8 @@ def _file(system: System, chosen: str | Path) -> Location:
         return Location(Path(chosen))
     known = names(system)
     if str(chosen) not in known:
-        there = f"{system.source or system.name} holds {', '.join(known) or 'none'}"
+        home = system.source.parent if system.source and system.source.inside else system.source
+        there = f"{home or system.name} holds {', '.join(known) or 'none'}"
         raise Problem(
             f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), known)}; {there};"
             f" a file name ends in {SUFFIX}"

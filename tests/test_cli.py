@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.build import data
+from fmus.poses import POSES
 from orchestrator import commands, read
 from orchestrator.__main__ import main
 
@@ -130,14 +132,51 @@ def test_wires_can_be_cut(capsys):
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator"])
+@pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
-    """One subsystem, or all of them; the words for the sources are explained."""
+    """One subsystem, or those of the machine; the words for the sources are explained."""
     assert main(["parameters", *([only] if only else [])]) == 0
     printed = capsys.readouterr().out
-    for name in ("swing", "boom_stick", "manipulator"):
-        assert (f"\n{name}: " in f"\n{printed}") is (only in (None, name))
+    for name in ("swing", "boom_stick", "manipulator", "operator"):
+        shown = name == only or (only is None and name != "operator")
+        assert (f"\n{name}: " in f"\n{printed}") is shown
     assert "printed in the paper" in printed
+
+
+@pytest.mark.usefixtures("here")
+def test_poses_and_programs_are_chosen_by_name():
+    """Later sets win over earlier ones and over those that the system binds, --set over all."""
+    options = ["--parameters", "raised", "--parameters", "still", "--set", "manipulator.swing_angle=0.5"]
+    assert main(["run", *options, "--stop", "1.5"]) == 0
+    trace = read("build/trace.csv")
+    for name, angle in (("swing", 0.5), ("boom", POSES["raised"].boom), ("stick", POSES["raised"].stick)):
+        # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
+        np.testing.assert_allclose(trace[f"manipulator.{name}_angle"], angle, rtol=0, atol=5e-4)
+    assert not trace["operator.boom_command"].any()
+
+
+@pytest.mark.usefixtures("here")
+def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves():
+    """boom_up by name and as data/scenarios/boom_up.csv."""
+    chosen = ["--parameters", "boom_up"], ["--scenario", str(data("scenarios/boom_up.csv"))]
+    for name, options in zip(("a.csv", "b.csv"), chosen, strict=True):
+        assert main(["run", *options, "--stop", "2", "--out", name]) == 0
+    a, b = (read(name)["manipulator.boom_angle"] for name in ("a.csv", "b.csv"))
+    assert np.ptp(a) > 0.1  # rad: it moves
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)  # the same numbers but for the clock's rounding
+
+
+@pytest.mark.usefixtures("here")
+def test_validation_tells_the_sets_and_what_they_change():
+    """Among the facts; bound sets that repeat the FMUs' own values count as no change."""
+    assert main(["validate", "--stop", "0.1"]) == 0
+    assert not any(p["changed"] for p in json.loads(Path("build/report.json").read_text())["parameters"])
+    assert main(["validate", "--stop", "0.1", "--parameters", "still"]) == 0
+    report = json.loads(Path("build/report.json").read_text())
+    assert "still" in str(report["facts"])
+    changed = {p["name"] for p in report["parameters"] if p["changed"]}
+    assert "boom_1_command" in changed
+    assert "boom_10_command" not in changed
 
 
 @pytest.mark.usefixtures("here")
@@ -228,6 +267,9 @@ def test_all_options_reach_the_validation(capsys):
         (["parameters", "--source", "hearsay"], "'hearsay', expected one of paper, derived, literature"),
         (["signals", "--kind", "state"], "kind: expected one of input, output, parameter, got 'state'"),
         (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input fits"),
+        (["run", "--parameters", "rech"], "parameter set 'rech' is unknown; did you mean reach?; build"),
+        (["run", "--parameters", "none.ssv"], "none.ssv: no such file"),
+        (["run", "--set", "boom_command=3"], "to set it, cut that wire: --cut boom_stick.boom_command"),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):

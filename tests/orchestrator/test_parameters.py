@@ -1,0 +1,99 @@
+"""Parameter sets that a user chooses: from a file or by name from the SSP, with units, over what is bound."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, assemble, load, run
+
+COMMON = "http://ssp-standard.org/SSP1/SystemStructure"
+SSD = f"""<SystemStructureDescription xmlns="{COMMON}Description" version="1.0" name="s"><System name="s">
+<ParameterBindings><ParameterBinding source="resources/plain.ssv"/></ParameterBindings><Elements>
+<Component name="g" source="resources/gain.fmu"/></Elements></System></SystemStructureDescription>"""
+
+
+def ssv(unit="", **values):
+    """The text of a parameter set; of names with "__" for the dot."""
+    written = unit and f"unit={unit!r}"
+    rows = "".join(
+        f'<Parameter name="{n.replace("__", ".")}"><Real value="{v}" {written}/></Parameter>'
+        for n, v in values.items()
+    )
+    units = f'<c:Unit name="{unit}"><c:BaseUnit m="1" factor="0.001"/></c:Unit>' if unit else ""
+    return (
+        f'<ParameterSet xmlns="{COMMON}ParameterValues" xmlns:c="{COMMON}Common" version="1.0" name="p">'
+        f"<Parameters>{rows}</Parameters>{units and f'<Units>{units}</Units>'}</ParameterSet>"
+    )
+
+
+@pytest.fixture
+def system(fmus, zip_ssp):
+    """A gain in an SSP with two sets, one of which is bound."""
+    files = {"gain.fmu": fmus["gain"], "plain.ssv": ssv(g__factor=2.0), "steep.ssv": ssv(g__factor=9.0)}
+    return load(zip_ssp(SSD, {f"resources/{name}": content for name, content in files.items()}))
+
+
+def factor(system, **options):
+    """What the gain multiplies with."""
+    return run(system, step=0.5, stop=0.5, **{"set": {"u": 1.0}} | options).trace["g.y"][-1]
+
+
+def test_a_set_of_the_ssp_wins_over_the_bound_one(system):
+    """And later sets over earlier ones, and single values over all."""
+    assert factor(system) == 2.0
+    assert factor(system, parameters=["steep"]) == 9.0
+    assert factor(system, parameters=["steep", "plain"]) == 2.0
+    assert factor(system, parameters=["steep"], set={"u": 1.0, "g.factor": 4.0}) == 4.0
+
+
+def test_a_set_of_an_unpacked_ssp(fmus, tmp_path):
+    """The folder resources/ beside the .ssd file."""
+    (tmp_path / "resources").mkdir()
+    (tmp_path / "SystemStructure.ssd").write_text(SSD, encoding="utf-8")
+    (tmp_path / "resources" / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
+    for name, value in (("plain", 2.0), ("steep", 9.0)):
+        (tmp_path / "resources" / f"{name}.ssv").write_text(ssv(g__factor=value), encoding="utf-8")
+    assert factor(load(tmp_path), parameters=["steep"]) == 9.0
+    assert factor(load(tmp_path / "SystemStructure.ssd"), parameters=["steep"]) == 9.0
+
+
+def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
+    """Millimetres become the variable's metres; a bare name means every input of that name."""
+    metres = {name: fmus.make("gain", f"gain_in_{name}", units={"u": "m"}) for name in ("p", "q")}
+    file = tmp_path / "own.ssv"
+    file.write_text(ssv("mm", u=500.0), encoding="utf-8")
+    trace = run(assemble(metres), parameters=[file], step=0.5, stop=0.5).trace
+    # one product, rounding only
+    np.testing.assert_allclose([trace["p.u"], trace["q.u"]], 0.5, rtol=1e-15)
+
+
+def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
+    """Tools that pass nothing on at initialisation need it; here what feeds the input wins."""
+    file = tmp_path / "own.ssv"
+    file.write_text(ssv(q__u=7.0, p__u=3.0), encoding="utf-8")
+    chain = assemble({"p": fmus["gain"], "q": fmus["gain"]}, ["p.y -> q.u"])
+    assert run(chain, parameters=[file], step=0.5, stop=0.5).trace["q.u"][0] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("stepp", r"parameter set 'stepp' is unknown; did you mean steep\?; .*system.ssp holds plain, steep"),
+        ("none.ssv", r"none.ssv: no such file"),
+        ("odd.ssv", r"odd.ssv: unknown variable 'g.fctor'; did you mean g.factor"),
+        ("output.ssv", r"g.y cannot be set: it is a continuous output"),
+        ("text.ssv", r"text.ssv: parameter g.factor: expected a value of type Real, got 'x'"),
+    ],
+)
+def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, message):
+    """In one line: the set or file, the variable, expected and found."""
+    monkeypatch.chdir(tmp_path)
+    for file, values in (("odd", {"g__fctor": 1}), ("output", {"g__y": 1}), ("text", {"g__factor": "x"})):
+        (tmp_path / f"{file}.ssv").write_text(ssv(**values), encoding="utf-8")
+    with pytest.raises(Problem, match=message):
+        run(system, parameters=[name])
+
+
+def test_a_system_without_sets_says_so(fmus):
+    """A single FMU has none."""
+    with pytest.raises(Problem, match=r"parameter set 'steep' is unknown; .* holds none"):
+        run(str(fmus["gain"]), parameters=["steep"])
