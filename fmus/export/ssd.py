@@ -26,8 +26,9 @@ def description(s: Structure) -> bytes:
     for name, component in s.elements.items():
         _component(parent, s, name, component, placed[name])
     _connections(system, s, bends(s, placed))
-    dictionary = add(add(system, "ssd:SignalDictionaries"), "ssd:SignalDictionary", name=ssb.NAME)
-    dictionary.set("source", f"resources/{ssb.FILE}")  # no SystemGeometry: OMSimulator 3.0 refuses it
+    if s.version != "1.0":  # OMSimulator 3.0 opens no SSP 1.0 with a SignalDictionary or a SystemGeometry
+        dictionary = add(add(system, "ssd:SignalDictionaries"), "ssd:SignalDictionary", name=ssb.NAME)
+        dictionary.set("source", f"resources/{ssb.FILE}")
     units(element, "ssd", [e.description for e in s.elements.values()])
     experiment = add(element, "ssd:DefaultExperiment", startTime=0.0, stopTime=float(s.stop))
     annotate(system, experiment, s.step)
