@@ -1,14 +1,15 @@
 """Flat names for the variables of several subsystems that become one.
 
 A variable keeps its name where no other component shows the same, else it gets its component in front.
-Parameters that several components declare alike, down to the text, and to which they give the same value, are
-one thing and have one name; so have the outputs of which the sum is shown.
+Parameters that several components declare alike, down to the text (but for the heading), and to which they
+give the same value, are one thing and have one name; so have the outputs of which the sum is shown.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 from fmus.contract import ModelError, Quantity, Subsystem, quantities
 from fmus.parameters import Tables
@@ -59,7 +60,7 @@ def _common(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) ->
 
     def meaning(v: str) -> tuple[Quantity, float]:
         component, _, name = v.partition(".")
-        return parameters[v], tables[component]["parameters"][name].value
+        return replace(parameters[v], group=""), tables[component]["parameters"][name].value
 
     return {
         v for group in alike.values() if len(group) > 1 and len({*map(meaning, group)}) == 1 for v in group

@@ -137,6 +137,7 @@ def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: A
     ("second", "expected"),
     [
         (part("b"), ["gain"]),
+        (part("b", group="Lag"), ["gain"]),
         (part("b", gain=3.0), ["a_gain", "b_gain"]),
         (part("b", text="Gain of something else"), ["a_gain", "b_gain"]),
         (part("b", minimum=0.0), ["a_gain", "b_gain"]),
@@ -163,6 +164,16 @@ def test_outputs_and_states_of_one_name_get_their_component():
     whole = chain(part("a"), part("b"))
     assert list(quantities(whole.states)) == ["a_y", "b_y"]
     assert list(quantities(whole.outputs)) == ["a_y", "a_aim", "b_y", "b_aim"]
+
+
+def test_parameters_of_one_heading_stand_together():
+    """As a tool shows them, whichever component they come from."""
+    headings = [q.group for q in quantities(HARVESTER.parameters).values()]
+    changes = [
+        heading for heading, before in zip(headings, ["", *headings], strict=False) if heading != before
+    ]
+    assert len(changes) == len(set(headings))
+    assert {"Valve", "Oil", "Boom cylinder", "Friction"} <= set(changes)
 
 
 def test_totals_are_sums():
