@@ -166,5 +166,5 @@ def _waiting(system: System, name: str, left: list[str], direct: set[Port]) -> t
         c for c in system.connections if c.target.component == name and c.source.component in left
     ]
     open_ = [c for c in open_ if c.source.component != name]
-    interpolates = system.components[name].interface.interpolates
-    return sum(c.target in direct for c in open_), len(open_), interpolates
+    interpolates = system.components[name].interface.sloped
+    return sum(c.target in direct for c in open_), len(open_), bool(interpolates)

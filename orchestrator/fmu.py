@@ -150,10 +150,16 @@ class FmuSlave:
         return self._slopes(self._fmi.slopes, variables, into)
 
     def slope_writer(self, variables: Sequence[str], slopes: Buffer) -> Call:
-        """A call that gives inputs the first time derivatives in `slopes`, shape (n,), for the next step."""
-        if self.interface.fmi == 3:
-            raise Problem(f"{self.name}: FMI 3.0 has no derivatives of inputs")
-        return self._slopes("SetRealInputDerivatives", variables, slopes)
+        """A call that gives inputs the first time derivatives in `slopes`, shape (n,), for the next step.
+
+        FMI 3.0 has no function for it; there the inputs that carry the derivatives are set.
+        """
+        if self.interface.interpolates:
+            return self._slopes("SetRealInputDerivatives", variables, slopes)
+        for v in variables:
+            if v not in self.interface.sloped:
+                raise Problem(f"{self.name}: {v}: the FMU takes no derivative of this input")
+        return self.writer([self.interface.rates[v] for v in variables], slopes)
 
     def _slopes(self, name: str, variables: Sequence[str], values: Buffer) -> Call:
         orders = (ctypes.c_int * len(variables))(*[1] * len(variables))

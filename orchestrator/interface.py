@@ -68,7 +68,8 @@ class Interface:
     initially     output -> variables it depends on in initialisation mode; None when the FMU does not say
     fmi           2 or 3
     refused       variables that cannot be used here -> what they are
-    interpolates  the FMU accepts derivatives of its inputs (FMI 3.0 has no such function)
+    interpolates  the FMU accepts derivatives of its inputs by a function, which FMI 3.0 lacks
+    rates         input -> the input that the FMU declares as its time derivative
     slopes        highest order of output derivatives it offers
     rollback      the FMU can save and restore its state
     serializes    it can turn a saved state into bytes
@@ -85,6 +86,7 @@ class Interface:
     fmi: int = 2
     refused: Mapping[str, str] = field(default_factory=dict)
     interpolates: bool = False
+    rates: Mapping[str, str] = field(default_factory=dict)
     slopes: int = 0
     rollback: bool = False
     serializes: bool = False
@@ -113,6 +115,13 @@ class Interface:
         if known is None:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return known
+
+    @property
+    def sloped(self) -> frozenset[str]:
+        """Inputs that a master may move inside a step at a constant slope."""
+        if self.interpolates:
+            return frozenset(v.name for v in self.of("input") if v.is_real)
+        return frozenset(u for u, rate in self.rates.items() if rate not in self.rates)
 
     def allow(self, variable: str, where: str) -> None:
         """Refuse, beginning with `where`, a variable of a kind that is not supported."""
@@ -183,6 +192,7 @@ def _interface(description: Any, root: Any) -> Interface:
         fmi=fmi,
         refused=refused,
         interpolates="canInterpolateInputs" in able and fmi == 2,
+        rates=_rates(declared, variables),
         slopes=int(tool.maxOutputDerivativeOrder or 0),
         rollback=bool(tool.canGetAndSetFMUstate),
         serializes=bool(tool.canSerializeFMUstate),
@@ -273,6 +283,27 @@ def _unit(u: Any) -> Unit:
     base = u.baseUnit
     exponents = tuple(int(getattr(base, b)) for b in BASES)
     return Unit(u.name, exponents, float(base.factor), float(base.offset))
+
+
+def _rates(declared: Iterable[Any], variables: Mapping[str, Variable]) -> dict[str, str]:
+    """Inputs and the inputs that are their time derivatives, where the units agree."""
+    pairs = {v.derivative.name: v.name for v in declared if v.derivative is not None}
+    known = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
+    return {
+        u.name: rate.name
+        for u, rate in known
+        if u and rate and u.causality == rate.causality == "input" and _per_second(u.unit, rate.unit)
+    }
+
+
+def _per_second(unit: Unit | None, rate: Unit | None) -> bool:
+    """Is the second unit the first one per second?"""
+    if unit is None or rate is None:
+        return unit is rate
+    if unit.exponents is None or rate.exponents is None or unit.offset or rate.offset:
+        return False
+    expected = tuple(a - b for a, b in zip(unit.exponents, SECOND, strict=True))
+    return rate.exponents == expected and rate.factor == unit.factor
 
 
 def _number(owner: Any, name: str) -> float | None:

@@ -220,8 +220,9 @@ class Driver:
         """Per interpolating component: positions among `ports`, buffer of slopes, call."""
         found = []
         for name, slave in network.slaves.items():
-            mine = [i for i, p in enumerate(ports) if p.component == name]
-            if mine and slave.interface.interpolates:
+            sloped = slave.interface.sloped
+            mine = [i for i, p in enumerate(ports) if p.component == name and p.variable in sloped]
+            if mine:
                 buffer = np.zeros(len(mine))
                 call = slave.slope_writer([ports[i].variable for i in mine], buffer)
                 found.append((np.array(mine, dtype=np.intp), buffer, call))

@@ -69,14 +69,15 @@ def model_description3(face: Interface, token: str, step: float, stop: float) ->
 
 def _variables(root: etree._Element, face: Interface) -> None:
     parent = etree.SubElement(root, "ModelVariables")
-    states = {f"der_{v.name}": v.reference for v in face.states}
+    derived = {f"der_{v.name}": v.reference for v in face.states}
+    derived |= {v.quantity.rate: v.reference for v in face.inputs if v.quantity.rate}
     for v in face.variables:
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
         attributes |= causality(v)
         if v.kind in _MOVING:
             attributes["intermediateUpdate"] = "true"
-        if v.kind == "DERIVATIVE":
-            attributes["derivative"] = str(states[v.name])
+        if v.name in derived:
+            attributes["derivative"] = str(derived[v.name])
         etree.SubElement(parent, "Float64", attributes | numbers(v))
     _time(parent, face)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from orchestrator.dependencies import sequence
+from orchestrator.interface import Interface
 from orchestrator.network import Link, Network
 from orchestrator.slave import Call
 from orchestrator.system import Connection
@@ -40,15 +41,26 @@ def gauss_seidel(network: Network) -> Callable[[float, float], None]:
 
 def _receive(network: Network, name: str, earlier: list[str]) -> list[Receive]:
     """What gives component `name` the new outputs of the components before it."""
-    links = [c for c in network.connections if c.target.component == name and c.source.component in earlier]
-    reals = [c for c in links if network.system.variable(c.target).is_real]
-    others = [c for c in links if c not in reals]
-    taken: list[Receive] = []
-    if reals and network.slaves[name].interface.interpolates:
-        taken.append(_interpolate(network, reals))
-    elif reals:
-        taken += _hold(network, reals)
-    return taken + (_hold(network, others) if others else [])
+    mine = [c for c in network.connections if c.target.component == name]
+    links = [c for c in mine if c.source.component in earlier]
+    face = network.slaves[name].interface
+    sloped = [c for c in links if c.target.variable in face.sloped]
+    moving = _moving(face, {c.target.variable for c in mine}, {c.target.variable for c in sloped})
+    held = [c for c in links if c not in sloped and c.target.variable not in moving]
+    banks = [[c for c in held if network.system.variable(c.target).is_real is real] for real in (True, False)]
+    taken = [call for part in banks if part for call in _hold(network, part)]
+    return taken + ([_interpolate(network, sloped)] if sloped else [])
+
+
+def _moving(face: Interface, fed: set[str], sloped: set[str]) -> set[str]:
+    """Inputs that must not get their new value before a step, because a rate input moves them, or is one.
+
+    A rate input of a sloped input carries the slope that the master gives it.
+    """
+    if face.interpolates:
+        return set()
+    carried = {u for u, rate in face.rates.items() if rate in fed and u not in sloped}
+    return carried | {face.rates[u] for u in sloped}
 
 
 def _interpolate(network: Network, links: list[Connection]) -> Receive:

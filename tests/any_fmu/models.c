@@ -8,7 +8,8 @@
 int instances = 0;
 
 enum Model named(const char *guid) {
-    static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails", "types", "spring", "wide"};
+    static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails",
+                                  "types",  "spring", "wide",   "drift",  "glide"};
     for (int model = MASS_A; model < MODELS; model++)
         if (!strcmp(guid, guids[model])) return model;
     return NOBODY;
@@ -70,16 +71,20 @@ void outputs(Instance *m) {
 
 /* the input with value reference 0 at time tau after the start of the step */
 static double input(const Instance *m, double tau) {
+    if (m->model == DRIFT) return m->r[D_U] + tau * m->r[D_RATE];
+    if (m->model == GLIDE) return m->r[L_X] + tau * (m->r[L_V] + tau / 2 * m->r[L_A]);
     return m->r[0] + tau * (m->slope[0][0] + tau * (m->slope[0][1] / 2 + tau * m->slope[0][2] / 6));
 }
 
 static int first_state(const Instance *m) {
-    static const int first[MODELS] = {[MASS_A] = A_X, [MASS_B] = B_X, [FAILS] = F_Y, [SPRING] = K_STRETCH};
+    static const int first[MODELS] = {[MASS_A] = A_X, [MASS_B] = B_X, [FAILS] = F_Y, [SPRING] = K_STRETCH,
+                                      [DRIFT] = D_Y, [GLIDE] = L_Y};
     return first[m->model];
 }
 
 static int states(const Instance *m) {
-    static const int count[MODELS] = {[MASS_A] = 2, [MASS_B] = 2, [FAILS] = 1, [SPRING] = 1};
+    static const int count[MODELS] = {[MASS_A] = 2, [MASS_B] = 2, [FAILS] = 1, [SPRING] = 1,
+                                      [DRIFT] = 1, [GLIDE] = 1};
     return count[m->model];
 }
 
@@ -148,6 +153,7 @@ enum Status advance(Instance *m, double t, double h) {
     if (status > WARNED) return status;
     integrate(m, h);
     m->r[0] = m->model == SOURCE ? m->r[0] : input(m, h);
+    if (m->model == GLIDE) m->r[L_V] += h * m->r[L_A];
     memset(m->slope, 0, sizeof m->slope);
     m->time = t + h;
     return status;

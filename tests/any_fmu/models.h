@@ -8,7 +8,7 @@
 #include <stddef.h>
 
 enum { REALS = 16, INTEGERS = 20, STRINGS = 4, LENGTH = 256, STATES = 2, ORDERS = 3 };
-enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, MODELS };
+enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, MODELS };
 enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
 enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
 enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT };
@@ -23,6 +23,8 @@ enum { F_HOW };
 enum { T_IN, T_OUT, T_GAIN }; /* TYPES: every output follows its input */
 enum { T_INT, T_INT_OUT, T_BOOL, T_BOOL_OUT, T_ENUM, T_ENUM_OUT, T_ALIVE };
 enum { T_LABEL, T_ECHO, T_RESOURCES };
+enum { D_U, D_RATE, D_Y };                     /* DRIFT: y' = u, where u moves at its rate */
+enum { L_X, L_V, L_A, L_Y };                   /* GLIDE: y' = x, where x moves at v, and v at a */
 enum { W_PAIRS = 7, W_SIZE = 2 * W_PAIRS, W_SIZE_OUT }; /* WIDE: outputs follow inputs of all widths */
 
 typedef struct Instance Instance;

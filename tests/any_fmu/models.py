@@ -19,6 +19,7 @@ BASE = {  # unit -> BaseUnit attributes
     "bar": {"kg": 1, "m": -1, "s": -2, "factor": 1e5},
     "m": {"m": 1},
     "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
     "kg": {"kg": 1},
     "N/m": {"kg": 1, "s": -2},
     "rad": {"rad": 1},
@@ -32,7 +33,11 @@ BASE = {  # unit -> BaseUnit attributes
 
 @dataclass(frozen=True)
 class V:
-    """One variable; `depends` are the inputs an output depends on directly, None leaves that undeclared."""
+    """One variable.
+
+    depends   the inputs an output depends on directly; None leaves that undeclared
+    derives   the variable whose time derivative this one is
+    """
 
     name: str
     causality: str
@@ -40,7 +45,7 @@ class V:
     start: object = None
     kind: str = "Real"
     depends: Sequence[str] | None = ()
-    variability: str | None = None
+    derives: str | None = None
 
 
 MODELS: Mapping[str, list[V]] = {
@@ -83,6 +88,17 @@ MODELS: Mapping[str, list[V]] = {
         V("y", "output"),
         V("when", "parameter", None, 1e9),
         V("how", "parameter", None, 0, "Integer"),
+    ],
+    "drift": [
+        V("u", "input", "m", 0.0),
+        V("u_rate", "input", "m/s", 0.0, derives="u"),
+        V("y", "output"),
+    ],
+    "glide": [
+        V("position", "input", "m", 0.0),
+        V("velocity", "input", "m/s", 0.0, derives="position"),
+        V("acceleration", "input", "m/s2", 0.0, derives="velocity"),
+        V("y", "output"),
     ],
     "types": [
         V("real_in", "input", None, 0.0),
@@ -178,7 +194,7 @@ class Workshop:
         name = name or model
         path = self.folder / f"{name}.fmu"
         variables = [
-            V(v.name, v.causality, (units or {}).get(v.name, v.unit), v.start, v.kind, v.depends)
+            V(v.name, v.causality, (units or {}).get(v.name, v.unit), v.start, v.kind, v.depends, v.derives)
             for v in MODELS[model]
         ]
         head = Head(
@@ -217,7 +233,7 @@ def describe2(head: Head, variables: list[V], more: str) -> str:
     index = {v.name: str(i + 1) for i, v in enumerate(variables)}
     outputs = [v for v in variables if v.causality == "output"]
     unknowns = "".join(f'<Unknown index="{index[v.name]}"{_on(v, index, head)}/>' for v in outputs)
-    lines = [_scalar2(v, reference % 100) for v, reference in _references(variables)]
+    lines = [_scalar2(v, reference % 100, index) for v, reference in _references(variables)]
     ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUstate='true'"
     ability += " canSerializeFMUstate='true' maxOutputDerivativeOrder='1'"
     ability += " canInterpolateInputs='true'" if head.interpolates else ""
@@ -240,7 +256,7 @@ def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, s
     outputs = [v for v in variables if v.causality == "output"]
     unknowns = [f'valueReference="{place[v.name]}"{_on(v, place, head)}' for v in outputs]
     structure = [f"<{kind} {u}/>" for kind in ("Output", "InitialUnknown") for u in unknowns]
-    lines = [_scalar3(v, place[v.name], aliases.get(v.name)) for v in variables]
+    lines = [_scalar3(v, place, aliases.get(v.name)) for v in variables]
     ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUState='true'"
     ability += (
         " canSerializeFMUState='true' maxOutputDerivativeOrder='1' providesDirectionalDerivatives='true'"
@@ -283,11 +299,13 @@ def _on(v: V, place: Mapping[str, str], head: Head) -> str:
     return f' dependencies="{" ".join(place[d] for d in v.depends)}"'
 
 
-def _attributes(v: V) -> str:
+def _attributes(v: V, place: Mapping[str, str]) -> str:
     start = v.start if v.causality != "output" and v.kind != "String" else None
     attributes = {"unit": v.unit, "start": start}
     if v.kind == "Enumeration":
         attributes["declaredType"] = "Colour"
+    if v.derives:
+        attributes["derivative"] = place[v.derives]
     return "".join(f' {k}="{x}"' for k, x in attributes.items() if x is not None)
 
 
@@ -298,21 +316,21 @@ def _steady(v: V) -> str:
     return "fixed" if fixed else "continuous" if real else "discrete"
 
 
-def _scalar2(v: V, reference: int) -> str:
+def _scalar2(v: V, reference: int, index: Mapping[str, str]) -> str:
     text = f' start="{v.start}"' if v.kind == "String" and v.start is not None else ""
     return (
         f'<ScalarVariable name="{v.name}" valueReference="{reference}" causality="{v.causality}" '
-        f'variability="{_steady(v)}"><{v.kind}{_attributes(v)}{text}/></ScalarVariable>'
+        f'variability="{_steady(v)}"><{v.kind}{_attributes(v, index)}{text}/></ScalarVariable>'
     )
 
 
-def _scalar3(v: V, reference: str, alias: str | None) -> str:
+def _scalar3(v: V, place: Mapping[str, str], alias: str | None) -> str:
     kind = NAMES3.get(v.kind, v.kind)
     inner = f'<Alias name="{alias}"/>' if alias else ""
     inner += f'<Start value="{v.start}"/>' if v.kind == "String" and v.start is not None else ""
     return (
-        f'<{kind} name="{v.name}" valueReference="{reference}" causality="{v.causality}" '
-        f'variability="{_steady(v)}"{_attributes(v)}>{inner}</{kind}>'
+        f'<{kind} name="{v.name}" valueReference="{place[v.name]}" causality="{v.causality}" '
+        f'variability="{_steady(v)}"{_attributes(v, place)}>{inner}</{kind}>'
     )
 
 

@@ -151,7 +151,7 @@ def test_slopes_are_read(each):
 
 def test_slopes_are_written(fmus):
     """An input with a slope integrates to a parabola."""
-    slave = started(fmus["fails"])
+    slave = started(fmus.make("fails", "moved", interpolates=True))
     slave.slope_writer(["u"], np.array([2.0]))()
     slave.step(0.0, 1.0)
     assert slave.get("y") == pytest.approx(1.0, rel=1e-12)  # exact for polynomials; 4000 roundings

@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
+from orchestrator.archive import Location
 from orchestrator.dependencies import output_order, sequence
+from orchestrator.interface import read_interface
 
 
 def worst(result, exact):
@@ -112,6 +114,49 @@ def test_driven_inputs_move_inside_the_step_where_the_fmu_can(fmus):
         ends[interpolates] = run(str(fmu), ramp, step=0.1).trace[f"ramped_{interpolates}.y"][-1]
     assert ends[True] == pytest.approx(0.5, abs=1e-12)  # exact for polynomials; rounding of 4000 inner steps
     assert ends[False] == pytest.approx(0.45, abs=1e-12)  # the sum of ten rectangles, rounding as above
+
+
+def test_declared_rate_inputs_take_the_slope(each):
+    """`derivative` between two inputs stands in for the function that FMI 3.0 lacks; units must fit."""
+    face = read_interface(Location(each["glide"]))
+    assert face.rates == {"position": "velocity", "velocity": "acceleration"}
+    assert face.sloped == {"velocity"}
+    odd = each.make("drift", "odd_rate", units={"u_rate": "m"})
+    assert read_interface(Location(odd)).sloped == set()
+    ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
+    end = run(str(each["drift"]), ramp, step=0.1).trace["drift.y"][-1]
+    assert end == pytest.approx(0.5, abs=1e-12)  # exact for a ramp; rounding of 4000 inner steps
+
+
+@pytest.mark.parametrize("rated", [False, True])
+def test_gauss_seidel_moves_inputs_by_their_rate_inputs(each, rated):
+    """Order 2 behind a sine, as with interpolation, also where the rate is wired: its wire has no say."""
+    files = {"sum": each["drift"], "sine": each["source"], "rate": each["source"]}
+    wires = ["sine.y -> sum.u", *(["rate.y -> sum.u_rate"] if rated else [])]
+    units = {"rate": each.make("source", "rate_source", units={"y": "m/s"})}
+    system = assemble(files | units, wires)
+    errors = []
+    for h in (0.02, 0.01):
+        trace = run(system, master="gauss-seidel", step=h, stop=1.0).trace
+        errors.append(abs(trace["sum.y"][-1] - (1 - np.cos(1.0))))
+    # the trapezoidal rule; the next term of its expansion is below 2 % at these steps
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.02)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_positions_move_at_their_velocity(each, master):
+    """A position whose velocity is wired starts each step at its old value, not at the new one."""
+    system = assemble(
+        {"sum": each["glide"], "mass": each["mass_b"]},
+        ["mass.x -> sum.position", "mass.v -> sum.velocity"],
+        {"mass.spring": 1.0},
+    )
+    errors = []
+    for h in (0.02, 0.01):
+        trace = run(system, master=master, step=h, stop=1.0).trace
+        errors.append(abs(trace["sum.y"][-1] + 100 * (1 - np.cos(1.0))))  # x = -100 sin t
+    order = {"jacobi": 2, "gauss-seidel": 3}[master]  # velocity held, or interpolated
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
 
 
 def test_parameters_of_the_run_do_not_leak_into_the_system(oscillator):
