@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import zipfile
 
+import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
+from fmpy.ssp.ssd import read_ssv
 from lxml import etree
 from work_cycle import JACOBI, ORDER, SIGNALS, STEP, agree, load, step_through
 
 from fmus.machine import COMMAND_WIRES, CONNECTIONS
+from fmus.poses import POSES
 
 
 def test_fmpy_runs_the_ssp(fmu_dir):
@@ -25,6 +28,18 @@ def test_fmpy_runs_the_ssp(fmu_dir):
     # 1 ms without forces leaves the arm swinging for a second: speed 2e-3, pressure 3e-3
     limits = {"speed": 5e-3, "angle": 5e-4, "pressure": 1e-2}
     agree(rows["time"] + STEP, {name: rows[name] for name in SIGNALS}, limits)  # FMPy stamps the step's start
+
+
+def test_fmpy_starts_from_a_pose_of_the_ssp(fmu_dir):
+    """A pose set carries what FMPy does not pass on at initialisation: the arm stands where it was put."""
+    system = str(fmu_dir / "harvester.ssp")
+    chosen = read_ssv(system, "resources/folded.ssv")
+    chosen.parameters += read_ssv(system, "resources/still.ssv").parameters
+    rows = simulate_ssp(system, stop_time=0.5, step_size=STEP, parameter_set=chosen)
+    for joint in ("boom", "stick"):
+        # 1 ms without forces moves it by less than 1e-4 rad; without holding forces it would be 1e-2
+        angle = getattr(POSES["folded"], joint)
+        np.testing.assert_allclose(rows[f"manipulator.{joint}_angle"], angle, rtol=0, atol=5e-4)
 
 
 @pytest.mark.parametrize("source", ["ssp", "python"])
