@@ -46,7 +46,7 @@ def flat_names(
     seen = Counter([*others, *(own[v] for v in single)])
     names = own | {v: v.replace(".", "_") for v in single if seen[own[v]] > 1}
     seen = Counter([*others, *(names[v] for v in single)])
-    twice = [name for name, count in seen.items() if count > 1]
+    twice = sorted(name for name, count in seen.items() if count > 1)
     if twice:
         raise ModelError(f"{', '.join(subsystems)}: {twice[0]} would name two variables of the whole")
     return names
