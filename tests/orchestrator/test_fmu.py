@@ -221,3 +221,23 @@ def test_members_that_point_outside_are_refused(tmp_path):
         archive.writestr("../evil", "")
     with pytest.raises(Problem, match="points outside of the archive"):
         Location(tmp_path / "x.zip").extract(tmp_path / "into")
+
+
+def test_directional_derivatives_of_fmi2(fmu_dir):
+    """Of a flow along two inputs, against a difference of values."""
+    slave = started(fmu_dir / "swing.fmu")
+    names, into = ["swing_command", "supply_pressure"], np.zeros(1)
+    inputs = np.array([4.0, 2.0e7])
+    write, seed = slave.writer(names, inputs), np.array([1.0, 1e6])
+    write()
+    slave.derivative(["supply_flow"], names, seed, into)()
+    flows = []
+    for sign in (-1, 1):
+        inputs += sign * 1e-3 * seed
+        write()
+        flows.append(slave.get("supply_flow"))
+        inputs -= sign * 1e-3 * seed
+    # central difference over 2e-3 of the seed: truncation near (1e-3 / 4)^2 relative, rounding below 1e-11
+    assert into[0] == pytest.approx((flows[1] - flows[0]) / 2e-3, rel=1e-5)
+    assert into[0] != 0.0
+    slave.close()
