@@ -13,11 +13,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orchestrator.assembly import assemble
     from orchestrator.card import Card
     from orchestrator.errors import Problem
     from orchestrator.simulation import Interrupted, Result, RunFailed, run
     from orchestrator.ssp import load
-    from orchestrator.system import System, assemble
+    from orchestrator.system import System
     from orchestrator.trace import Trace, read, write
 
 _WHERE = {
@@ -28,7 +29,7 @@ _WHERE = {
     "RunFailed": "simulation",
     "System": "system",
     "Trace": "trace",
-    "assemble": "system",
+    "assemble": "assembly",
     "load": "ssp",
     "read": "trace",
     "run": "simulation",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,19 +60,24 @@ class Drive:
         """The system without the connections that the scenario replaces.
 
         A component without inputs is a scenario itself: driving one of the inputs it feeds silences it as a
-        whole, so that the others rest at their start values. Rate inputs of other driven inputs may stay
-        connected: the slope that a run gives to a driven input goes before them.
+        whole, so that the others rest at their start values. The declared rate input of a driven input goes
+        with it; one that is not declared may stay, because the slope that a run gives goes before it.
         """
-        direct = [c for c in system.connections if c.target in self.columns]
+        gone = {*self.columns, *self._rates(system)}
+        direct = [c for c in system.connections if c.target in gone]
         silent = [c for c in dict.fromkeys(c.source.component for c in direct) if not _listens(system, c)]
         notes = [self._replaced(system, component) for component in silent]
         others = [str(c) for c in direct if c.source.component not in silent]
         notes += [f"the scenario replaces {', '.join(others)}"] if others else []
-        gone = {c.target for c in direct} | {
-            c.target for c in system.connections if c.source.component in silent
-        }
-        kept = tuple(c for c in system.connections if c.target not in gone)
+        kept = (c for c in system.connections if c not in direct and c.source.component not in silent)
         return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
+
+    def _rates(self, system: System) -> Iterator[Port]:
+        """The inputs that are declared as time derivatives of driven ones."""
+        for port in self.columns:
+            rates = system.components[port.component].interface.rates
+            if port.variable in rates:
+                yield Port(port.component, rates[port.variable])
 
     def _replaced(self, system: System, component: str) -> str:
         fed = [c.target for c in system.connections if c.source.component == component]

@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.archive import Location
+from orchestrator.assembly import connection, open_component
 from orchestrator.errors import Problem
 from orchestrator.ssd import SINKS, Flat, Node, read_ssd
 from orchestrator.ssv import apply
-from orchestrator.system import Connection, Inlet, Outlet, Port, System, connection, open_component
+from orchestrator.system import Connection, Inlet, Outlet, Port, System
 from orchestrator.units import IDENTITY, Linear, Unit
 from orchestrator.wires import Wire, find_wires
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.archive import Location
 from orchestrator.errors import Problem, suggest
-from orchestrator.interface import Interface, Value, Variable, read_interface
-from orchestrator.units import IDENTITY, Linear, Unit, conversion
-
-SOURCES = ("output", "calculatedParameter")
-TARGETS = ("input", "parameter")
+from orchestrator.interface import Interface, Value, Variable
+from orchestrator.units import IDENTITY, Linear, Unit
 
 
 class Port(NamedTuple):
@@ -176,70 +172,6 @@ class System:
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
-def assemble(
-    fmus: Mapping[str, str | Path],
-    connections: Iterable[str | Sequence[str | float]] = (),
-    start: Mapping[str, Value | str] | None = None,
-    name: str = "system",
-) -> System:
-    """A system from FMU files and connections.
-
-    fmus          component name -> path of the .fmu file
-    connections   "a.y -> b.u", or (source, target), or (source, target, factor, offset) with
-                  target = factor * source + offset after the unit conversion
-    start         component.variable -> value
-    """
-    components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
-    system = System(name, components)
-    notes: list[str] = []
-    joined = []
-    for entry in connections:
-        given = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
-        if len(given) not in (2, 3, 4):
-            raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
-        linear = Linear(*(float(x) for x in given[2:]))
-        joined.append(join(system, system.port(str(given[0])), system.port(str(given[1])), linear, notes))
-    whole = replace(system, connections=check_single(joined), notes=tuple(notes))
-    return whole.with_start(start or {})
-
-
-def open_component(name: str, fmu: Location) -> Component:
-    """A component from its FMU."""
-    return Component(name, read_interface(fmu), fmu)
-
-
-def join(system: System, source: Port, target: Port, after: Linear, notes: list[str]) -> Connection:
-    """A checked connection with unit conversion; remarks go to `notes`."""
-    plain = connection(system, source, target, after)
-    units = system.variable(source).unit, system.variable(target).unit
-    labels = [
-        f"{port} {unit}" if unit else str(port) for port, unit in zip((source, target), units, strict=True)
-    ]
-    linear, note = conversion(*units, " -> ".join(labels))
-    notes.extend([note] if note else [])
-    return replace(plain, map=linear.then(after))
-
-
-def connection(system: System, source: Port, target: Port, linear: Linear) -> Connection:
-    """A connection whose causality and types fit."""
-    result, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
-    if y.causality not in SOURCES or u.causality not in TARGETS:
-        raise Problem(f"{result}: expected an output and an input, got {y.causality} and {u.causality}")
-    if _family(y) != _family(u) or y.kind == "String":
-        raise Problem(f"{result}: variables of type {y.kind} and {u.kind} cannot be connected")
-    return result
-
-
-def check_single(connections: Iterable[Connection]) -> tuple[Connection, ...]:
-    """The connections, after checking that no input is fed twice."""
-    seen: dict[Port, Connection] = {}
-    for c in connections:
-        if c.target in seen:
-            raise Problem(f"{c.target} is fed twice, by {seen[c.target].source} and by {c.source}")
-        seen[c.target] = c
-    return tuple(seen.values())
-
-
 def settable(port: Port, variable: Variable) -> None:
     """Refuse to set what the FMU computes itself."""
     if not variable.settable:
@@ -263,8 +195,3 @@ def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = 
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
-
-
-def _family(variable: Variable) -> str:
-    """Integers and enumerations may be connected with each other."""
-    return "Integer" if variable.kind == "Enumeration" else variable.kind
