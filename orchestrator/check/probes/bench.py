@@ -10,7 +10,8 @@ from typing import Any
 from orchestrator.check.probes.beacon import Beacon
 from orchestrator.check.probes.binary import Binary, find
 from orchestrator.check.probes.declared import Declared
-from orchestrator.check.probes.player import Player
+from orchestrator.check.probes.player import Player, watched
+from orchestrator.check.probes.values import scalars
 
 Said = tuple[str, str]  # severity, text
 Task = Callable[["Bench"], Iterator[Said]]
@@ -62,6 +63,10 @@ class Bench:
         """A new instance."""
         options = {"start": self.declared.experiment.get("startTime", 0.0)} | options
         return Player(options.pop("binary", None) or self.binary, self.side, self.folder, **options)
+
+    def names(self) -> list[str]:
+        """Names of the scalars in a row."""
+        return scalars(watched(self.declared))
 
     def record(self, count: int, **options: Any) -> list[list[float]]:
         """Rows of one run from beginning to end; the first is that after initialisation."""

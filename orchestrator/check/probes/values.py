@@ -23,7 +23,7 @@ class Values:
 
     def __init__(self, instance: Instance, variables: Sequence[Variable]) -> None:
         self.instance, self.variables = instance, list(variables)
-        self.names = [v.name if v.size == 1 else f"{v.name}[{i}]" for v in variables for i in range(v.size)]
+        self.names = scalars(variables)
         self._groups = [self._group(kind) for kind in dict.fromkeys(_access(instance, v) for v in variables)]
 
     def _group(self, kind: str) -> tuple[str, Any, Any, list[int]]:
@@ -63,6 +63,11 @@ class Values:
             for i, place in enumerate(places):
                 buffer[i] = values[place] if real else int(values[place])
             self.instance.call(f"Set{kind}", *self._arguments(references, buffer))
+
+
+def scalars(variables: Sequence[Variable]) -> list[str]:
+    """Names of the scalars of some variables."""
+    return [v.name if v.size == 1 else f"{v.name}[{i}]" for v in variables for i in range(v.size)]
 
 
 def _access(instance: Instance, v: Variable) -> str:

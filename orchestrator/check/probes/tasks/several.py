@@ -18,7 +18,7 @@ def instances(bench: Bench) -> Iterator[Said]:
     """Runs one after the other and side by side give the same bits as a run alone."""
     alone = _alone(bench, 0)
     other = _alone(bench, 5)
-    names = bench.player().outputs.names
+    names = bench.names()
     again = _alone(bench, 0)
     if bits(alone) != bits(again):
         yield "error", f"a second run in the same process differs: {difference(names, alone, again)}"
@@ -73,7 +73,7 @@ def threads(bench: Bench) -> Iterator[Said]:
     with ThreadPoolExecutor(THREADS) as pool:
         parallel = list(pool.map(lambda n: _alone(bench, n, count), range(THREADS)))
     sys.setswitchinterval(before)
-    names = bench.player().outputs.names
+    names = bench.names()
     for n in range(THREADS):
         if bits(serial[n]) != bits(parallel[n]):
             text = difference(names, serial[n], parallel[n])

@@ -14,7 +14,7 @@ from orchestrator.check.probes.values import Values
 
 _B = ctypes.c_bool
 Callback = ctypes.CFUNCTYPE(
-    *(None, ctypes.c_void_p, ctypes.c_double, _B, _B, _B, _B, _B),
+    *(None, ctypes.c_void_p, ctypes.c_double, _B, _B, _B, _B),
     *(ctypes.POINTER(_B), ctypes.POINTER(ctypes.c_double)),
 )
 STEPS = 6

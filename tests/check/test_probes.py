@@ -1,0 +1,123 @@
+"""The probes of `harvester check`: each planted fault is found by the probe meant, good FMUs give nothing."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from check.oscillator import Oscillators
+from orchestrator.check.finding import Finding
+from orchestrator.check.probes import PROBES
+from orchestrator.check.probes.parent import Limits, limits
+from orchestrator.check.subject import Subject
+
+RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A fault in the binary, or a changed text; the probe that tells it, and words that it says."""
+
+    probe: str
+    says: str
+    fault: str = "none"
+    change: tuple[str, str] = ("", "")
+    major: int = 2
+    severity: str = "error"
+
+    def __str__(self) -> str:
+        return f"{self.fault if self.fault != 'none' else 'text'}-{self.probe}-{self.major}"
+
+
+NO_DEPENDENCY = ('<Unknown index="10" dependencies="2 5 6"/>', '<Unknown index="10" dependencies="5 6"/>')
+NO_DEPENDENCY_3 = ('dependencies="1 4 5"', 'dependencies="4 5"')
+FEWER_STATES = ('<Unknown index="8" dependencies="2 5 6"/>', '<Unknown index="8" dependencies="2 5"/>')
+NO_CATEGORY = ('<Category name="logEvents"/>', "")
+FAULTS = (
+    Planted("load", "GetVersion returns b'1.0'", "version"),
+    Planted("default", "segmentation fault in fmi2DoStep at t = 0.31 s", "crash"),
+    Planted("default", "segmentation fault in fmi3DoStep at t = 0.31 s", "crash", major=3),
+    Planted("default", "hang: no return within 2 s in fmi2DoStep at t = 0.31 s", "hang"),
+    Planted("default", "the process ended with exit status 3 in fmi2DoStep", "exit"),
+    Planted("default", 'fmi2DoStep returned Error at t = 0.31 s: "no more"', "error"),
+    Planted("default", "position is nan at t = 0.31 s", "nan"),
+    Planted("default", "position has grown to", "runaway"),
+    Planted("default", "abort in fmi2FreeInstance", "twice"),
+    Planted("default", "the last successful time is 0 s", "late"),
+    Planted("default", "the last successful time is 0 s", "late", major=3),
+    Planted("default", "model exchange: the event iteration, 100 calls", "event"),
+    Planted("token", 'an instance is made with the GUID "{0000', "token", severity="warning"),
+    Planted("token", "the instantiation token", "token", major=3, severity="warning"),
+    Planted("first_output", "force is 0 after initialisation and -40 after", "first", severity="warning"),
+    Planted("first_output", "stiffness starts at 41 in modelDescription.xml", change=('"40"', '"41"')),
+    Planted("drift", "is refused at the summed time", "drift"),
+    Planted("start_time", "time is 0 s at t = 1000 s", "start"),
+    Planted("start_time", "the first step from t = 1000 s changes position by -1", "leap"),
+    Planted("stop_time", "a stop time is needed", "stop"),
+    Planted("instances", "a second run in the same process differs", "shared"),
+    Planted("instances", "a second instance cannot be made", "once"),
+    Planted("threads", "4 instances in 4 threads: ", "threads"),
+    Planted("leak", "bytes of memory behind", "leak"),
+    Planted("leak", "file handles behind", "handles"),
+    Planted("resources", "fmi2Instantiate returned", "location"),
+    Planted("resources", "fmi3Instantiate returned", "letters", major=3),
+    Planted("state", "goes on in another way after its state was restored", "solver"),
+    Planted("serialize", "in fmi2DeSerializeFMUstate", "pointer"),
+    Planted("serialize", "more is written than the announced", "beyond"),
+    Planted("reset", "the run after a reset differs", "reset"),
+    Planted("directional", "of force with respect to u is -1, by differences 1", "directional"),
+    Planted("directional", "the derivative of force with respect to u", "directional", major=3),
+    Planted("output_derivatives", "the derivative of position is", "slope"),
+    Planted("output_derivatives", "the derivative of position is", "slope", major=3),
+    Planted("dependencies", "force changes with u, its dependencies list", change=NO_DEPENDENCY),
+    Planted("dependencies", "force changes with u, its dependencies list", change=NO_DEPENDENCY_3, major=3),
+    Planted("dependencies", "der_v changes with v, its dependencies list", change=FEWER_STATES),
+    Planted("values", "u = nan: position is nan even after the input", "accepts", severity="warning"),
+    Planted("values", "segmentation fault in fmi2SetReal", "input"),
+    Planted("order", "(a step before the initialisation)", "order", severity="warning"),
+    Planted("order", "(an unknown value reference)", "reference", severity="warning"),
+    Planted("order", "segmentation fault in fmi3GetFloat64", "reference", major=3, severity="warning"),
+    Planted("log", 'a message is logged in category "logEvents"', change=NO_CATEGORY, severity="warning"),
+    Planted("intermediate", "an update at 0.02 s in the step from 0 to 0.01 s", "update", major=3),
+    Planted("early_return", "the last successful time of a step", "early", major=3),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
+    """The workshop."""
+    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()
+
+
+@pytest.fixture(autouse=True)
+def _short() -> Iterator[None]:
+    """Little work per probe; a hang is one after two seconds, which a busy machine does not reach."""
+    with limits(Limits(call=2.0, probe=30.0, work=0.2)):
+        yield
+
+
+def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
+    """What some probes say of an FMU; all of them when none is named."""
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    subject = Subject(path, folder)
+    return [found for name in probes or RULES for found in RULES[name](subject)]
+
+
+@pytest.mark.parametrize("planted", FAULTS, ids=str)
+def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
+    """One finding of the right severity, which says what happens where."""
+    path = oscillators.make(planted.major, planted.fault, planted.change)
+    found = apply(path, tmp_path, planted.probe)
+    assert any(planted.says in f.text and f.severity == planted.severity for f in found), found
+    assert all(f.rule == f"run.{planted.probe}" for f in found)
+
+
+@pytest.mark.parametrize("major", [2, 3])
+def test_a_good_fmu_gives_nothing(oscillators, tmp_path, major):
+    """No probe has anything to say of the oscillator without fault."""
+    assert apply(oscillators.make(major), tmp_path) == []
