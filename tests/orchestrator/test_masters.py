@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from orchestrator import Trace, assemble, run
 from orchestrator.archive import Location
 from orchestrator.dependencies import output_order, sequence
-from orchestrator.interface import read_interface
+from orchestrator.description import read_interface
 
 
 def worst(result, exact):
@@ -141,6 +141,17 @@ def test_gauss_seidel_moves_inputs_by_their_rate_inputs(each, rated):
         errors.append(abs(trace["sum.y"][-1] - (1 - np.cos(1.0))))
     # the trapezoidal rule; the next term of its expansion is below 2 % at these steps
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.02)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_a_driven_input_takes_its_rate_input_with_it(each, master):
+    """What is wired to the rate would move the input away from its column."""
+    wrong = each.make("gain", "wrong_rate", units={"y": "m/s"})
+    system = assemble({"g": wrong, "sum": each["drift"]}, ["g.y -> sum.u_rate"], {"g.offset": 7.0})
+    ramp = Trace(np.array([0.0, 1.0]), {"sum.u": np.array([0.0, 1.0])})
+    result = run(system, ramp, master=master, step=0.1)
+    assert result.trace["sum.y"][-1] == pytest.approx(0.5, abs=1e-12)  # exact for a ramp; rounding
+    assert "the scenario replaces g.y -> sum.u_rate" in result.card.notes
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
