@@ -86,7 +86,8 @@ LOCAL int core_step(Core *core, double length);
 /* Saved states as bytes: a header that identifies the model, then the state. */
 LOCAL size_t snapshot_size(void);
 LOCAL void snapshot_write(const State *state, char *bytes);
-LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size);
+/* `sealed`: the bytes come from outside and must carry their check sum. */
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int sealed);
 
 /* Before the bytes leave the process: adds a check sum, by which damage is noticed when they are read. */
 LOCAL void snapshot_seal(char *bytes);

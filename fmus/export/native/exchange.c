@@ -5,9 +5,9 @@
 
 #include "instance.h"
 
-/* 1 if the caller's number of states is the model's. */
-static int right_size(Instance *self, size_t n) {
-    if (n == NX) return 1;
+/* 1 if the caller's array is one of the model's states. */
+static int right_size(Instance *self, const double x[], size_t n) {
+    if (n == NX) return given(self, x, n);
     core_message(&self->core, ERROR, "%zu states, expected %d", n, NX);
     return 0;
 }
@@ -20,17 +20,17 @@ Status exchange_set_time(Instance *self, double time) {
 }
 
 Status exchange_set_states(Instance *self, const double x[], size_t n) {
-    if (!right_size(self, n)) return ERROR;
+    if (!right_size(self, x, n)) return ERROR;
     for (int i = 0; i < NX; i++)
         if (!isfinite(x[i]))
             return refuse(self, "%s is not a finite number", model_variables[FIRST_STATE + i].name);
-    memcpy(self->core.s.x, x, NX * sizeof *x);
+    if (NX > 0) memcpy(self->core.s.x, x, NX * sizeof *x);
     self->core.dx_valid = self->core.y_valid = 0;
     return OK;
 }
 
 Status exchange_states(Instance *self, double x[], size_t n) {
-    if (!right_size(self, n)) return ERROR;
+    if (!right_size(self, x, n)) return ERROR;
     for (int i = 0; i < NX; i++)
         if (!core_get(&self->core, (unsigned)(FIRST_STATE + i), &x[i])) return ERROR;
     return OK;
@@ -39,7 +39,7 @@ Status exchange_states(Instance *self, double x[], size_t n) {
 /* A solver may try states outside the model's range: it is told to try another step. */
 Status exchange_derivatives(Instance *self, double dx[], size_t n) {
     Core *core = &self->core;
-    if (!right_size(self, n)) return ERROR;
+    if (!right_size(self, dx, n)) return ERROR;
     core_derivatives(core);
     for (int i = 0; i < NX; i++) {
         dx[i] = core->dx[i];
@@ -56,7 +56,7 @@ Status exchange_indicators(Instance *self, size_t n) {
 }
 
 Status exchange_nominals(Instance *self, double nominal[], size_t n) {
-    if (!right_size(self, n)) return ERROR;
+    if (!right_size(self, nominal, n)) return ERROR;
     for (int i = 0; i < NX; i++) nominal[i] = model_variables[FIRST_STATE + i].nominal;
     return OK;
 }

@@ -132,7 +132,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY,
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     (void)FMUstate;
-    CALL(ANY, (*size = snapshot_size(), OK));
+    CALL(ANY, given(c, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
@@ -154,7 +154,7 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-    CALL(EVENT_MODE, (memset(eventInfo, 0, sizeof *eventInfo), OK));
+    CALL(EVENT_MODE, given(c, eventInfo, 1) ? (memset(eventInfo, 0, sizeof *eventInfo), OK) : ERROR);
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, enter(c, CONTINUOUS_TIME)); }
@@ -164,6 +164,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
     Instance *self = c;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi2Error;
+    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi2Error;
     *enterEventMode = *terminateSimulation = fmi2False;
     return core_sound(&self->core) ? fmi2OK : fmi2Error;
 }

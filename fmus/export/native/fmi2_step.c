@@ -19,6 +19,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, __func__, CO_SIMULATION | INSTANTIATED | INITIALIZATION | STEP_MODE)) return fmi2Error;
+    if (!given(self, vr, nvr) || !given(self, order, nvr) || !given(self, value, nvr)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
         const char *name = vr[i] < NUMBER_OF_VARIABLES ? model_variables[vr[i]].name : "value reference";
         const char *problem = NULL;
@@ -55,7 +56,7 @@ static Status unknown_status(Instance *self) {
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
     Instance *self = c;
-    if (!allowed(self, __func__, STEPPED)) return fmi2Error;
+    if (!allowed(self, __func__, STEPPED) || !given(self, value, 1)) return fmi2Error;
     if (kind != fmi2DoStepStatus) return (fmi2Status)unknown_status(self);
     *value = self->core.s.phase == STEP_FAILED ? fmi2Error : fmi2OK;
     return fmi2OK;
@@ -63,7 +64,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     Instance *self = c;
-    if (!allowed(self, __func__, STEPPED)) return fmi2Error;
+    if (!allowed(self, __func__, STEPPED) || !given(self, value, 1)) return fmi2Error;
     if (kind != fmi2LastSuccessfulTime) return (fmi2Status)unknown_status(self);
     *value = self->core.s.time;
     return fmi2OK;
@@ -75,14 +76,14 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-    if (!allowed(c, __func__, STEPPED)) return fmi2Error;
+    if (!allowed(c, __func__, STEPPED) || !given(c, value, 1)) return fmi2Error;
     if (kind != fmi2Terminated) return (fmi2Status)unknown_status(c);
     *value = fmi2False;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-    if (!allowed(c, __func__, STEPPED)) return fmi2Error;
+    if (!allowed(c, __func__, STEPPED) || !given(c, value, 1)) return fmi2Error;
     if (kind != fmi2PendingStatus) return (fmi2Status)unknown_status(c);
     *value = "";
     return fmi2OK;

@@ -94,7 +94,10 @@ fmi3Instance fmi3InstantiateScheduledExecution(
     return NULL;
 }
 
-void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
+/* Inside its own step an instance is still needed. */
+void fmi3FreeInstance(fmi3Instance instance) {
+    if (allowed(instance, __func__, OUTSIDE)) free(instance);
+}
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
                                const fmi3String categories[]) {
@@ -148,7 +151,12 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                                     fmi3Boolean *nominalsOfContinuousStatesChanged,
                                     fmi3Boolean *valuesOfContinuousStatesChanged,
                                     fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime) {
+    const void *const results[] = {discreteStatesNeedUpdate,         terminateSimulation,
+                                   nominalsOfContinuousStatesChanged, valuesOfContinuousStatesChanged,
+                                   nextEventTimeDefined,              nextEventTime};
     if (!allowed(instance, __func__, EVENT_MODE)) return fmi3Error;
+    for (int i = 0; i < 6; i++)
+        if (!given(instance, results[i], 1)) return fmi3Error;
     *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTimeDefined = fmi3False;
@@ -211,6 +219,8 @@ static void reverse(Core *core) {
 static Status adjoint(Instance *self, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                       size_t n_known, const double seed[], double result[]) {
     Core *core = &self->core;
+    if (!given(self, unknown, n_unknown) || !given(self, seed, n_unknown)) return ERROR;
+    if (!given(self, known, n_known) || !given(self, result, n_known)) return ERROR;
     memset(core->direction, 0, sizeof core->direction);
     for (size_t i = 0; i < n_unknown; i++) {
         if (!is_unknown(self, unknown[i])) return ERROR;
@@ -259,7 +269,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) { CAL
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
     (void)FMUState;
-    CALL(ANY, (*size = snapshot_size(), OK));
+    CALL(ANY, given(instance, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[],
@@ -285,6 +295,7 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetF
     Instance *self = instance;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi3Error;
+    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
     *enterEventMode = *terminateSimulation = fmi3False;
     return core_sound(&self->core) ? fmi3OK : fmi3Error;
 }
@@ -320,11 +331,11 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators) {
-    CALL(READABLE | INSTANTIATED, (*nEventIndicators = 0, OK));
+    CALL(READABLE | INSTANTIATED, given(instance, nEventIndicators, 1) ? (*nEventIndicators = 0, OK) : ERROR);
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
-    CALL(READABLE | INSTANTIATED, (*nContinuousStates = NX, OK));
+    CALL(READABLE | INSTANTIATED, given(instance, nContinuousStates, 1) ? (*nContinuousStates = NX, OK) : ERROR);
 }
 
 /* ---- co-simulation ----------------------------------------------------------------------------- */
@@ -349,6 +360,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     Instance *self = instance;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, STEP_MODE)) return fmi3Error;
+    if (!given(self, eventHandlingNeeded, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
+    if (!given(self, earlyReturn, 1) || !given(self, lastSuccessfulTime, 1)) return fmi3Error;
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
     const double reached = self->core.s.time, end = currentCommunicationPoint + communicationStepSize;
     *eventHandlingNeeded = *terminateSimulation = fmi3False;

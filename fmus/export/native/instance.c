@@ -69,11 +69,20 @@ int allowed(Instance *self, const char *function, int mask) {
     return 1;
 }
 
+int given(Instance *self, const void *array, size_t n) {
+    if (n == 0) return 1;
+    if (array && n <= ~(size_t)0 / 16) return 1; /* negative lengths are huge ones */
+    core_message(&self->core, ERROR, array ? "%zu values, expected fewer" : "a null pointer for %zu values", n);
+    return 0;
+}
+
 Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]) {
+    if (!given(self, categories, n)) return ERROR;
     /* Without names everything is meant; warnings and errors can be silenced only by name. */
     unsigned mask = n == 0 ? (on ? ~0u : ~(unsigned)ALWAYS) : 0u;
     for (size_t i = 0; i < n; i++) {
         int known = 0;
+        if (!given(self, categories[i], 1)) return ERROR;
         for (int k = 0; k < NUMBER_OF_CATEGORIES; k++)
             if (strcmp(categories[i], CATEGORIES[k].name) == 0) {
                 mask |= CATEGORIES[k].mask;

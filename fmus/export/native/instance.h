@@ -48,6 +48,8 @@ LOCAL Instance *instance_create(const char *name, int type, int logging);
 LOCAL const char *instance_category(Status kind);
 /* 1 if the function may be called now; else 0 and an error message. */
 LOCAL int allowed(Instance *self, const char *function, int mask);
+/* 1 if the caller's array has an address and n is a possible length; else 0 and an error message. */
+LOCAL int given(Instance *self, const void *array, size_t n);
 /* ERROR after a message. */
 LOCAL Status refuse(Instance *self, const char *format, const char *detail);
 LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);

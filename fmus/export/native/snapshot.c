@@ -42,7 +42,7 @@ LOCAL void snapshot_write(const State *state, char *bytes) {
     memcpy(bytes + sizeof h, state, sizeof *state);
 }
 
-LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size) {
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int sealed) {
     Header expected = header(), found;
     memset(&found, 0, sizeof found);
     memcpy(&found, bytes, size < sizeof found ? size : sizeof found);
@@ -57,7 +57,7 @@ LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size
         core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
         return 0;
     }
-    if (found.seal && found.seal != check_sum(bytes + sizeof found, sizeof *state)) {
+    if (sealed && found.seal != check_sum(bytes + sizeof found, sizeof *state)) {
         core_message(core, ERROR, "the saved state is damaged: its check sum differs");
         return 0;
     }

@@ -7,6 +7,7 @@
 
 /* Room for a saved state, in what `state` points to if it has some. */
 static int room(Instance *self, void **state) {
+    if (!given(self, state, 1)) return 0;
     if (!*state) *state = malloc(snapshot_size());
     if (*state) return 1;
     refuse(self, "out of memory%s", "");
@@ -22,7 +23,7 @@ Status states_get(Instance *self, void **state) {
 Status states_set(Instance *self, const void *state) {
     State restored;
     if (!state) return refuse(self, "there is no saved state%s", "");
-    if (!snapshot_read(&self->core, &restored, state, snapshot_size())) return ERROR;
+    if (!snapshot_read(&self->core, &restored, state, snapshot_size(), 0)) return ERROR;
     if (restored.type != self->core.s.type)
         return refuse(self, "the saved state is of an instance for %s",
                       restored.type == CO_SIMULATION ? "co-simulation" : "model exchange");
@@ -33,6 +34,7 @@ Status states_set(Instance *self, const void *state) {
 
 Status states_serialize(Instance *self, const void *state, char bytes[], size_t size) {
     if (!state) return refuse(self, "there is no saved state%s", "");
+    if (!given(self, bytes, 1)) return ERROR;
     if (size < snapshot_size()) return refuse(self, "the memory is too small%s", "");
     memcpy(bytes, state, snapshot_size());
     snapshot_seal(bytes);
@@ -41,8 +43,9 @@ Status states_serialize(Instance *self, const void *state, char bytes[], size_t 
 
 Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state) {
     State restored;
-    if (!snapshot_read(&self->core, &restored, bytes, size)) return ERROR;
+    if (!given(self, bytes, size ? size : 1) || !given(self, state, 1)) return ERROR;
     *state = NULL; /* what it held on entry is not defined */
+    if (!snapshot_read(&self->core, &restored, bytes, size, 1)) return ERROR;
     if (!room(self, state)) return ERROR;
     snapshot_write(&restored, *state);
     return OK;

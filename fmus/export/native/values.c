@@ -6,6 +6,7 @@
 #include "instance.h"
 
 Status values_get(Instance *self, const unsigned r[], size_t n, double value[]) {
+    if (!given(self, r, n) || !given(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
         if (r[i] == self->time) value[i] = self->core.s.time;
         else if (!core_get(&self->core, r[i], &value[i])) return ERROR;
@@ -15,6 +16,7 @@ Status values_get(Instance *self, const unsigned r[], size_t n, double value[]) 
 
 Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]) {
     Core *core = &self->core;
+    if (!given(self, r, n) || !given(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
         if (!core_check(core, r[i], value[i])) return ERROR;
         if (core->s.phase & (CONTINUOUS_TIME | INSIDE_STEP) && model_variables[r[i]].kind != INPUT)
@@ -55,6 +57,8 @@ int is_unknown(Instance *self, unsigned r) {
 Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                           size_t n_known, const double seed[], double result[]) {
     Core *core = &self->core;
+    if (!given(self, unknown, n_unknown) || !given(self, result, n_unknown)) return ERROR;
+    if (!given(self, known, n_known) || !given(self, seed, n_known)) return ERROR;
     memset(core->direction, 0, sizeof core->direction);
     for (size_t i = 0; i < n_known; i++) {
         if (known[i] == self->time) continue; /* nothing depends on it */
@@ -75,6 +79,7 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
 Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
                                  double value[]) {
     Core *core = &self->core;
+    if (!given(self, r, n) || !given(self, order, n) || !given(self, value, n)) return ERROR;
     core_derivatives(core);
     for (int i = 0; i < NX; i++) core->direction[FIRST_STATE + i] = core->dx[i];
     for (int i = 0; i < NU; i++) core->direction[FIRST_INPUT + i] = core_input_slope(core, i);
