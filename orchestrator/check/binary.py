@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +36,8 @@ class Binary:
     traits       what else is unusual: "executable stack", "writable code", "text relocations", "unsigned"
     debug        bytes of debug sections
     minimum      oldest macOS that loads it, as written
+    head         its first bytes
+    damage       why it cannot be read, where it cannot
     """
 
     file: str
@@ -52,6 +55,7 @@ class Binary:
     debug: int = 0
     minimum: tuple[int, ...] = ()
     head: bytes = b""
+    damage: str = ""
 
     def __str__(self) -> str:
         return self.file
@@ -76,30 +80,38 @@ def read_all(folder: Path, files: Iterable[str]) -> tuple[Binary, ...]:
     return tuple(b for f in chosen if f.endswith(tuple(SUFFIXES.values())) for b in _read(folder / f, f))
 
 
-def _read(path: Path, file: str) -> Iterator[Binary]:
-    """One library; a universal one gives one for each architecture."""
+def _read(path: Path, file: str) -> list[Binary]:
+    """One library, or the parts of a universal one; one without format when it cannot be read."""
+    with path.open("rb") as opened:
+        head = opened.read(64)
+    size, damage = path.stat().st_size, ""
+    try:
+        with warnings.catch_warnings():  # lief warns of each odd number in a header
+            warnings.simplefilter("ignore")
+            found = list(_parsed(path, file, size)) if size else []
+    except Exception as problem:  # headers that lead nowhere
+        found, damage = [], f"{type(problem).__name__} while reading it"
+    return found or [Binary(file, size, head=head, damage=damage)]
+
+
+def _parsed(path: Path, file: str, size: int) -> Iterator[Binary]:
     import lief
 
     lief.logging.disable()
-    size = path.stat().st_size
-    with path.open("rb") as opened:
-        head = opened.read(64)
-    if head[:4] in (b"\xca\xfe\xba\xbe", b"\xca\xfe\xba\xbf"):
-        fat = lief.MachO.parse(str(path))
-        for part in fat or ():
-            yield _macho(part, file, size)
-        if fat is None:
-            yield Binary(file, size, head=head)
-        return
-    parsed = lief.parse(str(path)) if size else None
-    if isinstance(parsed, lief.ELF.Binary):
-        yield _elf(parsed, file, size)
-    elif isinstance(parsed, lief.PE.Binary):
-        yield _pe(parsed, file, size)
-    elif isinstance(parsed, lief.MachO.Binary):
-        yield _macho(parsed, file, size)
-    else:
-        yield Binary(file, size, head=head)
+    if lief.is_elf(str(path)):
+        yield _elf(_there(lief.ELF.parse(str(path))), file, size)
+    elif lief.is_pe(str(path)):
+        yield _pe(_there(lief.PE.parse(str(path))), file, size)
+    elif lief.is_macho(str(path)):
+        universal = _there(lief.MachO.parse(str(path)))  # its parts live as long as it does
+        for part in range(universal.size):
+            yield _macho(universal.at(part), file, size)
+
+
+def _there(parsed: Any) -> Any:
+    if parsed is None:
+        raise ValueError("damaged")
+    return parsed
 
 
 def _machine(value: Any) -> str:

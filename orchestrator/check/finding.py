@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
 
 Severity = Literal["error", "warning", "note"]
+LONGEST = 60  # characters of a name that are shown
 SEVERITIES: tuple[Severity, ...] = get_args(Severity)  # worst first
 
 
@@ -43,6 +44,12 @@ def warning(text: str, *tools: str, thread: str = "") -> Finding:
 def note(text: str, *tools: str, thread: str = "") -> Finding:
     """A finding worth knowing; nothing fails."""
     return Finding("", "note", text, tools, thread)
+
+
+def some(names: Sequence[str], shown: int = 5) -> str:
+    """The first names, cut where they are endless, and how many more there are."""
+    cut = [n if len(n) <= LONGEST else n[: LONGEST - 3] + "..." for n in names[:shown]]
+    return ", ".join(cut) + (f" and {len(names) - shown} more" if len(names) > shown else "")
 
 
 Check = Callable[["Subject"], Iterable[Finding]]

@@ -5,10 +5,11 @@ Attributes stay text, since any of them may be nonsense; rules judge them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from orchestrator.check.finding import some
 from orchestrator.xml import child, children, local
 
 Element = Any  # lxml ships no types
@@ -125,6 +126,11 @@ class Model:
         listed = (u.variable for u in self.structure.get("derivatives", ()) if u.variable)
         found = (self.by_key.get(whole(v.said.get("derivative")) or -1) for v in listed)
         return tuple(dict.fromkeys(s for s in found if s))
+
+
+def listed(variables: Sequence[Variable]) -> str:
+    """Line of the first variable, and the names of all."""
+    return f"modelDescription.xml line {variables[0].line}: {some([v.name for v in variables])}"
 
 
 SECTIONS = {  # what a list is called here: its path in FMI 2 and in FMI 3

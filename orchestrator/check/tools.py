@@ -139,7 +139,7 @@ FMPY = Tool(
 )
 FMUSIM = Tool(
     "fmusim",
-    "fmusim (Reference-FMUs)",
+    "fmusim",
     THREADS,
     {
         "name.grammar": _error("refuses names that break the grammar", "Reference-FMUs#409"),
@@ -178,7 +178,7 @@ OMSIMULATOR = Tool(
 ECOS = Tool("ecos", "Ecos", RUN, {"unit.factor": _note("does not convert units", "")})
 LIBCOSIM = Tool(
     "libcosim",
-    "libcosim (OSP)",
+    "libcosim",
     RUN,
     {
         "version.new": _error("takes FMI 1 and 2 only", ""),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import pytest
 from any_fmu.models import Workshop
+
 from check.good import Archive, make
 
 

@@ -68,11 +68,20 @@ ME = '<ModelExchange modelIdentifier="lag"'
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 BUILD = "sources/buildDescription.xml"
 STRUCTURED = xml('variableNamingConvention="flat"', 'variableNamingConvention="structured"')
-HIDDEN = "documentation/index.html"
 
 
 def _calls(old: str, new: str) -> Break:
     return xml(f'name="{old}"', f'name="{new}"')
+
+
+PORTS = "".join(
+    f'<Float64 name="u{i}" valueReference="{i}" causality="input" unit="Pa" start="0" description="More"/>'
+    for i in range(10, 19)
+)
+SIMULATION_3 = """<CoSimulation modelIdentifier="lag" canHandleVariableCommunicationStepSize="true" maxOutputDerivativeOrder="1"
+ canGetAndSetFMUState="true" canSerializeFMUState="true" providesDirectionalDerivatives="true"/>"""
+EXCHANGE_3 = """<ModelExchange modelIdentifier="lag" canGetAndSetFMUState="true" canSerializeFMUState="true"
+ providesDirectionalDerivatives="true"/>"""
 
 
 FILE_FAULTS = [
@@ -80,7 +89,7 @@ FILE_FAULTS = [
     Fault("climbs out", "archive.name", put("../../evil.txt", "1"), "leads out"),
     Fault("absolute", "archive.name", put("/etc/evil", "1"), "absolute"),
     Fault("drive", "archive.name", put("C:/evil", "1"), "absolute"),
-    Fault("case twins", "archive.twice", put("Documentation/index.html".replace("D", "d", 1).replace("index", "Index"), "1"), "only by case"),
+    Fault("case twins", "archive.twice", put("documentation/Index.html", "1"), "only by case"),
     Fault("spaces", "archive.path", put("resources/my table.csv", "1"), "spaces", severity="warning"),
     Fault("umlaut", "archive.path", put("resources/kühl.csv", "1"), "non-ASCII", severity="warning"),
     Fault("too long for Windows", "archive.path", put(f"resources/{'x' * 160}.csv", "1"), "Windows", severity="warning"),
@@ -88,13 +97,16 @@ FILE_FAULTS = [
     Fault("extra without domain", "archive.extra", put("extra/mine/a.txt", "1"), "mine", severity="note"),
     Fault("no icon", "contents.icon", drop("model.png", "terminalsAndIcons/icon.png"), "model.png", severity="note"),
     Fault("no icon", "contents.icon", drop("terminalsAndIcons/icon.png"), "icon.png", 3, "note"),
-    Fault("no documentation", "contents.documentation", drop(HIDDEN), "index.html", severity="note"),
+    Fault("no documentation", "contents.documentation", drop("documentation/index.html"), "index.html", severity="note"),
     Fault("no licence", "contents.licence", both(drop("documentation/licenses"), xml(' license="MIT"', "")), "licence", severity="note"),
     Fault("path of the machine", "contents.paths", put("documentation/notes.txt", "a\nsee /home/anna/model.mo"), "notes.txt line 2", severity="warning"),
     Fault("path of Windows", "contents.paths", xml("A first-order lag", "From C:\\Users\\anna\\lag.mo"), "line 2", severity="warning"),
     Fault("svg icon only", "terminal.icons", both(drop("terminalsAndIcons/icon.png"), put("terminalsAndIcons/icon.svg", "<svg/>")), "icon.svg"),
+    Fault("script that cannot be read", "python.syntax", put("resources/model.py", "def f(:"), "model.py"),
+    Fault("sources named all.c", "source.name", both(put("sources/all.c", ""), lambda a: a.swap('name="lag.c"', 'name="all.c"', BUILD)), "lag.c", 3, "note"),
+    Fault("many ports, no terminals", "terminal.there", both(drop(TERMINALS), xml("</ModelVariables>", PORTS + "</ModelVariables>")), "one by one", 3, "note"),
     Fault("Java", "runtime.java", put("resources/model.jar", "1"), "Java", severity="warning"),
-    Fault("source missing", "source.listed", xml(ME + ' canGetAndSetFMUstate="true" canSerializeFMUstate="true"\n providesDirectionalDerivative="true"><SourceFiles><File name="lag.c"/>', ME + ' canGetAndSetFMUstate="true" canSerializeFMUstate="true"\n providesDirectionalDerivative="true"><SourceFiles><File name="lag.c"/><File name="gone.c"/>'), "gone.c"),
+    Fault("source missing", "source.listed", xml("</SourceFiles></ModelExchange>", '<File name="gone.c"/></SourceFiles></ModelExchange>'), "gone.c"),
     Fault("no source list", "source.build", drop(BUILD), "buildDescription.xml", 3),
     Fault("source missing", "source.listed", lambda a: a.swap("</SourceFileSet>", '<SourceFile name="gone.c"/></SourceFileSet>', BUILD), "gone.c", 3),
     Fault("sources of another model", "source.description", lambda a: a.swap('modelIdentifier="lag"', 'modelIdentifier="log"', BUILD), "log", 3),
@@ -123,7 +135,7 @@ XML_FAULTS = [
     Fault("GUID of an example", "identity.token", xml("{31f3d6a2-6f0c-4b57-9d7e-0c1f6a5e9b42}", "{8c4e810f-3df3-4a00-8276-176fa3c9f003}"), "example", severity="warning"),
     Fault("nil GUID", "identity.token", xml("{31f3d6a2-6f0c-4b57-9d7e-0c1f6a5e9b42}", "{00000000-0000-0000-0000-000000000000}"), "nil", severity="warning"),
     Fault("GUID lacks a brace", "identity.token", xml("-0c1f6a5e9b42}", "-0c1f6a5e9b42"), "brace", severity="warning"),
-    Fault("Outputs lack one", "structure.outputs", both(xml(OUTPUTS, ""), lambda a: a), "lacks y"),
+    Fault("Outputs lack one", "structure.outputs", xml(OUTPUTS, ""), "lacks y"),
     Fault("Outputs have too many", "structure.outputs", xml(OUTPUTS, OUTPUTS.replace("</O", '<Unknown index="4" dependencies=""/></O')), "has x"),
     Fault("Outputs lack one", "structure.outputs", xml('<Output valueReference="5" dependencies="3" dependenciesKind="constant"/>', ""), "lacks y", 3),
     Fault("InitialUnknowns lack one", "structure.initial", xml(INITIAL, INITIAL.replace('<Unknown index="5" dependencies="2 3 4"/>', "")), "lacks der_x"),
@@ -132,7 +144,7 @@ XML_FAULTS = [
     Fault("InitialUnknowns out of order", "structure.entries", xml(INITIAL, '<Unknown index="6" dependencies="4"/><Unknown index="5" dependencies="2 3 4"/></InitialUnknowns>'), "order", severity="warning"),
     Fault("unknown twice", "structure.entries", xml(OUTPUTS, OUTPUTS.replace("<Outputs>", '<Outputs><Unknown index="6" dependencies="4"/>')), "2 times"),
     Fault("unknown of no variable", "structure.entries", xml(INITIAL, INITIAL.replace("</I", '<Unknown index="77"/></I')), "77"),
-    Fault("derivative of nothing", "structure.derivatives", both(xml(' derivative="4"', "")), "no attribute derivative"),
+    Fault("derivative of nothing", "structure.derivatives", xml(' derivative="4"', ""), "no attribute derivative"),
     Fault("derivative of nothing", "structure.derivatives", xml(' derivative="3"', ' derivative="33"'), "33", 3),
     Fault("no dependencies", "structure.dependencies", xml(OUTPUTS, '<Outputs><Unknown index="6"/></Outputs>'), "feed-through", severity="warning"),
     Fault("no dependencies", "structure.dependencies", xml(' dependencies="3" dependenciesKind="constant"', ""), "feed-through", 3, "warning"),
@@ -173,7 +185,7 @@ XML_FAULTS = [
     Fault("unit twice", "unit.twice", xml("</UnitDefinitions>", '<Unit name="s"><BaseUnit s="1"/></Unit></UnitDefinitions>'), "2 times", severity="warning"),
     Fault("pascal of another dimension", "unit.wrong", xml('<BaseUnit kg="1" m="-1" s="-2"/>', '<BaseUnit kg="1" m="1" s="-2"/>'), "unit Pa"),
     Fault("second with a factor", "unit.wrong", xml('<Unit name="s"><BaseUnit s="1"/>', '<Unit name="s"><BaseUnit s="1" factor="60"/>'), "found 60"),
-    Fault("port not in SI", "unit.factor", both(xml("</UnitDefinitions>", '<Unit name="psi"><BaseUnit kg="1" m="-1" s="-2" factor="6894.757"/></Unit></UnitDefinitions>'), xml('description="Pressure"><Real unit="Pa"/>', 'description="Pressure"><Real unit="psi"/>')), "psi", severity="note"),
+    Fault("port not in SI", "unit.factor", both(xml("</UnitDefinitions>", '<Unit name="psi"><BaseUnit kg="1" m="-1" s="-2" factor="6894.757"/></Unit></UnitDefinitions>'), xml('description="Pressure">\n<Real unit="Pa"/>', 'description="Pressure">\n<Real unit="psi"/>')), "psi", severity="note"),
     Fault("no unit", "unit.missing", xml('<Real unit="1/s" start="2"', '<Real start="2"'), "rate", severity="note"),
     Fault("breaks the grammar", "name.grammar", both(STRUCTURED, _calls("rate", "rate of change")), "rate of change"),
     Fault("structured names of ports", "name.structured", both(STRUCTURED, _calls("y", "port.y"), lambda a: a.swap('variableName="y"', 'variableName="port.y"', TERMINALS)), "port.y", severity="note"),
@@ -202,5 +214,8 @@ XML_FAULTS = [
     Fault("no log categories", "contents.categories", xml('<LogCategories><Category name="logStatusError"/></LogCategories>', ""), "no log categories", severity="note"),
     Fault("log category twice", "contents.categories", xml("<LogCategories>", '<LogCategories><Category name="logStatusError"/>'), "2 times", severity="warning"),
     Fault("vendor annotations", "contents.annotations", xml("<ModelVariables>", '<VendorAnnotations><Tool name="Other"><a/></Tool></VendorAnnotations><ModelVariables>'), "Other", severity="note"),
-    Fault("neither kind", "kind.some", lambda a: a.put(DESCRIPTION, a.members[DESCRIPTION].decode().split(ME)[0] + "<UnitDefinitions>" + a.members[DESCRIPTION].decode().split("<UnitDefinitions>")[1]), "neither"),
+    Fault("no Co-Simulation", "kind.simulation", xml(SIMULATION_3, ""), "no Co-Simulation", 3, "note"),
+    Fault("no Model Exchange", "kind.exchange", xml(EXCHANGE_3, ""), "no Model Exchange", 3, "note"),
+    Fault("array", "variable.array", xml("</ModelVariables>", '<Float64 name="a" valueReference="9"><Dimension start="2"/></Float64></ModelVariables>'), "a is an array", 3, "note"),
+    Fault("neither kind", "kind.some", put(DESCRIPTION, XML_2.partition(ME)[0] + "<UnitDefinitions>" + XML_2.partition("<UnitDefinitions>")[2]), "neither"),
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 /* A first-order lag, der(x) = rate (u - x), y = x, as a complete FMU of FMI 2 or FMI 3.
  *
  * Compile with -DFMI=2 or -DFMI=3. Every function of the standard is there; those for what the FMU cannot do
- * return an error. Value references: 0 time, 1 u, 2 rate, 3 x, 4 der_x, 5 y.
+ * return an error. With -DLACKING one of these is left out. Value references: 0 time, 1 u, 2 rate, 3 x, 4 der_x, 5 y.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -112,7 +112,9 @@ fmi2Status fmi2SerializeFMUstate(C c, fmi2FMUstate s, fmi2Byte b[], size_t n) {
 fmi2Status fmi2DeSerializeFMUstate(C c, const fmi2Byte b[], size_t n, fmi2FMUstate *s) {
     return IGNORE(c), n < sizeof(Lag) ? fmi2Error : (fmi2Status)save(b, s);
 }
+#ifndef LACKING
 STUB(GetDirectionalDerivative, R z, size_t nz, R v, size_t nv, const fmi2Real dv[], fmi2Real dz[])
+#endif
 fmi2Status fmi2SetRealInputDerivatives(C c, R r, size_t n, const fmi2Integer o[], const fmi2Real v[]) {
     return IGNORE(c), IGNORE(r), IGNORE(n), IGNORE(o), IGNORE(v), fmi2OK;
 }
@@ -178,6 +180,7 @@ C fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String path
     IGNORE(r), IGNORE(n), IGNORE(e), IGNORE(log), IGNORE(update_);
     return new_lag(token);
 }
+#ifndef LACKING
 C fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String path, fmi3Boolean visible,
                                     fmi3Boolean logging, fmi3InstanceEnvironment e, fmi3LogMessageCallback log,
                                     fmi3ClockUpdateCallback tick, fmi3LockPreemptionCallback lock,
@@ -186,6 +189,7 @@ C fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3Strin
     IGNORE(tick), IGNORE(lock), IGNORE(unlock);
     return NULL;
 }
+#endif
 void fmi3FreeInstance(C c) { free(c); }
 fmi3Status fmi3EnterInitializationMode(C c, fmi3Boolean td, fmi3Float64 tol, fmi3Float64 t, fmi3Boolean sd,
                                        fmi3Float64 stop) {

@@ -37,24 +37,29 @@ XML_2 = f"""<?xml version="1.0" encoding="UTF-8"?>
  maxOutputDerivativeOrder="1" canGetAndSetFMUstate="true" canSerializeFMUstate="true"
  providesDirectionalDerivative="true"><SourceFiles><File name="lag.c"/></SourceFiles></CoSimulation>
 {UNITS}
-<TypeDefinitions><SimpleType name="Gear"><Enumeration><Item name="low" value="1"/><Item name="high" value="2"/>
-</Enumeration></SimpleType></TypeDefinitions>
+<TypeDefinitions><SimpleType name="Gear"><Enumeration><Item name="low" value="1"/>
+<Item name="high" value="2"/></Enumeration></SimpleType></TypeDefinitions>
 {CATEGORIES}
 {EXPERIMENT}
 <ModelVariables>
-<ScalarVariable name="time" valueReference="0" causality="independent" description="Time"><Real unit="s"/></ScalarVariable>
+<ScalarVariable name="time" valueReference="0" causality="independent" description="Time">
+<Real unit="s"/></ScalarVariable>
 <ScalarVariable name="u" valueReference="1" causality="input" description="Set pressure">
 <Real unit="Pa" displayUnit="bar" start="0" min="0" max="1e8" nominal="1e7"/></ScalarVariable>
 <ScalarVariable name="rate" valueReference="2" causality="parameter" variability="fixed" description="Rate">
 <Real unit="1/s" start="2" min="0"/></ScalarVariable>
-<ScalarVariable name="x" valueReference="3" initial="exact" description="State"><Real unit="Pa" start="0"/></ScalarVariable>
-<ScalarVariable name="der_x" valueReference="4" description="Derivative"><Real unit="Pa/s" derivative="4"/></ScalarVariable>
-<ScalarVariable name="y" valueReference="5" causality="output" description="Pressure"><Real unit="Pa"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="3" initial="exact" description="State">
+<Real unit="Pa" start="0"/></ScalarVariable>
+<ScalarVariable name="der_x" valueReference="4" description="Derivative">
+<Real unit="Pa/s" derivative="4"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="5" causality="output" description="Pressure">
+<Real unit="Pa"/></ScalarVariable>
 </ModelVariables>
 <ModelStructure>
 <Outputs><Unknown index="6" dependencies="4" dependenciesKind="constant"/></Outputs>
 <Derivatives><Unknown index="5" dependencies="2 4" dependenciesKind="fixed fixed"/></Derivatives>
-<InitialUnknowns><Unknown index="5" dependencies="2 3 4"/><Unknown index="6" dependencies="4"/></InitialUnknowns>
+<InitialUnknowns>
+<Unknown index="5" dependencies="2 3 4"/><Unknown index="6" dependencies="4"/></InitialUnknowns>
 </ModelStructure>
 </fmiModelDescription>
 """
@@ -72,7 +77,8 @@ XML_3 = f"""<?xml version="1.0" encoding="UTF-8"?>
 {EXPERIMENT}
 <ModelVariables>
 <Float64 name="time" valueReference="0" causality="independent" unit="s" description="Time"/>
-<Float64 name="u" valueReference="1" causality="input" unit="Pa" displayUnit="bar" start="0" description="Set pressure"/>
+<Float64 name="u" valueReference="1" causality="input" unit="Pa" displayUnit="bar" start="0"
+ description="Set pressure"/>
 <Float64 name="rate" valueReference="2" causality="parameter" variability="fixed" unit="1/s" start="2"
  description="Rate"/>
 <Float64 name="x" valueReference="3" initial="exact" unit="Pa" start="0" description="State"/>
@@ -134,13 +140,14 @@ class Archive:
         return path
 
 
-def compiled(folder: Path, target: str, *flags: str, source: Path = SOURCE) -> bytes:
-    """A library for a target."""
+def compiled(folder: Path, target: str, *flags: str) -> bytes:
+    """A library for a target; without debug information unless the flags ask for it."""
     headers = Path(fmpy.__file__).parent / "c-code"
     out = folder / f"lag{TARGETS[target][2]}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-std=c99", "-O1", "-s", "-shared"]
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-std=c99", "-O1", "-shared"]
     command += ["-fPIC", "-Wall", "-Wextra", "-Werror"]
-    command += ["-Wno-unused-parameter", f"-I{headers}", *flags, str(source), "-o", str(out)]
+    command += ["-Wno-unused-parameter", f"-I{headers}", *flags, str(SOURCE), "-o", str(out)]
+    command += [] if "-g" in flags else ["-s"]
     command += ["-Wl,-install_name,@rpath/lag.dylib"] if "macos" in target else []
     subprocess.run(command, check=True, capture_output=True, text=True)
     return out.read_bytes()

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+
 from check.faults import FILE_FAULTS, XML_FAULTS, Fault
 from check.good import Archive
-
 from orchestrator.check import check
 
 KNOWN = {2: set(), 3: {"version.new"}}  # what the good FMU gives

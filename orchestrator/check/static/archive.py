@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import PurePosixPath
 
-from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 from orchestrator.check.unpack import DESCRIPTION, unsafe
@@ -62,10 +62,7 @@ def description(subject: Subject) -> Iterator[Finding]:
 def paths(subject: Subject) -> Iterator[Finding]:
     odd = [n for n in subject.names if " " in n or not n.isascii()]
     if odd:
-        yield warning(
-            f"{len(odd)} member(s) with spaces or non-ASCII letters such as {odd[0]!r};"
-            " tools build paths and URIs from them"
-        )
+        yield warning(f"{some(odd, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them")
     long = [n for n in subject.names if len(n) > LONGEST]
     if long:
         yield warning(

@@ -21,6 +21,7 @@ MACHINE = re.compile(
     rb"(?<![\w.:/])(?:/(?:home|Users|root|tmp|var/folders|builds|opt/[\w.-]+)/[\w.-]+[\w./-]*"
     rb"|(?:file:///)?[A-Za-z]:[\\/](?:Users|Program Files|Temp|work|build|dev|projects?)[\\/][\w. \\/-]*)"
 )
+LARGEST = 50e6
 TEXT_FILES = (
     ".xml",
     ".html",
@@ -121,5 +122,5 @@ def machine(subject: Subject) -> Iterator[Finding]:
 @RULES.rule("contents.size", "The FMU is no larger than it needs to be")
 def size(subject: Subject) -> Iterator[Finding]:
     bytes_ = subject.path.stat().st_size
-    if bytes_ > 50e6:
+    if bytes_ > LARGEST:
         yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")

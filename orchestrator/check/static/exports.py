@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from orchestrator.check.binary import Binary
-from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.functions import required
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
@@ -34,8 +34,7 @@ def functions(subject: Subject) -> Iterator[Finding]:
             continue
         prefixed = f"{b.stem}_{missing[0]}"
         hint = f"; it exports {prefixed}, which is for static linking" if prefixed in b.exports else ""
-        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        yield error(f"{_at(b)}: does not export {', '.join(missing[:5])}{more}{hint}")
+        yield error(f"{_at(b)}: does not export {some(missing)}{hint}")
 
 
 def _at(b: Binary) -> str:
@@ -48,9 +47,7 @@ def version(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
         foreign = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(own))
         if foreign:
-            yield note(
-                f"{_at(b)}: exports {len(foreign)} function(s) of another FMI version, such as {foreign[0]}"
-            )
+            yield note(f"{_at(b)}: exports functions of another FMI version: {some(foreign, 2)}")
 
 
 @RULES.rule(
@@ -61,9 +58,8 @@ def version(subject: Subject) -> Iterator[Finding]:
 def symbols(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
         if b.unsupplied:
-            more = f" and {len(b.unsupplied) - 3} more" if len(b.unsupplied) > 3 else ""
             yield error(
-                f"{b}: needs {', '.join(b.unsupplied[:3])}{more}, which none of {', '.join(b.libraries)} has;"
+                f"{b}: needs {some(b.unsupplied, 3)}, which none of {', '.join(b.libraries)} has;"
                 " it loads only inside a program that brings them"
             )
 
@@ -72,10 +68,12 @@ def symbols(subject: Subject) -> Iterator[Finding]:
 def private(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
         own = [
-            e for e in b.exports if not re.match(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
+            e
+            for e in b.exports
+            if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
         ]
         if len(own) > 20:
-            yield note(f"{_at(b)}: exports {len(own)} names beside the functions of FMI, such as {min(own)}")
+            yield note(f"{_at(b)}: exports more than the functions of FMI: {some(sorted(own), 2)}")
 
 
 @RULES.rule("binary.debug", "Libraries carry no debug information")

@@ -52,16 +52,25 @@ def _beside(b: Binary, library: str, subject: Subject) -> bool:
 )
 def libraries(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
+        needs: dict[tuple[str, bool], list[str]] = {}
         for library in b.libraries:
-            known = re.fullmatch(SYSTEM[b.format], library) or PYTHON.fullmatch(library)
-            if known or _beside(b, library, subject):
-                continue
-            common = next((t for p, t in COMMON.items() if re.fullmatch(p, library)), None)
-            if common and b.format == "ELF":
-                yield note(f"{b}: needs {library}: {common}")
-            else:
-                what = next((t for p, t in KNOWN.items() if re.fullmatch(p, library)), "another library")
-                yield warning(f"{b}: needs {library} on the target machine: {what}")
+            if not (
+                re.fullmatch(SYSTEM[b.format], library)
+                or PYTHON.fullmatch(library)
+                or _beside(b, library, subject)
+            ):
+                needs.setdefault(_known(b, library), []).append(library)
+        for (what, usual), names in needs.items():
+            say = note if usual else warning
+            yield say(f"{b}: needs {', '.join(names)} on the target machine: {what}")
+
+
+def _known(b: Binary, library: str) -> tuple[str, bool]:
+    """What a library is, and whether most machines have it."""
+    common = next((t for p, t in COMMON.items() if re.fullmatch(p, library)), "")
+    if common and b.format == "ELF":
+        return common, True
+    return next((t for p, t in KNOWN.items() if re.fullmatch(p, library)), "another library"), False
 
 
 @RULES.rule("binary.loader", "Libraries find the libraries beside them", "OpenModelica#11856")
@@ -100,7 +109,7 @@ def glibc(subject: Subject) -> Iterator[Finding]:
         if plus > GLIBCXX:
             yield warning(
                 f"{b}: needs GLIBCXX {_dotted(plus)} of libstdc++, expected at most {_dotted(GLIBCXX)};"
-                " Ubuntu 20.04 lacks it; MATLAB brings its own, older one"
+                " Ubuntu 20.04 lacks it, and MATLAB brings its own"
             )
 
 

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from orchestrator.check.finding import Finding, error, note, warning
-from orchestrator.check.model import Variable
+from orchestrator.check.model import Variable, listed
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 
@@ -63,9 +63,7 @@ def grammar(subject: Subject) -> Iterator[Finding]:
 def structured(subject: Subject) -> Iterator[Finding]:
     ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
     if _structured(subject) and ports:
-        yield note(
-            f"{ports[0]}: {len(ports)} input(s) or output(s) with structured names, expected flat names"
-        )
+        yield note(f"{listed(ports)}: structured names of inputs or outputs, expected flat names")
 
 
 @RULES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
@@ -74,7 +72,7 @@ def characters(subject: Subject) -> Iterator[Finding]:
         return  # the rule on the grammar speaks of these
     odd = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
     if odd:
-        yield note(f"{odd[0]}: {len(odd)} name(s) that are no identifiers; tools rename or quote them")
+        yield note(f"{listed(odd)}: no identifiers; tools rename or quote them")
 
 
 @RULES.rule(
@@ -112,6 +110,4 @@ def keyword(subject: Subject) -> Iterator[Finding]:
 def length(subject: Subject) -> Iterator[Finding]:
     long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > LONGEST]
     if long:
-        yield note(
-            f"{long[0]}: has {len(long[0].name)} characters, {len(long)} name(s) have more than {LONGEST}"
-        )
+        yield note(f"{listed(long)}: {len(long[0].name)} characters, expected at most {LONGEST}")

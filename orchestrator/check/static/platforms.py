@@ -77,7 +77,7 @@ def linux(subject: Subject) -> Iterator[Finding]:
         yield note(f"no binaries/{name}: no tool on Linux can run it")
 
 
-@RULES.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines", THREADS)
+@RULES.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines")
 def macos(subject: Subject) -> Iterator[Finding]:
     machines = {b.machine for b in subject.binaries if as_tuple(b.platform)[1] == "darwin"}
     if subject.binaries and not machines:
@@ -103,7 +103,8 @@ def format_(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
         machine, system = as_tuple(b.platform)
         if not b.format:
-            what = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else "something else"
+            what = b.damage or "something else"
+            what = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else what
             yield error(f"{b}: expected a shared library, got {what if b.size else 'an empty file'}")
         elif system and FORMATS[system] != b.format:
             yield error(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")

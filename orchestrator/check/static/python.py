@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.static.libraries import PYTHON
 from orchestrator.check.subject import Subject
@@ -48,9 +48,8 @@ def _evidence(subject: Subject) -> Iterator[str]:
 def needed(subject: Subject) -> Iterator[Finding]:
     why = list(_evidence(subject))
     if why:
-        more = f" ({len(why) - 1} more sign(s))" if len(why) > 1 else ""
         yield warning(
-            f"needs Python on the target: {why[0]}{more}; the target machine needs the same Python"
+            f"needs Python on the target: {'; '.join(why[:2])}; the target machine needs the same Python"
             " on its path, with all packages"
         )
 
@@ -96,4 +95,4 @@ def syntax(subject: Subject) -> Iterator[Finding]:
 def java(subject: Subject) -> Iterator[Finding]:
     jars = sorted(f for f in subject.files if f.endswith(".jar"))
     if jars:
-        yield warning(f"{jars[0]}: {len(jars)} Java archive(s); the target machine may need Java")
+        yield warning(f"{some(jars)}: Java; the target machine may need a Java machine")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.static.description import violations
 from orchestrator.check.static.platforms import TUPLE
@@ -60,9 +60,9 @@ def build(subject: Subject) -> Iterator[Finding]:
         return
     lists = [e for e in subject.model.interfaces.values() if child(e, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield error(f"{BUILD} is missing beside {len(code)} source file(s); FMI 3 tools cannot compile them")
+        yield error(f"{BUILD} is missing beside {some(code, 2)}; FMI 3 tools cannot compile them")
     elif subject.major == 2 and BUILD not in subject.files and not lists:
-        yield warning(f"{DESCRIPTION}: no SourceFiles for the {len(code)} source file(s) in sources/")
+        yield warning(f"{DESCRIPTION}: no SourceFiles for {some(code, 2)}")
     elif subject.major == 2 and lists and len(lists) < len(subject.model.interfaces):
         yield warning(f"{DESCRIPTION}: SourceFiles for one kind only, expected for all")
 
@@ -94,10 +94,21 @@ def description(subject: Subject) -> Iterator[Finding]:
         yield error(f"{BUILD}: more than one BuildConfiguration without platform, expected one")
 
 
+@RULES.rule("source.name", "A single source file is named after the model (FMI 3)")
+def single(subject: Subject) -> Iterator[Finding]:
+    root, _ = parsed(subject, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
+    names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
+    for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
+        expected = subject.model.identifiers[0] if subject.model.identifiers else "model"
+        yield note(
+            f"sources/{name}: expected a name such as {expected}.c; objects of several FMUs get mixed up"
+        )
+
+
 @RULES.rule("source.headers", "Sources bring no headers of FMI; the importer has them")
 def headers(subject: Subject) -> Iterator[Finding]:
     found = sorted(
         f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
     )
     if found:
-        yield note(f"{found[0]}: {len(found)} header(s) of FMI, which the importing tool brings itself")
+        yield note(f"{some(found)}: headers of FMI, which the importing tool brings itself")

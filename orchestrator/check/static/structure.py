@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, error, warning
+from orchestrator.check.finding import Finding, error, some, warning
 from orchestrator.check.model import Model, Unknown, Variable, whole
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
@@ -29,15 +29,9 @@ def _differences(model: Model, section: str, expected: list[Variable], why: str)
     right = set(expected)
     extra = [v.name for v in listed if v not in right and v.initial]  # "": another rule tells that
     if missing:
-        yield error(f"{WHERE}: {name} lacks {_some(missing)}; expected {why}")
+        yield error(f"{WHERE}: {name} lacks {some(missing)}; expected {why}")
     if extra:
-        yield error(f"{WHERE}: {name} has {_some(extra)}; expected only {why}")
-
-
-def _some(names: list[str]) -> str:
-    """The first names, and how many more there are."""
-    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-    return ", ".join(names[:6]) + more
+        yield error(f"{WHERE}: {name} has {some(extra)}; expected only {why}")
 
 
 @RULES.rule(
@@ -119,15 +113,15 @@ def entries(subject: Subject) -> Iterator[Finding]:
 )
 def dependencies(subject: Subject) -> Iterator[Finding]:
     model = subject.model
-    inputs = len(model.of("input"))
+    inputs = model.of("input")
     for section in ("outputs", "derivatives") if inputs else ():
         silent = [u for u in model.structure.get(section, ()) if u.dependencies is None and u.variable]
         silent = [u for u in silent if u.variable and u.variable.variability != "constant"]
         if silent:
-            names = _some([u.variable.name for u in silent if u.variable])
+            names = some([u.variable.name for u in silent if u.variable])
             yield warning(
                 f"{silent[0]}: no dependencies for {len(silent)} of {len(model.structure[section])} {section}"
-                f" ({names}); tools assume direct feed-through from all {inputs} inputs"
+                f" ({names}); tools assume direct feed-through from every input"
             )
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from orchestrator.check.finding import Finding, error, note, warning
-from orchestrator.check.model import UnitDefinition
+from orchestrator.check.model import UnitDefinition, listed
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 from orchestrator.units import BASES
@@ -146,17 +146,12 @@ def factor(subject: Subject) -> Iterator[Finding]:
     }
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
-        yield note(
-            f"{ports[0]}: {len(ports)} input(s) or output(s) not in SI units, such as {ports[0].unit}"
-            "; most tools pass the number on without converting"
-        )
+        names = ", ".join(sorted({str(v.unit) for v in ports}))
+        yield note(f"{listed(ports)}: in {names}, not SI; most tools pass the number on without converting")
 
 
 @RULES.rule("unit.missing", "Inputs, outputs and parameters that are real numbers have a unit")
 def missing(subject: Subject) -> Iterator[Finding]:
     without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
     if without:
-        names = ", ".join(v.name for v in without[:5])
-        yield note(
-            f"{without[0]}: {len(without)} real input(s), output(s), parameter(s) without unit: {names}"
-        )
+        yield note(f"{listed(without)}: real numbers without unit")

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from orchestrator.check.finding import Finding, error, note, warning
-from orchestrator.check.model import Variable
+from orchestrator.check.model import Variable, listed
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 
@@ -179,7 +179,7 @@ def type_(subject: Subject) -> Iterator[Finding]:
 def string(subject: Subject) -> Iterator[Finding]:
     odd = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
     if odd:
-        yield note(f"{odd[0]}: {len(odd)} port(s) of type {odd[0].type}; many tools cannot connect them")
+        yield note(f"{listed(odd)}: {odd[0].type}; many tools cannot connect them")
 
 
 @RULES.rule("variable.array", "Variables are scalars")
@@ -202,7 +202,4 @@ def text(subject: Subject) -> Iterator[Finding]:
         if not v.said.get("description", "").strip()
     ]
     if silent:
-        names = ", ".join(v.name for v in silent[:5])
-        yield note(
-            f"{silent[0]}: {len(silent)} input(s), output(s), parameter(s) without description: {names}"
-        )
+        yield note(f"{listed(silent)}: no description")

@@ -1,0 +1,195 @@
+"""Files that are no FMU, or hardly one: each becomes findings, and none stops the check."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from check.good import DESCRIPTION, Archive
+from orchestrator.check import DEFECT, check
+from orchestrator.errors import Problem
+
+HEAD = '<fmiModelDescription fmiVersion="2.0"'
+GARBAGE: Mapping[str, tuple[bytes, str]] = {
+    "empty": (b"", "archive.zip"),
+    "text": (b"hello", "archive.zip"),
+    "XML": (b"<fmiModelDescription/>", "archive.zip"),
+    "half an archive": (b"PK\x03\x04" + bytes(100), "archive.zip"),
+    "Git LFS pointer": (b"version https://git-lfs.github.com/spec/v1\n", "archive.zip"),
+}
+DESCRIPTIONS: Mapping[str, tuple[str, str]] = {
+    "nothing": ("", "xml.syntax"),
+    "bytes": ("\x00\x01", "xml.syntax"),
+    "no version": ("<fmiModelDescription/>", "version.known"),
+    "odd version": (f"{HEAD[:-4]}2.x'/>".replace('="', "='"), "xml.schema"),
+    "no variables": (f"{HEAD}/>", "xml.schema"),
+    "numbers that are none": (
+        f'{HEAD}><ModelVariables><ScalarVariable name="a" valueReference="b"><Real start="c" min="d" max="e"'
+        ' nominal="f" derivative="g"/></ScalarVariable><ScalarVariable/></ModelVariables><ModelStructure>'
+        '<Outputs><Unknown index="h" dependencies="i j"/></Outputs></ModelStructure></fmiModelDescription>',
+        "variable.reference",
+    ),
+    "a bomb of entities": (
+        '<!DOCTYPE a [<!ENTITY b "cc"><!ENTITY d "&b;&b;&b;">]><fmiModelDescription>&d;</fmiModelDescription>',
+        "xml.syntax",
+    ),
+    "deeply nested": ("<a>" * 500 + "</a>" * 500, "xml.syntax"),
+}
+
+
+def rules(path: Path) -> set[str]:
+    """Ids of all rules that found something; a rule that broke is not acceptable."""
+    found = {f.rule for f in check(path, run=False).findings}
+    assert DEFECT not in found, check(path, run=False).text()
+    return found
+
+
+@pytest.mark.parametrize("name", GARBAGE)
+def test_a_file_that_is_no_archive_gives_a_finding(name: str, tmp_path: Path) -> None:
+    """What cannot be unpacked is told by one rule, with what the file seems to be."""
+    content, rule = GARBAGE[name]
+    path = tmp_path / "lag.fmu"
+    path.write_bytes(content)
+    assert rules(path) == {rule}
+
+
+@pytest.mark.parametrize("name", DESCRIPTIONS)
+def test_nonsense_in_the_description_gives_findings(name: str, tmp_path: Path) -> None:
+    """Any text as modelDescription.xml ends in findings."""
+    text, rule = DESCRIPTIONS[name]
+    path = Archive(2, {DESCRIPTION: text.encode()}).write(tmp_path / "lag.fmu")
+    assert rule in rules(path)
+
+
+def test_an_archive_without_description_names_what_it_holds(tmp_path: Path) -> None:
+    """An FMU that was zipped with its folder is told so."""
+    path = Archive(2, {f"lag/{DESCRIPTION}": b"<a/>"}).write(tmp_path / "lag.fmu")
+    found = check(path, run=False).findings
+    assert [f.rule for f in found if f.severity == "error"] == ["archive.description"]
+    assert f"lag/{DESCRIPTION}" in found[0].text
+
+
+def test_members_may_not_be_links(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """A symbolic link in the archive is told; the standards forbid it."""
+    path = good[2].write(tmp_path / "lag.fmu")
+    link = zipfile.ZipInfo("resources/link")
+    link.external_attr = 0o120777 << 16
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(link, "/etc/passwd")
+    assert rules(path) == {"archive.link"}
+
+
+def test_members_may_not_be_compressed_with_anything(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """LZMA is refused: the standards allow deflate and store."""
+    path = good[2].write(tmp_path / "lag.fmu")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/table.csv", "1", zipfile.ZIP_LZMA)
+    assert rules(path) == {"archive.method"}
+
+
+def test_a_member_twice_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Two members of one name are told; tools take the first or the last."""
+    path = good[2].write(tmp_path / "lag.fmu")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("documentation/index.html", "other")
+    assert rules(path) == {"archive.twice"}
+
+
+def test_a_damaged_member_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """A member whose checksum is wrong is told by its name."""
+    path = tmp_path / "lag.fmu"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in {**good[2].members, "resources/table.csv": b"0123456789"}.items():
+            archive.writestr(name, data)
+    path.write_bytes(path.read_bytes().replace(b"0123456789", b"0123456788"))
+    assert rules(path) == {"archive.zip"}
+
+
+def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
+    """Members that climb out of the archive, or have absolute paths, are not unpacked."""
+    target = tmp_path / "evil.txt"
+    names = ["../evil.txt", "a/../../evil.txt", str(target), "..\\evil.txt"]
+    path = Archive(2, {DESCRIPTION: b"<a/>", **dict.fromkeys(names, b"1")}).write(tmp_path / "lag.fmu")
+    assert "archive.name" in rules(path)
+    assert not target.exists()
+    assert not (tmp_path.parent / "evil.txt").exists()
+
+
+def test_a_huge_archive_is_not_unpacked_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What unpacks to more than the limit is told, and left."""
+    monkeypatch.setattr("orchestrator.check.unpack.MOST_BYTES", 1000)
+    path = Archive(2, {DESCRIPTION: b"<a/>", "resources/big": bytes(2000)}).write(tmp_path / "lag.fmu")
+    assert "archive.size" in rules(path)
+
+
+def test_a_large_file_is_noted(
+    good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tools unpack an FMU for each model or instance; a large one is worth a note."""
+    monkeypatch.setattr("orchestrator.check.static.contents.LARGEST", 1000)
+    assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
+
+
+def test_another_suffix_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Tools open .fmu files; one that is named .zip is told so."""
+    assert rules(good[2].write(tmp_path / "lag.zip")) == {"archive.suffix"}
+
+
+def test_fmpy_speaks_where_no_rule_does(
+    good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What FMPy says and no rule covers is told in FMPy's words."""
+    lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
+    path = lacking.write(tmp_path / "lag.fmu")
+    assert rules(path) == {"structure.initial"}
+    monkeypatch.setattr("orchestrator.check.static.description.COVERED", {})
+    assert rules(path) == {"structure.initial", "fmpy.validate"}
+
+
+@pytest.mark.parametrize(("path", "says"), [("gone.fmu", "no such file"), (".", "got a folder")])
+def test_a_path_without_file_is_the_users_mistake(path: str, says: str, tmp_path: Path) -> None:
+    """No file, no report."""
+    with pytest.raises(Problem, match=says):
+        check(tmp_path / path, run=False)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_mutations_never_stop_the_check(
+    good: Mapping[int, Archive], tmp_path: Path, data: st.DataObject
+) -> None:
+    """Whatever is cut out of, or doubled in, the description: findings, and no rule that breaks."""
+    archive = good[data.draw(st.sampled_from([2, 3]))].drop("binaries")
+    text = archive.members[DESCRIPTION].decode()
+    for _ in range(data.draw(st.integers(1, 4))):
+        start = data.draw(st.integers(0, len(text) - 1))
+        stop = data.draw(st.integers(start, min(len(text), start + 60)))
+        insert = data.draw(
+            st.sampled_from(["", "-1", "nan", "é", text[start:stop] * 2, '"', "99999999999999999999"])
+        )
+        text = text[:start] + insert + text[stop:]
+    rules(archive.put(DESCRIPTION, text).write(tmp_path / "lag.fmu"))
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**32), st.binary(min_size=1, max_size=40))
+def test_bytes_changed_in_the_file_never_stop_the_check(
+    good: Mapping[int, Archive], tmp_path: Path, where: int, insert: bytes
+) -> None:
+    """Bytes overwritten anywhere, also in libraries and in the directory of the archive."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in good[2].members.items():
+            archive.writestr(name, data)
+    content = bytearray(buffer.getvalue())
+    at = where % len(content)
+    content[at : at + len(insert)] = insert
+    path = tmp_path / "lag.fmu"
+    path.write_bytes(content)
+    rules(path)
