@@ -5,7 +5,7 @@ The equations are those of `fmus.coupled`, the names those of `fmus.flat`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -119,7 +119,7 @@ def _type(name: str, members: Mapping[str, Quantity]) -> type[Any]:
 
 def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:
     """The numbers of the whole; of several with one name the first counts, the value is the same."""
-    ends = names | {targets[0]: own for own, targets in inputs.items()}
+    ends = {**names} | {targets[0]: own for own, targets in inputs.items()}
     found: dict[str, dict[str, Number]] = {"parameters": {}, "start": {}}
     for component, sections in tables.items():
         for section, entries in sections.items():
@@ -132,10 +132,8 @@ def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tabl
 _DEEP = 9  # levels down to which two requirements with the same text are compared
 
 
-def _equations(
-    whole: Coupled, names: Names, states: type[Any], outputs: type[Any]
-) -> dict[str, Callable[[Any, Any, Any], Any]]:
-    """The functions of the contract, over the groups of the whole."""
+def _equations(whole: Coupled, names: Names, states: type[Any], outputs: type[Any]) -> dict[str, Any]:
+    """The functions of the contract by name, over the groups of the whole."""
     rows = {n: [i for i, v in enumerate(whole.outputs) if names.get(v) == n] for n in quantities(outputs)}
     shown = column(*(sum(whole.y[i] for i in found) for found in rows.values()))
     f, g = whole.function("f", whole.dx), whole.function("g", shown)
