@@ -68,6 +68,11 @@ SIMULINK = Tool(
         "ability.state": _note("no fast restart and no saved operating point", "FMIKit#136 FMIKit#226"),
         "experiment.step": _note("communication points drift by rounding", "FMIKit#133"),
         "identity.token": _note("a wrong GUID stops the import", "FMIKit#80"),
+        "run.default": _warning("waits without end when a step hangs", "FMIKit#225"),
+        "run.first_output": _warning("shows the first output as it is after initialisation", "FMIKit#219"),
+        "run.drift": _warning("sums its communication points", "FMIKit#133"),
+        "run.instances": _warning("each block is an instance in one process", "FMIKit#328 FMIKit#397"),
+        "run.state": _warning("restores states for operating points", "FMIKit#136 FMIKit#226"),
     },
 )
 DYMOLA = Tool(
@@ -109,6 +114,8 @@ OPENMODELICA = Tool(
         ),
         "ability.state": _note("state is asked for by users", "OpenModelica#7939"),
         "contents.icon": _note("shows an empty block", "OpenModelica#13162"),
+        "run.start_time": _warning("starts at other times than 0", "OpenModelica#11855"),
+        "run.leak": _warning("many instances one after another", "OpenModelica#9220"),
     },
 )
 AMESIM = Tool(
@@ -135,6 +142,12 @@ FMPY = Tool(
         ),
         "version.new": _warning("simulate_ssp takes FMI 1 and 2 only", ""),
         "experiment.step": _note("communication points drift by rounding", "FMPy#887"),
+        "run.load": _error("cannot load the library", "FMPy#545 FMPy#642"),
+        "run.drift": _warning("sums its communication points", "FMPy#887"),
+        "run.start_time": _warning("starts at other times than 0", "FMPy#638"),
+        "run.serialize": _warning("restores states of another process", "FMPy#811"),
+        "run.leak": _warning("many instances one after another", "FMPy#110 FMPy#608 FMPy#343"),
+        "run.resources": _warning("unpacks to folders of all names", "FMPy#230"),
     },
 )
 FMUSIM = Tool(
@@ -160,6 +173,7 @@ PYFMI = Tool(
             "algebraic loops are solved with directional derivatives only", "PyFMI#83"
         ),
         "structure.dependencies": _warning("sees algebraic loops that are not there", "PyFMI#232"),
+        "run.start_time": _warning("starts at other times than 0", "PyFMI#261"),
     },
 )
 OMSIMULATOR = Tool(
