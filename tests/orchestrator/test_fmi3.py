@@ -12,8 +12,8 @@ from any_fmu.models import WIDTHS
 from orchestrator import Problem, Trace, assemble, library, load, run
 from orchestrator.archive import Location
 from orchestrator.callbacks import named
+from orchestrator.description import read_interface
 from orchestrator.fmu import FmuSlave
-from orchestrator.interface import read_interface
 from orchestrator.signals import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">

@@ -8,8 +8,8 @@ import pytest
 
 from orchestrator import Problem, load
 from orchestrator.archive import Location
+from orchestrator.description import read_interface
 from orchestrator.fmu import FmuSlave, pointer
-from orchestrator.interface import read_interface
 from orchestrator.library import Library
 
 
