@@ -13,7 +13,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
 from fmus.contract import quantities, symbolic
-from fmus.machine import SUBSYSTEMS
+from fmus.machine import ALL, SUBSYSTEMS
 from fmus.parameters import values
 from fmus.reference import trace, work_cycle
 
@@ -66,7 +66,7 @@ def start_values(name: str) -> dict[str, float]:
     return {n: float(v[0]) for n, v in stimulus(name, np.zeros(1)).items()}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ALL)
 def test_fmpy_finds_no_problem(fmu_dir, name):
     """Schema, model structure, units and names pass FMPy's validation."""
     assert validate_fmu(str(fmu_dir / f"{name}.fmu")) == []

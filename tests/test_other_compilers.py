@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 
-from fmus.machine import SUBSYSTEMS
+from fmus.machine import ALL
 
 STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
@@ -46,7 +46,7 @@ def gcc(*arguments: object) -> None:
 
 @needs_gcc
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
-@pytest.mark.parametrize("name", tuple(SUBSYSTEMS))
+@pytest.mark.parametrize("name", tuple(ALL))
 def test_sources_compile_without_a_warning(request, tmp_path, name, version):
     """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
     code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)
