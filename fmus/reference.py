@@ -1,4 +1,6 @@
-"""Makes work cycle, reference trace and the operator's program: `python -m fmus.reference DATA_FOLDER`.
+"""Makes work cycle, reference trace, operator's program, and the experiments that FMUs carry as their proof.
+
+    python -m fmus.reference DATA_FOLDER
 
 The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
 Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
@@ -7,17 +9,19 @@ Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.experiment import machine, write_reference
+from fmus.harvester import HARVESTER
+from fmus.machine import ALL, CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.operator import OPERATOR
 from fmus.parameters import write
 from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, operator_numbers, sample
+from fmus.tables import write_csv
 
 TOLERANCE = 1e-11  # relative, of CVODES
 EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (17 Hz)
@@ -42,13 +46,6 @@ SIGNALS = (
 )
 
 
-def write_csv(path: Path, names: Sequence[str], rows: NDArray[np.float64], digits: int) -> None:
-    """Columns (n, m) with a header; `digits` significant digits."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    body = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
-    path.write_text("\n".join([",".join(names), *body, ""]), encoding="utf-8", newline="\n")
-
-
 def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time (n,) and commands (n, 3) of the work cycle, rounded so that ten digits hold them."""
     time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
@@ -70,7 +67,7 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def main(folder: Path) -> None:
-    """Write scenario and trace below `folder`, and the operator's program to its parameters.toml."""
+    """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
     write(OPERATOR.values, operator_numbers())
     time, commands = work_cycle()
     write_csv(
@@ -79,6 +76,9 @@ def main(folder: Path) -> None:
     time, signals = trace()
     kept = np.column_stack([time, signals])[::EVERY]
     write_csv(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
+    known = machine()
+    for sub in (*ALL.values(), HARVESTER):
+        write_reference(sub, known)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from fmus.export import tables
 from fmus.export.codegen import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface
 from fmus.export.model_description import LOG_CATEGORIES, package_version
+from fmus.export.proof import PAGE, proof
 from fmus.export.prose import prose
 from fmus.parameters import SOURCES
 
@@ -43,4 +44,5 @@ def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, ic
         hidden=tables.hidden(face),
         sources={word: meaning for word, meaning in SOURCES.items() if word in used},
         categories=LOG_CATEGORIES,
+        proof=PAGE.rpartition("/")[2] if proof(sub) else "",
     )

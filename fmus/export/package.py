@@ -15,6 +15,7 @@ from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface
 from fmus.export.model_description import model_description
 from fmus.export.model_description3 import build_description, model_description3
+from fmus.export.proof import proof
 from fmus.export.terminals import terminals
 from fmus.files import shipped
 from fmus.parameters import Values, document, values
@@ -51,7 +52,7 @@ def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values 
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description(sub.name, _COMPILED)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
-    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop), _COMPILED)
+    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), _COMPILED)
 
 
 def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:

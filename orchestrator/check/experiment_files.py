@@ -7,6 +7,7 @@ seen so far, with the times at the element Experiment or at TransientSimulation 
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from orchestrator.xml import Element, child, children, local, parse
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{PLACE}/fmi-ls-manifest.xml"
 NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
+TYPES = ("text/csv", "application/x-ssp-parameter-set")  # of files that are read
 ANALYSES = (  # of experiments that are no simulation over time
     *("SteadyState", "ParameterOptimization", "SetPointOptimization"),
     *("SensitivityAnalysis", "TrajectoryOptimization", "Linearization"),
@@ -99,7 +101,10 @@ def experiments(folder: Path, file: Path) -> Iterator[Case | str]:
         name = e.get("name", file.stem)
         other = [local(x) for x in e if local(x) in ANALYSES]
         reference = _source(folder, file, e, "References")
-        if other:
+        strange = [f"{local(x)} of type {x.get('type')}" for x in e if x.get("type", TYPES[0]) not in TYPES]
+        if strange:
+            yield f'experiment "{name}" has {strange[0]}, expected {" or ".join(TYPES)}'
+        elif other:
             yield f'experiment "{name}" is a {other[0]}, expected a TransientSimulation'
         elif reference is None:
             yield f'experiment "{name}" has no reference result'
@@ -158,10 +163,13 @@ def parameter_set(path: Path) -> dict[str, str]:
 
 def table(path: Path) -> Table:
     """A CSV file whose first column is the time."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        head = file.readline()
-        file.seek(0)
-        rows = [r for r in csv.reader(file, delimiter=";" if ";" in head and "," not in head else ",") if r]
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise Problem(f"{path.name}: is not a CSV file: {error}") from None
+    head = text.partition("\n")[0]
+    delimiter = ";" if ";" in head and "," not in head else ","
+    rows = [r for r in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if r]
     if len(rows) < 2:
         raise Problem(f"{path.name}: expected a header and rows of numbers, got {len(rows)} lines")
     names = [n.strip() for n in rows[0]]

@@ -1,0 +1,154 @@
+"""The reference experiment of each subsystem: inputs from the machine at work, result from its equations.
+
+At each communication point the inputs are set; within a step of length H input i moves as the FMU moves it,
+
+    u_i(tau) = u_i + r_i tau + s_i tau^2 / 2 + ...      r, s: the inputs that carry its derivatives, as set
+
+(docs/design.md, "Inputs inside a step"), and CVODES solves dx/dt = f(x, u(tau), p) from step to step. So a
+tool that sets the inputs at the communication points and holds them reproduces the result, whatever the step
+does to the accuracy of a coupling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import factorial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import Subsystem, column, quantities, symbolic
+from fmus.export.interface import interface
+from fmus.export.proof import STEP, data_file, parameter_set
+from fmus.machine import COMMAND_WIRES, CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.monolith import join, simulate
+from fmus.operator import OPERATOR
+from fmus.parameters import Values, values
+from fmus.tables import write_csv
+
+Array = NDArray[np.float64]
+STOP = 8.0  # s: each lever moved both ways, or nearly
+EVERY = 4  # steps between two rows of the result
+TOLERANCE = 1e-11  # relative, and absolute times the nominal value
+INPUT_DIGITS, RESULT_DIGITS = 10, 9
+REST = 1e-6  # of the nominal value: a signal that moves less is none
+
+
+def machine() -> dict[str, Array]:
+    """`component.variable` -> samples (n,) every STEP from 0 to STOP: all signals of the machine at work."""
+    count = round(STOP / STEP)
+    time = np.arange(2 * count + 1) * STEP / 2  # corners of the strokes lie on this grid, too
+    levers = symbolic(OPERATOR).function().map(time.size)
+    p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
+    commands = np.asarray(levers(time[None, :], ca.DM(0, time.size), p)[1])
+    known = {f"operator.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)}
+    known["operator.clock"] = time
+    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    sources = {end: known[source] for source, end in COMMAND_WIRES}
+    constant = dict(zip(model.inputs, model.u, strict=True))
+    driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in INPUTS.items()}
+    _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=TOLERANCE)
+    known |= dict(zip(model.output_names, outputs.T, strict=True))
+    known |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
+    known |= {target: known[source] for source, target in CONNECTIONS}
+    return {name: samples[::2] for name, samples in (known | driven).items()}
+
+
+def stimuli(sub: Subsystem, known: Mapping[str, Array]) -> dict[str, Array]:
+    """Inputs that move and matter -> samples (n,), rounded to the digits of the file."""
+    model, declared = symbolic(sub), quantities(sub.inputs)
+    equations, rates = column(model.dx, model.y), {q.rate for q in declared.values()}
+    found = {}
+    for i, name in enumerate(declared):
+        samples = known.get(f"{sub.name}.{name}", known.get(name))
+        used = name in rates or ca.depends_on(equations, model.u[i])  # else it only initialises
+        if used and samples is not None and np.ptp(samples) > 0:
+            found[name] = np.array([float(f"{x:.{INPUT_DIGITS}g}") for x in samples])
+    return found
+
+
+def start_values(sub: Subsystem, moving: Mapping[str, Array]) -> Values:
+    """The numbers of the experiment: those of the subsystem, inputs as the machine starts."""
+    v = values(sub)
+    return Values(v.p, {n: float(moving[n][0]) if n in moving else u for n, u in v.u.items()}, v.x)
+
+
+# ---- the solution
+
+
+def solve(sub: Subsystem, v: Values, moving: Mapping[str, Array], count: int) -> dict[str, Array]:
+    """Outputs -> samples (count + 1,): at the end of each step, the inputs as they have moved by then."""
+    model = symbolic(sub)
+    nominal = np.array([q.nominal for q in quantities(sub.states).values()])
+    tau, z = ca.SX.sym("tau"), ca.SX.sym("z", nominal.size)
+    at = _moved(sub, model.u, tau)
+    f, g = model.function(), ca.Function("start", [model.x, model.u, model.p], [model.start])
+    ode = {"x": z, "t": tau, "p": column(model.u, model.p), "ode": f(z * nominal, at, model.p)[0] / nominal}
+    options = {"reltol": TOLERANCE, "abstol": TOLERANCE, "max_num_steps": 1_000_000}
+    step = ca.integrator("step", "cvodes", ode, 0.0, STEP, options)
+    end = ca.Function(
+        "end", [model.x, model.u, model.p], [f(model.x, ca.substitute(at, tau, STEP), model.p)[1]]
+    )
+    inputs = [[float(moving[n][k]) if n in moving else u for n, u in v.u.items()] for k in range(count + 1)]
+    p = list(v.p.values())
+    x = g(list(v.x.values()), inputs[0], p).full()[:, 0]
+    rows = [f(x, inputs[0], p)[1].full()[:, 0]]
+    for u in inputs[:-1]:
+        x = step(x0=x / nominal, p=[*u, *p])["xf"].full()[:, 0] * nominal
+        rows.append(end(x, u, p).full()[:, 0])
+    return dict(zip(quantities(sub.outputs), np.array(rows).T, strict=True))
+
+
+def _moved(sub: Subsystem, u: ca.SX, tau: ca.SX) -> Any:
+    """The inputs at tau, each moved by the inputs that carry its derivatives."""
+    declared = quantities(sub.inputs)
+    names = list(declared)
+    terms = []
+    for name in names:
+        value, order, rate = u[names.index(name)], 0, declared[name].rate
+        while rate is not None:
+            order += 1
+            value = value + u[names.index(rate)] * tau**order / factorial(order)
+            rate = declared[rate].rate
+        terms.append(value)
+    return column(*terms)
+
+
+def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Array]) -> list[str]:
+    """What is compared: outputs that move and that do not jump when the next inputs are set.
+
+    Inputs without a rate jump at each communication point. Watched outputs are warnings, not signals.
+    """
+    model, outputs = symbolic(sub), quantities(sub.outputs)
+    jumping = [
+        model.u[i] for i, (n, q) in enumerate(quantities(sub.inputs).items()) if n in moving and not q.rate
+    ]
+    return [
+        name
+        for i, (name, q) in enumerate(outputs.items())
+        if q.warn_above is None
+        and np.ptp(found[name]) > REST * q.nominal
+        and not ca.depends_on(model.y[i], column(*jumping))
+    ]
+
+
+def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
+    """Write the files of the experiment beside the subsystem."""
+    moving = stimuli(sub, known)
+    v = start_values(sub, moving)
+    count = round(STOP / STEP)
+    found = solve(sub, v, moving, count)
+    time = np.arange(count + 1) * STEP
+    shown = signals(sub, moving, found)
+    rows = np.column_stack([time, *(found[n] for n in shown)])[::EVERY]
+    write_csv(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
+    if moving:
+        rows = np.column_stack([time, *moving.values()])
+        write_csv(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
+    face = interface(sub, v)
+    settable = {
+        x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
+    }
+    data_file(sub, "parameters.ssv").write_bytes(parameter_set(sub, settable))
