@@ -19,11 +19,7 @@ def fmu_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def fmi3_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the same FMUs in FMI 3."""
-    from fmus.export.build import build_all
-    from fmus.machine import ALL
-    from fmus.scenarios import WORK_CYCLE_STOP
+    """Folder with the same files in FMI 3 and SSP 2."""
+    from fmus.build import build_machine
 
-    folder = tmp_path_factory.mktemp("fmi3")
-    build_all(list(ALL.values()), {3: folder}, 1e-3, WORK_CYCLE_STOP)
-    return folder
+    return build_machine(tmp_path_factory.mktemp("fmi3"), versions=(3,))[0].parent

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.build import data
+from fmus.machine import COMMAND_WIRES, CONNECTIONS
 
 STEP = 1e-3  # s
 JOINTS = ("swing", "boom", "stick")
@@ -20,6 +22,9 @@ PRESSURES = (
 SIGNALS = (*(f"manipulator.{j}_{kind}" for kind in ("speed", "angle") for j in JOINTS), *PRESSURES)
 # the manipulator first: it alone can be initialised without the others
 ORDER = ("manipulator", "boom_stick", "swing", "operator")
+
+RATED = CONNECTIONS + COMMAND_WIRES
+HELD = tuple(wire for wire in RATED if not wire[1].endswith(("_rate", "_acceleration")))
 
 # NRMSE over range. Measured: speed 2e-4, angle 3e-6, pressure 2e-4, the error of the coupling at 1 ms (it
 # is 4 times as large at 2 ms); the bars of the project's own master are 5e-3, 5e-4 and 1e-2
@@ -55,17 +60,37 @@ def agree(time: np.ndarray, found: Mapping[str, np.ndarray], limits: Mapping[str
         assert error < limit, f"{name}: NRMSE {error:.2e}, expected below {limit:.0e}"
 
 
+def worst(time: np.ndarray, found: Mapping[str, np.ndarray], kind: str) -> float:
+    """The largest error of one kind."""
+    return max(nrmse(time, {n: values for n, values in found.items() if kind in n}).values())
+
+
+def same(found: Mapping[str, np.ndarray], ours: Mapping[str, np.ndarray], tolerance: float) -> None:
+    """Two runs at the same instants differ by less than `tolerance` of the range of the second."""
+    for name, values in found.items():
+        expected = ours[name][: len(values)]
+        deviation = np.max(np.abs(values - expected)) / np.ptp(expected)
+        assert deviation < tolerance, f"{name}: {deviation:.1e} of range, expected below {tolerance:.0e}"
+
+
 def step_through(
-    stop: float, step: Callable[[], Any], take: Callable[[], list[float]]
+    stop: float, step: Callable[[], Any], take: Callable[[], list[float]], size: float = STEP
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Take a tool to `stop` step by step; SIGNALS at every 20th step, where the reference has its samples."""
-    rows = []
-    for n in range(1, round(stop / STEP) + 1):
+    """Take a tool to `stop` step by step; SIGNALS every 20 ms, where the reference has its samples."""
+    rows, every = [], round(0.02 / size)
+    for n in range(1, round(stop / size) + 1):
         step()
-        if n % 20 == 0:
-            rows.append([n * STEP, *take()])
+        if n % every == 0:
+            rows.append([n * size, *take()])
     columns = np.array(rows).T
     return columns[0], dict(zip(SIGNALS, columns[1:], strict=True))
+
+
+def check_log(text: str, known: Collection[str] = ()) -> None:
+    """No line of a tool's log tells of an error; `known` lines are the tool's own."""
+    bad = re.compile("error|fatal|fail|discard|warn|not provided|cannot|refuse", re.IGNORECASE)
+    lines = [line for line in text.splitlines() if bad.search(line) and line.strip() not in known]
+    assert not lines, "\n".join(lines)
 
 
 def load(name: str) -> Any:
