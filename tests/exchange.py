@@ -72,7 +72,7 @@ def instance(path: Path, kind: str, first: Piece, tolerance: float | None = None
 
 
 def stepped(path: Path, pieces: Sequence[Piece], tolerance: float, step: float) -> dict[str, np.ndarray]:
-    """Outputs at the end of each step by Co-Simulation; rate inputs among the inputs move the others in it."""
+    """Outputs at the end of each step by Co-Simulation, where the rate inputs move the others."""
     with instance(path, "CoSimulation", pieces[0], tolerance) as made:
         rows = []
         for piece in pieces:

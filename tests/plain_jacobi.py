@@ -41,7 +41,7 @@ def _plain(network: Network) -> Callable[[float, float], None]:
 def ours(
     folder: Path, step: float, stop: float, rates: bool = True, master: str = "plain"
 ) -> dict[str, np.ndarray]:
-    """The work cycle with harvester.ssp of `folder`, or without rate wires: SIGNALS every 20 ms after the start."""
+    """The work cycle with harvester.ssp of `folder`, or without its rate wires: SIGNALS every 20 ms."""
     MASTERS["plain"] = _plain
     system = load(folder / "harvester.ssp")
     if not rates:

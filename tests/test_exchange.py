@@ -23,7 +23,7 @@ BAR = 1e-8
 
 
 def compare(path: Path, found: dict[str, np.ndarray], expected: dict[str, np.ndarray], bar: float) -> None:
-    """Every output within `bar` of its range, or of its nominal value where it does not move (voids, stops)."""
+    """Every output within `bar` of its range; of its nominal value where it does not move, as voids."""
     nominal = {v.name: float(v.nominal or 1) for v in read_model_description(str(path)).modelVariables}
     for name, values_ in expected.items():
         spread = np.ptp(values_)
