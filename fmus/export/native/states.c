@@ -1,5 +1,6 @@
 /* Saved states: memory of the caller that holds the bytes of snapshot.c. */
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -27,6 +28,8 @@ Status states_set(Instance *self, const void *state) {
     if (restored.type != self->core.s.type)
         return refuse(self, "the saved state is of an instance for %s",
                       restored.type == CO_SIMULATION ? "co-simulation" : "model exchange");
+    if (!(restored.phase & ANY & ~INSIDE_STEP) || !isfinite(restored.time))
+        return refuse(self, "the saved state is none of this model%s", "");
     memcpy(&self->core.s, &restored, sizeof restored);
     core_changed(&self->core);
     return OK;
