@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.build import data
+from fmus.machine import ALL
 from fmus.poses import POSES
 from orchestrator import commands, read
 from orchestrator.__main__ import main
@@ -38,10 +39,11 @@ def own_reference(old: str = "", new: str = "") -> str:
 
 
 def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
-    """Four FMUs and the system that connects them, each told with its size."""
+    """The FMUs and the system that connects them, for FMI 2.0 and 3.0, each told with its size."""
     monkeypatch.chdir(tmp_path)
     assert main(["build", "--out", "new/folder"]) == 0
-    names = ["swing.fmu", "boom_stick.fmu", "manipulator.fmu", "operator.fmu", "harvester.ssp"]
+    files = [*(f"{name}.fmu" for name in (*ALL, "harvester")), "harvester.ssp"]
+    names = [*files, *(f"fmi3/{name}" for name in files)]
     printed = capsys.readouterr().out.splitlines()
     assert [Path(line.split()[0]) for line in printed] == [Path("new/folder") / name for name in names]
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
