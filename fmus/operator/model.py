@@ -28,9 +28,9 @@ from fmus.operator.variables import (
 )
 
 
-def _lever(lever: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
+def _lever(which: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
     """Command and rate of one lever; strokes that overlap add up."""
-    strokes = [Stroke(*(getattr(p, stroke_name(lever, n, word)) for word in WORDS)) for n in STROKES]
+    strokes = [Stroke(*(getattr(p, stroke_name(which, n, word)) for word in WORDS)) for n in STROKES]
     values, rates = zip(*(sample(stroke, clock) for stroke in strokes), strict=True)
     return sum(values), sum(rates)
 
@@ -43,8 +43,8 @@ def dynamics(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorState:
 def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
     """Outputs."""
     shown: dict[str, Scalar] = {}
-    for lever in LEVERS:
-        shown[f"{lever}_command"], shown[f"{lever}_command_rate"] = _lever(lever, x.clock, p)
+    for which in LEVERS:
+        shown[f"{which}_command"], shown[f"{which}_command_rate"] = _lever(which, x.clock, p)
     return OperatorOutputs(**shown)
 
 

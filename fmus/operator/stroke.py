@@ -30,8 +30,8 @@ class Stroke:
 def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
     """Command [V] and its rate [V/s] at `time` [s]; at a corner the rate to the right of it.
 
-    It is looked for 10 ns ahead: a clock that adds up steps may be short of a corner by rounding (measured: 1 ns
-    after 42 s in steps of 20 us), and the rate of the left side would carry the input through the whole next step.
+    It is looked for 10 ns ahead: a clock that adds up steps may be short of a corner by rounding (measured:
+    1 ns after 42 s in steps of 20 us), and the rate of the left side would carry an input astray for a step.
     """
     s = stroke
     up = s.start + s.rise
