@@ -353,6 +353,24 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size
 }
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return (void)c, (void)z, (void)n, fmi2OK; }
 
+/* ---- FMI 2: what the model does not need and importers look for */
+
+#define EMPTY(NAME, ...) \
+    fmi2Status fmi2##NAME(fmi2Component c, __VA_ARGS__) { return no(c, "there is nothing of this kind"); }
+#pragma clang diagnostic ignored "-Wunused-parameter"
+EMPTY(GetInteger, REFS, fmi2Integer v[])
+EMPTY(GetBoolean, REFS, fmi2Boolean v[])
+EMPTY(GetString, REFS, fmi2String v[])
+EMPTY(SetInteger, REFS, const fmi2Integer v[])
+EMPTY(SetBoolean, REFS, const fmi2Boolean v[])
+EMPTY(SetString, REFS, const fmi2String v[])
+EMPTY(SetRealInputDerivatives, REFS, const fmi2Integer o[], const fmi2Real v[])
+EMPTY(GetStatus, const fmi2StatusKind k, fmi2Status *v)
+EMPTY(GetIntegerStatus, const fmi2StatusKind k, fmi2Integer *v)
+EMPTY(GetBooleanStatus, const fmi2StatusKind k, fmi2Boolean *v)
+EMPTY(GetStringStatus, const fmi2StatusKind k, fmi2String *v)
+fmi2Status fmi2CancelStep(fmi2Component c) { return no(c, "nothing to cancel"); }
+
 /* ---- FMI 3 */
 
 #undef REFS

@@ -1,0 +1,195 @@
+"""The experiment an FMU ships: it is run and compared for any FMU; files that do not fit are told."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import fmpy
+import pytest
+
+from check.oscillator import Oscillators
+from orchestrator.check.experiment import EXPERIMENT
+from orchestrator.check.experiment_files import PLACE
+from orchestrator.check.finding import Finding
+from orchestrator.check.subject import Subject
+
+LS = "http://fmi-standard.org/fmi-ls-manifest"
+HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-ref">'
+
+
+def unpacked(path: Path, folder: Path) -> Subject:
+    """An FMU for the check."""
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    return Subject(path, folder)
+
+
+@pytest.fixture(scope="module")
+def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
+    """The workshop."""
+    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()
+
+
+@pytest.fixture(scope="module")
+def result(oscillators: Oscillators) -> str:
+    """Position of the oscillator over its default experiment, as a CSV file."""
+    rows = fmpy.simulate_fmu(
+        str(oscillators.make()), validate=False, fmi_type="CoSimulation", output=["position"]
+    )
+    return "time,position\n" + "".join(f"{t!r},{x!r}\n" for t, x in rows.tolist())
+
+
+def related(*rows: tuple[str, str, str]) -> str:
+    """A manifest of (type, source, role)."""
+    lines = "".join(f'<Related type="{t}" source="{s}" role="{r}"/>' for t, s, r in rows)
+    return f"{HEAD}{lines}</fmiReferences>"
+
+
+def said(oscillators: Oscillators, folder: Path, files: Mapping[str, str], major: int = 2) -> list[Finding]:
+    """What is said of the oscillator with these files; the manifest is "manifest"."""
+    names = {"manifest": "fmi-ls-manifest.xml"}
+    extra = {f"{PLACE}/{names.get(n, n)}": text for n, text in files.items()}
+    return list(EXPERIMENT(unpacked(oscillators.make(major, extra=extra), folder)))
+
+
+EXP, CSV, SSV = "application/x-ma-hs-experiments", "text/csv", "application/x-ssp-parameter-set"
+RESULT_ONLY = related((CSV, "lag_out.csv", "result"))
+WITH_EXPERIMENT = related((EXP, "a.exp", "experiment"), (CSV, "r.csv", "result"))
+PARAMETERS = (
+    '<s:ParameterSet xmlns:s="x" version="1.0"><s:Parameters>'
+    '<s:Parameter name="stiffness"><s:Real value="80"/></s:Parameter></s:Parameters></s:ParameterSet>'
+)
+OLD = (
+    '<Experiments name="a"><Experiment name="b" startTime="0" stopTime="2" stepSize="0.01">{}'
+    "</Experiment></Experiments>"
+)
+NEW = (
+    '<Experiments name="a"><Experiment name="b"><TransientSimulation stopTime="2" stepSize="0.01"/>{}'
+    "</Experiment></Experiments>"
+)
+REFERENCES = '<References source="r.csv"/>'
+STEADY = NEW.format(REFERENCES).replace("TransientSimulation", "SteadyState")
+OTHER = NEW.format('<References type="application/hdf5" source="r.csv"/>')
+OFTEN = OLD.format(REFERENCES).replace("0.01", "often")
+
+
+@pytest.mark.parametrize("major", [2, 3])
+def test_a_result_alone_is_that_of_the_default_experiment(oscillators, tmp_path, result, major):
+    """As the Reference-FMUs ship it: a CSV file with the role result."""
+    (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": result}, major)
+    assert finding.severity == "note"
+    # the same calls give the same bits
+    assert 'experiment "lag_out" agrees with lag_out.csv: NRMSE over range position 0' in finding.text
+
+
+def test_a_result_that_the_fmu_does_not_give_is_an_error(oscillators, tmp_path, result):
+    """Half the position is off by a quarter of its range or so."""
+    rows = [line.split(",") for line in result.splitlines()[1:]]
+    half = "time,position\n" + "".join(f"{t},{float(x) / 2!r}\n" for t, x in rows)
+    (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": half})
+    assert finding.severity == "error"
+    assert "differs from lag_out.csv: NRMSE over range position 0." in finding.text
+
+
+@pytest.mark.parametrize("form", [OLD, NEW], ids=["times at Experiment", "TransientSimulation"])
+def test_both_forms_of_experiments_are_run(oscillators, tmp_path, result, form):
+    """With the times at the element itself, and in a child."""
+    files = {"manifest": WITH_EXPERIMENT, "a.exp": form.format(REFERENCES), "r.csv": result}
+    (finding,) = said(oscillators, tmp_path, files)
+    assert finding.text.startswith('experiment "b" agrees with r.csv')
+
+
+def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
+    """A stiffer spring under a constant force rests at u / stiffness in the long run."""
+    inner = '<Parameters source="p.ssv"/><Stimuli source="i.csv"/><References source="r.csv"/>'
+    files = {
+        "manifest": related((EXP, "a.exp", "experiment/validation")),
+        "a.exp": NEW.format(inner).replace('stopTime="2"', 'stopTime="40"'),
+        "p.ssv": PARAMETERS,
+        "i.csv": "time,u\n0,160\n",
+        "r.csv": "time,position\n40,2\n",
+    }
+    (finding,) = said(oscillators, tmp_path, files)
+    # what is left of the oscillation: exp(-0.25 * 40) = 5e-5
+    assert "agrees with r.csv" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("files", "text"),
+    [
+        ({"manifest": RESULT_ONLY}, '"lag_out.csv" (role result) is missing in the FMU'),
+        ({"manifest": related((CSV, "../../../out.csv", "result"))}, "lies outside of the FMU"),
+        ({"manifest": related((CSV, "https://example.org/a.csv", "result"))}, "lies outside of the FMU"),
+        ({"manifest": "<fmiReferences"}, "fmi-ls-manifest.xml: is not XML"),
+        ({"manifest": "<fmiReferences/>"}, "fmi-ls-name is None, expected 'org.fmi-standard.fmi-ls-ref'"),
+        (
+            {"manifest": WITH_EXPERIMENT, "a.exp": NEW.format(REFERENCES)},
+            "a.exp: 'r.csv' of References is missing in the FMU",
+        ),
+        ({"manifest": WITH_EXPERIMENT, "a.exp": NEW.format("")}, 'experiment "b" has no reference result'),
+        ({"manifest": WITH_EXPERIMENT, "a.exp": STEADY, "r.csv": ""}, 'experiment "b" is a SteadyState'),
+        ({"manifest": WITH_EXPERIMENT, "a.exp": OTHER, "r.csv": ""}, "References of type application/hdf5"),
+        (
+            {"manifest": WITH_EXPERIMENT, "a.exp": OFTEN, "r.csv": ""},
+            "expected a number for stepSize, got 'often'",
+        ),
+        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,h\n0,1\n1,2\n"}, "has columns h, the model does not"),
+        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,1,2\n"}, "line 2 has 3 columns"),
+        ({"manifest": RESULT_ONLY, "lag_out.csv": "a,position\nx,1\n"}, "first column is not the time"),
+        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,a\n"}, "position is 'a', expected 1"),
+    ],
+)
+def test_files_that_do_not_fit_are_told(oscillators, tmp_path, files, text):
+    """One line that names file and fault; the rest of the check goes on."""
+    found = said(oscillators, tmp_path, files)
+    assert any(text in f.text for f in found), found
+    assert all(f.severity in ("warning", "note") for f in found)
+    assert not any(str(tmp_path) in f.text for f in found)
+
+
+def test_a_parameter_set_that_names_strangers_is_told(oscillators, tmp_path, result):
+    """Names of the set that the model lacks, or cannot set."""
+    files = {
+        "manifest": related((CSV, "r_out.csv", "result"), (SSV, "p.ssv", "parameter")),
+        "r_out.csv": result,
+        "p.ssv": PARAMETERS.replace("stiffness", "mass"),
+    }
+    texts = [f.text for f in said(oscillators, tmp_path, files)]
+    assert 'experiment "r_out": p.ssv sets mass, which the model does not have' in texts
+
+
+def test_an_experiment_that_fails_is_an_error(oscillators, tmp_path, result):
+    """The text names the call and the time, and the check goes on."""
+    extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
+    subject = unpacked(oscillators.make(fault="error", extra=extra), tmp_path)
+    (finding,) = EXPERIMENT(subject)
+    assert finding.severity == "error"
+    assert 'does not come to its end: fmi2DoStep returned Error at t = 0.31 s: "no more"' in finding.text
+
+
+def test_inputs_belong_to_a_result_by_their_name(oscillators, tmp_path, result):
+    """model_in.csv beside model_out.csv; a pushed oscillator is another one than that of the result."""
+    files = {"manifest": RESULT_ONLY, "lag_out.csv": result, "lag_in.csv": "time,u\n0,20\n2,20\n"}
+    (finding,) = said(oscillators, tmp_path, files)
+    assert finding.severity == "error"
+
+
+def test_an_fmu_without_manifest_has_no_experiment(oscillators, tmp_path):
+    """Nothing to say."""
+    assert said(oscillators, tmp_path, {}) == []
+
+
+def test_model_exchange_alone_is_run_with_a_good_solver(oscillators, tmp_path, result):
+    """An FMU for model exchange only: CVODE comes near to what the FMU's own Heun steps gave."""
+    extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
+    path = oscillators.make(extra=extra, change=("<CoSimulation", "<!-- <CoSimulation"))
+    folder = tmp_path / "fmu"
+    subject = unpacked(path, folder)
+    text = (folder / "modelDescription.xml").read_text(encoding="utf-8")
+    head, _, tail = text.partition("<!-- <CoSimulation")
+    (folder / "modelDescription.xml").write_text(head + tail.partition("/>")[2], encoding="utf-8")
+    (finding,) = EXPERIMENT(subject)
+    # Heun with 2 to 4 ms at 6.3 rad/s: h^2 w^2 / 6 per radian, 1e-4 after 2 s
+    assert finding.severity == "note", finding

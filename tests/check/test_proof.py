@@ -1,0 +1,146 @@
+"""The experiment that our FMUs carry: it is that of the equations, and every FMU meets it."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmus.contract import quantities
+from fmus.experiment import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
+from fmus.export.build import build
+from fmus.export.proof import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
+from fmus.harvester import HARVESTER
+from fmus.machine import ALL
+from fmus.operator import OPERATOR
+from fmus.parameters import values
+from fmus.swing import SWING
+from orchestrator.check.experiment import cases
+from orchestrator.check.experiment_files import manifest, table
+from orchestrator.check.experiment_files import parameter_set as read_parameters
+from orchestrator.check.experiment_run import Comparison, compare
+from orchestrator.check.subject import Subject
+
+SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), HARVESTER)}
+
+
+def compared(path: Path, folder: Path) -> Comparison:
+    """The first experiment of an FMU."""
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    found, texts = cases(folder, manifest(folder))
+    assert texts == []
+    return compare(Subject(path, folder), found[0])
+
+
+@pytest.mark.parametrize("major", [2, 3])
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_each_fmu_meets_the_experiment_it_carries(request, tmp_path, name, major):
+    """CS with the FMU's own solver against CVODES on the equations: 1e-5 of range on every signal."""
+    folder = request.getfixturevalue({2: "fmu_dir", 3: "fmi3_dir"}[major])
+    result = compared(folder / f"{name}.fmu", tmp_path)
+    assert result.problems == []
+    assert result.end == ""
+    # a thousand times the tolerance of the experiment: errors over 8 s and in second derivatives
+    assert max(result.errors.values()) < BOUND, result.errors
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_another_importer_reproduces_the_result(fmu_dir, name):
+    """FMPy sets the inputs of the file at each communication point and holds them: the result comes out."""
+    path = fmu_dir / f"{name}.fmu"
+    with zipfile.ZipFile(path) as archive, archive.open(f"{PLACE}/result.csv") as file:
+        result = np.genfromtxt(file, delimiter=",", names=True)
+        members = archive.namelist()
+    inputs = data_file(SUBSYSTEMS[name], "input.csv")
+    assert inputs.is_file() == (f"{PLACE}/input.csv" in members)
+    found = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="CoSimulation",
+        stop_time=float(result["time"][-1]),
+        step_size=0.01,
+        output_interval=0.01,
+        relative_tolerance=TOLERANCE,
+        start_values=read_parameters(data_file(SUBSYSTEMS[name], "parameters.ssv")),
+        input=np.genfromtxt(inputs, delimiter=",", names=True) if inputs.is_file() else None,
+        output=list(result.dtype.names[1:]),
+    )
+    rows = found[np.searchsorted(found["time"], result["time"] - 1e-6)]
+    for signal in result.dtype.names[1:]:
+        deviation = np.sqrt(np.mean((rows[signal] - result[signal]) ** 2)) / np.ptp(result[signal])
+        assert deviation < BOUND, f"{signal}: {deviation:.2g} of range"
+
+
+def test_the_committed_experiments_are_those_of_the_equations():
+    """Inputs, parameters and the beginning of each result are what `python -m fmus.reference` writes."""
+    known = machine()
+    for sub in SUBSYSTEMS.values():
+        moving = stimuli(sub, known)
+        v = start_values(sub, moving)
+        told = table(data_file(sub, "result.csv"))
+        if moving:
+            given = table(data_file(sub, "input.csv"))
+            assert list(given.columns) == list(moving)
+            for name, samples in moving.items():
+                # the machine is solved to 1e-11; another CasADi rounds in another way
+                column = np.array([float(x) for x in given.columns[name]])
+                assert np.allclose(samples, column, rtol=1e-7, atol=1e-7 * np.ptp(samples)), name
+        stated = read_parameters(data_file(sub, "parameters.ssv"))
+        assert {n: float(x) for n, x in stated.items() if n in v.p} == dict(v.p)
+        found = solve(sub, v, moving, 200)
+        for name, column in told.columns.items():
+            shown = found[name][::4]
+            expected = np.array([float(x) for x in column[: shown.size]])
+            scale = quantities(sub.outputs)[name].nominal
+            # the digits of the file, and as above
+            assert np.allclose(shown, expected, rtol=10.0**-RESULT_DIGITS, atol=1e-6 * scale), name
+
+
+def test_what_is_compared_moves_and_does_not_jump():
+    """No signal of the experiment depends directly on an input that jumps at the communication points."""
+    n = 11
+    moving = {"swing_acceleration": np.linspace(0, 1, n), "swing_speed": np.linspace(0, 1, n)}
+    found = {name: np.linspace(0, 10 * q.nominal, n) for name, q in quantities(SWING.outputs).items()}
+    shown = signals(SWING, moving, found)
+    assert "swing_torque" in shown  # of the speed, which moves by the acceleration
+    assert "swing_torque_rate" not in shown  # of the acceleration
+    assert "swing_void_volume" not in shown
+
+
+def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_path):
+    """The parameter set brings the numbers of the experiment, whatever the FMU was built with."""
+    v = values(SWING)
+    other = replace(v, p={**v.p, "initial_preload": 3e6, "gear_ratio": 1.1 * v.p["gear_ratio"]})
+    path = build(SWING, tmp_path, numbers=other)
+    result = compared(path, tmp_path / "swing")
+    assert max(result.errors.values()) < BOUND
+
+
+def test_a_subsystem_without_reference_carries_none(tmp_path):
+    """Somebody's own subsystem is built as before."""
+    assert proof(replace(SWING, values=tmp_path / "parameters.toml")) == {}
+
+
+def test_an_experiment_without_inputs_has_no_stimuli():
+    """The operator has no inputs: no file, and none in the experiment."""
+    files = proof(OPERATOR)
+    assert f"{PLACE}/input.csv" not in files
+    assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
+    assert b"There are no inputs" in files[PAGE]
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_the_files_are_small(name):
+    """Below 200 kB each."""
+    assert all(len(content) < 200_000 for content in proof(SUBSYSTEMS[name]).values())
+
+
+def test_a_parameter_set_reads_back(tmp_path):
+    """Every digit that a double has."""
+    path = tmp_path / "p.ssv"
+    path.write_bytes(parameter_set(SWING, {"a": 0.1 + 0.2, "b": 1e-300}))
+    assert {n: float(x) for n, x in read_parameters(path).items()} == {"a": 0.1 + 0.2, "b": 1e-300}
