@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.check.finding import Finding, Rule
 from orchestrator.check.report import Report
-from orchestrator.check.static.description import told_already
+from orchestrator.check.static.description import without_repeats
 from orchestrator.check.subject import Subject, opened
 from orchestrator.check.tools import ANY, TOOLS
 from orchestrator.errors import Problem
@@ -41,8 +41,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
     with opened(path) as subject:
         found = [f for rule in (rules() if run else STATIC) for f in _applied(rule, subject)]
         title = _title(subject)
-    kept = tuple(f for f in found if f.rule != "fmpy.validate" or not told_already(f, found))
-    return Report(path, title, kept, tool)
+    return Report(path, title, without_repeats(found), tool)
 
 
 def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:

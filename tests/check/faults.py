@@ -149,7 +149,7 @@ XML_FAULTS = [
     Fault("no dependencies", "structure.dependencies", xml(OUTPUTS, '<Outputs><Unknown index="6"/></Outputs>'), "feed-through", severity="warning"),
     Fault("no dependencies", "structure.dependencies", xml(' dependencies="3" dependenciesKind="constant"', ""), "feed-through", 3, "warning"),
     Fault("depends on an output", "structure.knowns", xml('<Unknown index="5" dependencies="2 3 4"/>', '<Unknown index="5" dependencies="2 3 4 6"/>'), "y is output", severity="warning"),
-    Fault("depends on a parameter while running", "structure.knowns", xml('dependencies="2 4" dependenciesKind="fixed fixed"', 'dependencies="2 3 4"'), "rate is parameter", severity="warning"),
+    Fault("depends on a parameter while running", "structure.knowns", xml('dependencies="2 4" dependenciesKind="fixed fixed"', 'dependencies="2 3 4"'), "rate is parameter", severity="note"),
     Fault("depends on nothing known", "structure.knowns", xml('<Unknown index="6" dependencies="4"/></I', '<Unknown index="6" dependencies="4 99"/></I'), "99"),
     Fault("too few kinds", "structure.kinds", xml('dependenciesKind="fixed fixed"', 'dependenciesKind="fixed"'), "1 dependenciesKind"),
     Fault("kinds without dependencies", "structure.kinds", xml('<Unknown index="6" dependencies="4"/></I', '<Unknown index="6" dependenciesKind="dependent"/></I'), "without"),

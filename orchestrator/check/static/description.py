@@ -15,6 +15,8 @@ from orchestrator.xml import local
 
 RULES = Table()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
+FMPY = "fmpy.validate"
+MANY = 2000  # variables; FMPy takes milliseconds for each name
 STUMBLES = "cannot read the FMU"
 # What FMPy says -> the rules that say it better. FMPy's message is told when none of them found anything.
 COVERED = {
@@ -90,14 +92,15 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
         yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
 
 
-@RULES.rule("fmpy.validate", "FMPy's validation has no complaint that no other rule has")
+@RULES.rule(FMPY, "FMPy's validation has no complaint that no other rule has")
 def fmpy_validate(subject: Subject) -> Iterator[Finding]:
     if subject.root is None or not subject.major:
         return
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
 
-    options = {"validate": True, "validate_variable_names": True, "validate_model_structure": True}
+    names = len(subject.model.variables) <= MANY
+    options = {"validate": True, "validate_variable_names": names, "validate_model_structure": True}
     try:
         read_model_description(str(subject.folder), **options)
     except ValidationError as refusal:
@@ -107,12 +110,18 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
         yield error(f"FMPy {STUMBLES}: {type(problem).__name__}: {problem}", "fmpy")
 
 
-def told_already(found: Finding, others: Iterable[Finding]) -> bool:
-    """True when a rule among `others` has told what FMPy says, or why FMPy stumbles."""
-    covering = {r for pattern, rules in COVERED.items() if re.search(pattern, found.text) for r in rules}
-    stumbles = found.text.startswith(f"FMPy {STUMBLES}")
-    own = [f for f in others if f.rule != found.rule]
-    return any(f.rule in covering or (stumbles and f.severity == "error") for f in own)
+def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """The findings without those of FMPy that another rule has told, or that follow from an error told."""
+    everything = tuple(findings)
+    own = [f for f in everything if f.rule != FMPY]
+    ids, wrong = {f.rule for f in own}, any(f.severity == "error" for f in own)
+    covered = [re.compile(pattern) for pattern, rules in COVERED.items() if ids.intersection(rules)]
+
+    def told(f: Finding) -> bool:
+        stumbles = wrong and f.text.startswith(f"FMPy {STUMBLES}")
+        return f.rule == FMPY and (stumbles or any(p.search(f.text) for p in covered))
+
+    return tuple(f for f in everything if not told(f))
 
 
 @RULES.rule("kind.some", "The FMU offers Model Exchange or Co-Simulation")

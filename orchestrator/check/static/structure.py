@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, error, some, warning
+from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.model import Model, Unknown, Variable, whole
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
@@ -137,7 +137,8 @@ def knowns(subject: Subject) -> Iterator[Finding]:
                 if known is None:
                     yield error(f"{unknown}: dependency {key} is no variable")
                 elif whole_list and not _known(known, section, states, model.major):
-                    yield warning(
+                    say = note if known.causality == "parameter" else warning  # Reference-FMUs list them, too
+                    yield say(
                         f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
                         " expected an input, a state or what is known by then"
                     )
@@ -182,6 +183,6 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
         )
     special = [k for k in unknown.kinds if k != "dependent"]
     if special and unknown.variable and not unknown.variable.is_float:
-        yield error(
+        yield note(  # Reference-FMUs have it, too
             f"{unknown}: dependenciesKind {special[0]} of a {unknown.variable.type}, expected dependent"
         )
