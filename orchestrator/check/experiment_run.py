@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.check.experiment_files import Case, Table, parameter_set, table
-from orchestrator.check.probes.declared import NUMBERS, Declared, Variable
 from orchestrator.check.probes.parent import run
 from orchestrator.check.probes.rules import life
 from orchestrator.check.subject import Subject
 from orchestrator.errors import Problem
+from orchestrator.trial.declared import NUMBERS, Declared, Variable
 
 WORDS = {"true": 1.0, "false": 0.0}
 SETTABLE = ("parameter", "structuralParameter", "input")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.beacon import Beacon, Sighting
+from orchestrator.trial.beacon import Beacon, Sighting
 
 POLL = 0.01  # s between looks at the child
 WORDS = {
@@ -100,7 +100,7 @@ def _child(job: Mapping[str, Any]) -> Outcome:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(roots)}
         with (folder / "errors").open("wb") as errors:
             child = subprocess.Popen(
-                [sys.executable, "-m", "orchestrator.check.probes.child", name],
+                [sys.executable, "-m", "orchestrator.trial.child", name],
                 cwd=name,
                 env=environment,
                 stdin=subprocess.DEVNULL,

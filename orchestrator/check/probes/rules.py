@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.check.finding import Check, Finding, error, note, warning
-from orchestrator.check.probes.binary import find, folders
-from orchestrator.check.probes.declared import Declared
 from orchestrator.check.probes.parent import Outcome, run
-from orchestrator.check.probes.reading import read
 from orchestrator.check.subject import Subject
+from orchestrator.trial.binary import find, folders
+from orchestrator.trial.declared import Declared
+from orchestrator.trial.reading import read
 
 SIDES = {"cs": "co-simulation", "me": "model exchange"}
 MAKE = {"error": error, "warning": warning, "note": note}

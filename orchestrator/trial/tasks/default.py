@@ -6,9 +6,9 @@ import ctypes
 import math
 from collections.abc import Iterator, Sequence
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.player import Player, odd
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.player import Player, odd
 
 HUGE = 1e30  # times the nominal value: a model that runs away
 MOST = 20_000  # steps

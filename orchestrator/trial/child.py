@@ -1,4 +1,4 @@
-"""Runs one probe in a process of its own: `python -m orchestrator.check.probes.child JOB_FOLDER`.
+"""Runs one probe in a process of its own: `python -m orchestrator.trial.child JOB_FOLDER`.
 
 The folder holds job.json and the beacon; findings are appended to said.jsonl one by one, so that those
 before a crash are kept.
@@ -13,10 +13,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.beacon import Beacon
-from orchestrator.check.probes.bench import Bench, Task
-from orchestrator.check.probes.binary import Crashed, Missing, Refused
-from orchestrator.check.probes.reading import read
+from orchestrator.trial.beacon import Beacon
+from orchestrator.trial.bench import Bench, Task
+from orchestrator.trial.binary import Crashed, Missing, Refused
+from orchestrator.trial.reading import read
 
 
 def main(folder: Path) -> None:
@@ -40,7 +40,7 @@ def main(folder: Path) -> None:
             at=lambda stage: write(stage=stage),
         )
         module, _, name = job["task"].partition(":")
-        task: Task = getattr(import_module(f"orchestrator.check.probes.tasks.{module}"), name)
+        task: Task = getattr(import_module(f"orchestrator.trial.tasks.{module}"), name)
         try:
             for severity, text in task(bench):
                 write(severity=severity, text=text)

@@ -9,8 +9,8 @@ import ctypes
 import math
 from collections.abc import Sequence
 
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.instance import Instance, _EventInfo
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.instance import Instance, _EventInfo
 
 TOLERANCE = 1e-4
 EVENTS = 100  # iterations of one event

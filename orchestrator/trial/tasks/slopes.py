@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.declared import Variable
-from orchestrator.check.probes.player import Player
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.declared import Variable
+from orchestrator.trial.player import Player
+from orchestrator.trial.values import Values
 
 SHIFT = 1e-4  # of the magnitude of a variable
 KNOWNS = 60  # columns that are looked at

@@ -5,9 +5,9 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import STATUS, Missing, Refused
-from orchestrator.check.probes.instance import Instance
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import STATUS, Missing, Refused
+from orchestrator.trial.instance import Instance
 
 NEEDED = (
     *("GetVersion", "SetDebugLogging", "FreeInstance", "EnterInitializationMode"),

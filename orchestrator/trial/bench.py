@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.beacon import Beacon
-from orchestrator.check.probes.binary import Binary, find
-from orchestrator.check.probes.declared import Declared
-from orchestrator.check.probes.player import Player, watched
-from orchestrator.check.probes.values import scalars
+from orchestrator.trial.beacon import Beacon
+from orchestrator.trial.binary import Binary, find
+from orchestrator.trial.declared import Declared
+from orchestrator.trial.player import Player, watched
+from orchestrator.trial.values import scalars
 
 Said = tuple[str, str]  # severity, text
 Task = Callable[["Bench"], Iterator[Said]]

@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.player import bits
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.player import bits
 
 ODD = "mit Leerzeichen # äß 林"
 LARGE = 100e6  # bytes: a copy would take long

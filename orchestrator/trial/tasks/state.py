@@ -7,10 +7,10 @@ import ctypes
 from collections.abc import Iterator
 from typing import Any
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.exchange import Exchange
-from orchestrator.check.probes.player import Player, bits, difference
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.exchange import Exchange
+from orchestrator.trial.player import Player, bits, difference
 
 BEFORE, AFTER = 7, 9  # steps before the state is saved, and after
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.beacon import Beacon
-from orchestrator.check.probes.declared import Declared
+from orchestrator.trial.beacon import Beacon
+from orchestrator.trial.declared import Declared
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.binary import Binary
-from orchestrator.check.probes.declared import Declared, Variable
-from orchestrator.check.probes.exchange import Exchange
-from orchestrator.check.probes.instance import Instance
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.binary import Binary
+from orchestrator.trial.declared import Declared, Variable
+from orchestrator.trial.exchange import Exchange
+from orchestrator.trial.instance import Instance
+from orchestrator.trial.values import Values
 
 INNER = 12  # inner steps of model exchange per advance: enough to move, whatever the stiffness
 PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # inputs move like this, step by step

@@ -6,8 +6,8 @@ import ctypes
 from collections.abc import Sequence
 from typing import Any
 
-from orchestrator.check.probes.declared import FLOATS, Variable
-from orchestrator.check.probes.instance import Instance
+from orchestrator.trial.declared import FLOATS, Variable
+from orchestrator.trial.instance import Instance
 
 C2: dict[str, Any] = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
 C3: dict[str, Any] = {

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.probes.binary import Binary, Refused
+from orchestrator.trial.binary import Binary, Refused
 
 SPELLING = {  # FMI 3 name -> FMI 2 name
     "GetFMUState": "GetFMUstate",

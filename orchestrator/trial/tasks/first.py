@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.declared import Variable
-from orchestrator.check.probes.instance import Instance
-from orchestrator.check.probes.player import Player
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.declared import Variable
+from orchestrator.trial.instance import Instance
+from orchestrator.trial.player import Player
+from orchestrator.trial.values import Values
 
 
 def first_output(bench: Bench) -> Iterator[Said]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from orchestrator.check.probes.declared import FLOATS, NUMBERS, Declared, Variable
+from orchestrator.trial.declared import FLOATS, NUMBERS, Declared, Variable
 
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")  # of FMI 2
 

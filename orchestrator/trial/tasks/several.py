@@ -6,9 +6,9 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.player import Player, bits, difference
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.player import Player, bits, difference
 
 STEPS = 12
 THREADS = 4

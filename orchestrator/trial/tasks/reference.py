@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.declared import Variable
-from orchestrator.check.probes.instance import Instance
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.declared import Variable
+from orchestrator.trial.instance import Instance
+from orchestrator.trial.values import Values
 
 Rows = list[list[float]]
 

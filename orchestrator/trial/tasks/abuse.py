@@ -6,11 +6,11 @@ import ctypes
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Missing, Refused
-from orchestrator.check.probes.declared import Variable
-from orchestrator.check.probes.player import Player, movable, odd
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Missing, Refused
+from orchestrator.trial.declared import Variable
+from orchestrator.trial.player import Player, movable, odd
+from orchestrator.trial.values import Values
 
 INPUTS = 20  # looked at
 STEPS = 3

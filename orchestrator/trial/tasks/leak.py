@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.instance import Instance
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.instance import Instance
 
 ROUNDS = 2000  # instances
 WARM = 100  # before the memory is measured: caches fill once

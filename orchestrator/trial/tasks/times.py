@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
-from orchestrator.check.probes.bench import Bench, Said
-from orchestrator.check.probes.binary import Refused
-from orchestrator.check.probes.player import Player
-from orchestrator.check.probes.values import Values
+from orchestrator.trial.bench import Bench, Said
+from orchestrator.trial.binary import Refused
+from orchestrator.trial.player import Player
+from orchestrator.trial.values import Values
 
 STEPS = 60
 LATE = 1000.0  # s
