@@ -1,0 +1,344 @@
+"""Shared libraries for all platforms: what is in them, what they ask of a machine, what they compute."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import lief
+import numpy as np
+import pytest
+from fmpy import read_model_description
+
+from fmus.contract import ModelError
+from fmus.export.build import build
+from fmus.export.compile import HEADERS
+from fmus.export.platforms import PLATFORMS, host, select, universal
+from fmus.harvester import HARVESTER
+from fmus.swing import SWING
+
+lief.logging.disable()
+
+# FMI 2.0 with the smallest FMU, FMI 3.0 with the largest
+FMUS = {2: SWING, 3: HARVESTER}
+FOLDERS = {
+    2: {
+        "x86_64-linux": "linux64",
+        "aarch64-linux": "aarch64-linux",
+        "x86_64-windows": "win64",
+        "x86_64-darwin": "darwin64",
+        "aarch64-darwin": "aarch64-darwin",
+    },
+    3: {name: name for name in PLATFORMS},
+}
+SYSTEMS = {s: [n for n in PLATFORMS if n.endswith(s)] for s in ("linux", "windows", "darwin")}
+
+
+@pytest.fixture(scope="session")
+def everywhere(tmp_path_factory):
+    """FMI version -> folder with an unpacked FMU for all platforms, the .fmu file beside it."""
+    folders = {}
+    for fmi, sub in FMUS.items():
+        path = build(sub, tmp_path_factory.mktemp(f"fmi{fmi}"), fmi=fmi, platforms=tuple(PLATFORMS))
+        folders[fmi] = path.with_suffix("")
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folders[fmi])
+    return folders
+
+
+@pytest.fixture
+def library(everywhere):
+    """library(3, "x86_64-linux"): the path of a shared library."""
+
+    def find(fmi: int, name: str) -> Path:
+        file = FMUS[fmi].name + PLATFORMS[name].suffix
+        return everywhere[fmi] / "binaries" / FOLDERS[fmi][name] / file
+
+    return find
+
+
+@cache  # a part must not outlive the file it is part of
+def parse(path: Path) -> lief.ELF.Binary | lief.PE.Binary | lief.MachO.FatBinary:
+    kind = {".so": lief.ELF, ".dll": lief.PE, ".dylib": lief.MachO}[path.suffix]
+    return kind.parse(str(path))
+
+
+def mach(path: Path) -> list[lief.MachO.Binary]:
+    """The libraries in a macOS file, one per processor."""
+    return [parse(path).at(i) for i in range(parse(path).size)]
+
+
+# ---- choice of platforms ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("system", "processor", "name"),
+    [
+        ("Linux", "x86_64", "x86_64-linux"),
+        ("Linux", "aarch64", "aarch64-linux"),
+        ("Windows", "AMD64", "x86_64-windows"),
+        ("Darwin", "x86_64", "x86_64-darwin"),
+        ("Darwin", "arm64", "aarch64-darwin"),
+    ],
+)
+def test_host_has_the_name_of_the_standard(monkeypatch, system, processor, name):
+    """What Python calls a machine becomes FMI's platform tuple."""
+    monkeypatch.setattr(platform, "system", lambda: system)
+    monkeypatch.setattr(platform, "machine", lambda: processor)
+    assert host() == name
+
+
+def test_unknown_host_is_told(monkeypatch):
+    """A machine that is not among the platforms gives one line with those that are."""
+    monkeypatch.setattr(platform, "system", lambda: "FreeBSD")
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(
+        ModelError, match=r"^no platform for FreeBSD riscv64, expected one of x86_64-linux, .*$"
+    ):
+        host()
+
+
+def test_words_of_the_user_become_platforms():
+    """host and all are names too; each platform comes once, in a fixed order."""
+    assert select(["all"]) == tuple(PLATFORMS)
+    assert select(["host"]) == (host(),)
+    assert select(["x86_64-windows", "x86_64-linux", "x86_64-windows"]) == ("x86_64-linux", "x86_64-windows")
+    with pytest.raises(
+        ModelError, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*darwin$"
+    ):
+        select(["linux64"])
+
+
+# ---- layout ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+def test_binaries_lie_where_the_standard_says(everywhere, fmi):
+    """Folders of FMI 2.0, with tuples for what it does not name, and tuples of FMI 3.0."""
+    found = {p.relative_to(everywhere[fmi]).as_posix() for p in (everywhere[fmi] / "binaries").rglob("*.*")}
+    expected = {
+        f"binaries/{folder}/{FMUS[fmi].name}{PLATFORMS[name].suffix}" for name, folder in FOLDERS[fmi].items()
+    }
+    assert found == expected
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+def test_file_is_below_three_megabytes(everywhere, fmi):
+    """All platforms, sources and documentation fit into a file that goes with an e-mail."""
+    assert everywhere[fmi].with_suffix(".fmu").stat().st_size < 3e6
+
+
+def test_universal_library_holds_both_processors(library):
+    """The library for macOS of FMI 2.0 runs on Intel and on Apple Silicon; its parts are those made alone."""
+    path = library(2, "x86_64-darwin")
+    both, arm = path.read_bytes(), library(2, "aarch64-darwin").read_bytes()
+    assert [b.header.cpu_type.name for b in mach(path)] == ["X86_64", "ARM64"]
+    parts = [struct.unpack_from(">IIIII", both, 8 + 20 * i) for i in range(2)]
+    assert all(offset % 2**align == 0 for _, _, offset, _, align in parts)
+    intel, again = (both[offset : offset + size] for _, _, offset, size, _ in parts)
+    assert again == arm
+    assert universal([intel, arm]) == both
+
+
+# ---- what a library offers and asks for ------------------------------------------------------------
+
+
+def functions(fmi: int) -> set[str]:
+    """All functions of a version of FMI, from its header."""
+    return set(
+        re.findall(r"#define (fmi\d\w+)\s+fmi\dFullName\(", (HEADERS / f"fmi{fmi}Functions.h").read_text())
+    )
+
+
+def exports(path: Path) -> set[str]:
+    """Names that a library gives to the loader."""
+    if path.suffix == ".so":
+        return {s.name for s in parse(path).exported_symbols}
+    if path.suffix == ".dll":
+        return {e.name for e in parse(path).get_export().entries}
+    # the linker adds two names of its own, which no other library sees: names on macOS belong to a library
+    own = {"__mh_dylib_header", "___dso_handle"}
+    tables = [{e.symbol.name for e in b.dyld_info.exports} - own for b in mach(path)]
+    assert all(table == tables[0] for table in tables)
+    return {name.removeprefix("_") for name in tables[0]}
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_library_exports_the_functions_of_its_version_and_nothing_else(library, fmi, name):
+    """Importers look all functions up, needed or not; anything more could clash with other libraries."""
+    assert len(functions(fmi)) > 40
+    assert exports(library(fmi, name)) == functions(fmi)
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+@pytest.mark.parametrize("name", SYSTEMS["linux"])
+def test_linux_library_runs_on_old_systems(library, fmi, name):
+    """Nothing but the C library is asked for, in no newer version than glibc 2.17 of the year 2012."""
+    elf = parse(library(fmi, name))
+    assert set(elf.libraries) <= {"libc.so.6", "libm.so.6"}
+    asked = {a.name for needed in elf.symbols_version_requirement for a in needed.get_auxiliary_symbols()}
+    assert asked
+    assert all(tuple(map(int, v.removeprefix("GLIBC_").split("."))) <= (2, 17) for v in asked), asked
+    stack = next(s for s in elf.segments if s.type == lief.ELF.Segment.TYPE.GNU_STACK)
+    assert not stack.has(lief.ELF.Segment.FLAGS.X)  # hardened systems refuse such a library
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+def test_windows_library_needs_only_what_windows_has(library, fmi):
+    """KERNEL32 and the C library that is part of Windows 10, and no compiler's run-time library."""
+    dll = parse(library(fmi, "x86_64-windows"))
+    allowed = re.compile(r"KERNEL32\.dll|api-ms-win-crt-[a-z]+-l1-1-0\.dll", re.IGNORECASE)
+    assert all(allowed.fullmatch(i.name) for i in dll.imports), [i.name for i in dll.imports]
+    assert dll.get_export().name == f"{FMUS[fmi].name}.dll"
+    header = dll.optional_header
+    assert (header.major_subsystem_version, header.minor_subsystem_version) <= (10, 0)
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+@pytest.mark.parametrize("name", SYSTEMS["darwin"])
+def test_macos_library_needs_only_the_system(library, fmi, name):
+    """libSystem of macOS 11 or newer, and a name of its own that is no path of the building machine."""
+    for part in mach(library(fmi, name)):
+        own, *others = [(entry.command.name, entry.name) for entry in part.libraries]
+        assert own == ("ID_DYLIB", f"@rpath/{FMUS[fmi].name}.dylib")
+        assert others == [("LOAD_DYLIB", "/usr/lib/libSystem.B.dylib")]
+        assert part.build_version.minos <= [11, 0, 0]
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+def test_apple_silicon_library_is_signed(library, fmi):
+    """macOS ends a process that loads ARM code without a signature; its hashes are those of the pages."""
+    data = library(fmi, "aarch64-darwin").read_bytes()
+    (part,) = mach(library(fmi, "aarch64-darwin"))
+    start = part.code_signature.data_offset
+    magic, _, count, kind, at = struct.unpack_from(">IIIII", data, start)
+    assert (magic, count, kind) == (0xFADE0CC0, 1, 0)  # one code directory
+    directory = start + at
+    flags, hashes, _, _, pages, limit = struct.unpack_from(">IIIIII", data, directory + 12)
+    size, algorithm, _, shift = struct.unpack_from("BBBB", data, directory + 36)
+    assert flags & 2  # ad hoc: no certificate
+    assert (size, algorithm) == (32, 2)  # SHA-256
+    assert pages == -(-limit // 2**shift)
+    for i in range(pages):
+        page = data[i << shift : min((i + 1) << shift, limit)]
+        stored = data[directory + hashes + i * size :][:size]
+        assert hashlib.sha256(page).digest() == stored
+
+
+# ---- the same numbers everywhere -------------------------------------------------------------------
+
+RUNNERS = {
+    "aarch64-linux": ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    "x86_64-windows": ("wine",),
+}
+
+
+@pytest.fixture(scope="session")
+def play(everywhere, tmp_path_factory):
+    """play(3, "x86_64-windows"): the outputs of an FMU over half a second at full command, shape (n, m)."""
+    folder = tmp_path_factory.mktemp("players")
+
+    def run(fmi: int, name: str) -> np.ndarray:
+        player = folder / f"player{fmi}-{name}.exe"
+        command = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target, f"-DFMI={fmi}"]
+        command += ["-std=c99", "-O1", "-isystem", str(HEADERS), str(Path(__file__).with_name("player.c"))]
+        command += ["-o", player.name, *([] if name.endswith("windows") else ["-ldl"])]
+        subprocess.run(command, cwd=folder, check=True)
+        description = read_model_description(str(everywhere[fmi]))
+        token = description.guid if fmi == 2 else description.instantiationToken
+        shown = [v.valueReference for v in description.modelVariables if v.causality == "output"]
+        commands = [
+            v for v in description.modelVariables if v.name.endswith("_command") and v.causality == "input"
+        ]
+        path = everywhere[fmi] / "binaries" / FOLDERS[fmi][name] / (FMUS[fmi].name + PLATFORMS[name].suffix)
+        arguments = [
+            path.name,
+            token,
+            min(shown),
+            max(shown),
+            1e-3,
+            500,
+            *(f"{v.valueReference}=8" for v in commands),
+        ]
+        ran = subprocess.run(
+            [*RUNNERS.get(name, ()), str(player), *map(str, arguments)],
+            cwd=path.parent,
+            env=os.environ
+            | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all", "LD_LIBRARY_PATH": "."},
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        return np.loadtxt(ran.stdout.splitlines())
+
+    return run
+
+
+@pytest.mark.skipif(host() != "x86_64-linux", reason="the emulators are those of Linux on x86-64")
+@pytest.mark.parametrize("fmi", FMUS)
+@pytest.mark.parametrize("name", RUNNERS)
+def test_other_platforms_compute_the_same(play, fmi, name):
+    """The libraries for ARM and for Windows, emulated, give the numbers of the one for this machine."""
+    runner = RUNNERS[name]
+    if shutil.which(runner[0]) is None or not all(Path(p).is_dir() for p in runner if p.startswith("/")):
+        pytest.skip(f"{runner[0]} is not there (Debian: wine, qemu-user and libc6-arm64-cross)")
+    here, there = play(fmi, "x86_64-linux"), play(fmi, name)
+    assert here.shape == there.shape == (501, here.shape[1])
+    span = np.ptp(here, axis=0)
+    assert np.count_nonzero(span) > 15
+    # other sine and logarithm, last digit: rounding, amplified over 500 steps; measured 5e-15
+    assert np.all(np.max(np.abs(here - there), axis=0) <= 1e-9 * span)
+
+
+# ---- builds ----------------------------------------------------------------------------------------
+
+
+def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
+    """For all platforms: no time, no path and no order of the compilers gets into the file."""
+    sub, numbers = toys["gain"]
+    built = []
+    for place in ("here", "some where else"):
+        scratch = tmp_path / place / "scratch"
+        scratch.mkdir(parents=True)
+        monkeypatch.setattr("tempfile.tempdir", str(scratch))
+        built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
+        assert not list(scratch.iterdir())  # nothing is left of the compilers' files
+    assert built[0] == built[1]
+
+
+def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
+    """A compiler that fails for one platform: no new file, no half file, the old one untouched."""
+    sub, numbers = toys["gain"]
+    old = build(sub, tmp_path, numbers=numbers)
+    before = old.read_bytes()
+    monkeypatch.setattr("fmus.export.compile.FLAGS", ("-fno-such-flag",))
+    with pytest.raises(ModelError, match="gain, x86_64-linux: the C compiler failed"):
+        build(sub, tmp_path, step=0.5, numbers=numbers, platforms=("x86_64-linux", "x86_64-windows"))
+    assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
+    assert old.read_bytes() == before
+
+
+def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
+    """An interrupt in the middle of the zip file leaves the old FMU and nothing else."""
+    sub, numbers = toys["gain"]
+    old = build(sub, tmp_path, numbers=numbers)
+    before = old.read_bytes()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        build(sub, tmp_path, step=0.5, numbers=numbers)
+    assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
+    assert old.read_bytes() == before
