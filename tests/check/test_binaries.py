@@ -216,3 +216,15 @@ def test_a_model_identifier_is_a_c_identifier(
     for kind in ("ModelExchange", "CoSimulation"):
         named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="{identifier}"')
     assert "identity.identifier" in {rule for rule, _, _ in told(named, tmp_path)}
+
+
+def test_a_keyword_as_model_identifier_is_noted(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """An FMU called operator is legal; a wrapper in Modelica or C++ cannot have its name."""
+    named = good[2]
+    for kind in ("ModelExchange", "CoSimulation"):
+        named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="operator"')
+    for member in [m for m in named.members if m.startswith("binaries/")]:
+        named = named.put(member.replace("lag.", "operator."), named.members[member]).drop(member)
+    found = told(named, tmp_path)
+    assert [(rule, severity) for rule, severity, _ in found] == [("identity.keyword", "note")]
+    assert "Modelica and C++" in found[0][2]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.registry import Table
-from orchestrator.check.static.names import C
+from orchestrator.check.static.names import CPP, MODELICA, C
 from orchestrator.check.subject import Subject
 from orchestrator.check.unpack import DESCRIPTION
 
@@ -51,6 +51,14 @@ def identifier(subject: Subject) -> Iterator[Finding]:
             yield error(
                 f"{where}: modelIdentifier {name!r} is no C identifier; it names binaries and C functions"
             )
+
+
+@RULES.rule("identity.keyword", "The model identifier is no keyword of Modelica or C++", "OpenModelica#5706")
+def keyword(subject: Subject) -> Iterator[Finding]:
+    for name in subject.model.identifiers:
+        languages = [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]
+        if languages:
+            yield note(f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}")
 
 
 @RULES.rule("identity.same", "Co-Simulation and Model Exchange have one binary")

@@ -36,6 +36,10 @@ C = _words(
     long register restrict return short signed sizeof static struct switch typedef union unsigned void
     volatile while"""
 )
+CPP = _words(
+    """and asm bool catch class delete explicit export false friend mutable namespace new not operator or
+    private protected public template this throw true try typename using virtual xor"""
+)
 
 
 def _named(subject: Subject) -> Iterator[tuple[Variable, str]]:
