@@ -73,19 +73,20 @@ def test_two_fmus_link_into_one_program(fmi3_dir, tmp_path):
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")
-def test_fmpy_builds_the_sources_itself(fmu_dir, tmp_path, monkeypatch):
-    """`fmpy compile` builds swing.fmu from its model description and sources; the result runs the same."""
+@pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
+def test_fmpy_builds_the_sources_itself(request, tmp_path, monkeypatch, version):
+    """`fmpy compile` builds swing.fmu from its list of sources, in both versions; the result runs the same."""
     from fmpy.build import build_platform_binary
 
+    fmu = request.getfixturevalue(version) / "swing.fmu"
     monkeypatch.setenv("PATH", sysconfig.get_path("scripts") + os.pathsep + os.environ["PATH"])  # cmake
-    folder = Path(extract(str(fmu_dir / "swing.fmu"), str(tmp_path / "swing")))
+    folder = Path(extract(str(fmu), str(tmp_path / "swing")))
     shutil.rmtree(folder / "binaries")
     (tmp_path / "build").mkdir()
     build_platform_binary(folder, tmp_path / "build")
     table = np.array([(0.0, 0.0), (0.2, 0.0), (0.7, 4.0), (1.5, 4.0), (2.0, 0.0)], dtype=TABLE)
     runs = [
-        simulate_fmu(str(fmu), stop_time=3.0, output_interval=STEP, input=table)
-        for fmu in (fmu_dir / "swing.fmu", folder)
+        simulate_fmu(str(path), stop_time=3.0, output_interval=STEP, input=table) for path in (fmu, folder)
     ]
     for output in runs[0].dtype.names:
         ours, theirs = (run[output] for run in runs)
