@@ -21,9 +21,9 @@ from orchestrator.check.tools import TOOLS
 DOCS = Path(__file__).parents[2] / "docs/check.md"
 # told of files as a whole, or together with another rule: these have tests of their own
 ELSEWHERE = {
-    "archive.zip", "archive.link", "archive.method", "archive.size", "archive.suffix", "archive.description",
-    "binary.documented", "contents.size", "fmpy.validate", "identity.identifier", "identity.keyword", "identity.same",
-    "python.needed", "python.packages", "version.new",
+    "archive.zip", "archive.link", "archive.method", "archive.size", "archive.suffix",
+    "archive.description", "binary.documented", "contents.size", "fmpy.validate", "identity.identifier",
+    "identity.keyword", "identity.same", "python.needed", "python.packages", "version.new",
 }  # fmt: skip
 
 
