@@ -23,6 +23,7 @@ class Bench:
 
     seconds   wall time that the probe may fill with work
     pokes     the FMU takes small changes of its inputs
+    summed    it takes communication points that are summed only, not those that are counted
     payload   what an earlier child handed over
     result    what this child hands over
     first     number of the stage to begin with: those before it were done by a child that crashed
@@ -35,6 +36,7 @@ class Bench:
     beacon: Beacon
     seconds: float = 1.0
     pokes: bool = False
+    summed: bool = False
     payload: Any = None
     result: Any = None
     first: int = 0
@@ -61,16 +63,10 @@ class Bench:
 
     def player(self, **options: Any) -> Player:
         """A new instance."""
-        options = {"start": self.declared.experiment.get("startTime", 0.0)} | options
+        usual = {"start": self.declared.experiment.get("startTime", 0.0), "summed": self.summed}
+        options = usual | options
         return Player(options.pop("binary", None) or self.binary, self.side, self.folder, **options)
 
     def names(self) -> list[str]:
         """Names of the scalars in a row."""
         return scalars(watched(self.declared))
-
-    def record(self, count: int, **options: Any) -> list[list[float]]:
-        """Rows of one run from beginning to end; the first is that after initialisation."""
-        player = self.player(**options).begin()
-        rows = [player.row(), *player.run(count, self.pokes)]
-        player.close()
-        return rows

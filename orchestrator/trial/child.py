@@ -34,7 +34,7 @@ def main(folder: Path) -> None:
             side=job["side"],
             beacon=Beacon(folder / "beacon"),
             seconds=job["seconds"],
-            pokes=job["pokes"],
+            **job["habits"],
             payload=job["payload"],
             first=job["first"],
             at=lambda stage: write(stage=stage),

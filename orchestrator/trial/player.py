@@ -36,7 +36,7 @@ def movable(declared: Declared) -> list[Variable]:
 
 
 class Player:
-    """One run of one instance."""
+    """One run of one instance; summed: the communication points are, which drifts, in place of counted."""
 
     def __init__(
         self,
@@ -46,6 +46,7 @@ class Player:
         start: float = 0.0,
         stop: float | None = None,
         step: float | None = None,
+        summed: bool = False,
         inputs: Sequence[Variable] | None = None,
         **options: Any,
     ) -> None:
@@ -53,7 +54,7 @@ class Player:
         declared = binary.declared
         self.start, self.stop, self.time, self.number = start, stop, start, 0
         self.reached = start  # the time that the FMU says it reached
-        self.step = step or declared.step
+        self.step, self.summed = step or declared.step, summed
         self.inputs = Values(self.instance, movable(declared) if inputs is None else inputs)
         self.outputs = Values(self.instance, watched(declared))
         self.exchange: Exchange | None = None
@@ -94,9 +95,8 @@ class Player:
             self.exchange.advance(self.step, INNER)
             self.time = self.exchange.time
             return
-        begin = self.time
-        self.time = self.start + self.number * self.step
-        self.reached = self.instance.step(begin, self.step)
+        self.reached = self.instance.step(self.time, self.step)
+        self.time = self.time + self.step if self.summed else self.start + self.number * self.step
 
     def row(self) -> list[float]:
         """Outputs."""

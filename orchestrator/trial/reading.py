@@ -66,7 +66,10 @@ def _scalar(element: Any, types: Mapping[str, Any]) -> Variable:
 
 
 def _inner(element: Any) -> Any:
-    return next(e for e in element if e.tag in TYPES)
+    found = next((e for e in element if e.tag in TYPES), None)
+    if found is None:
+        raise ValueError(f"{element.get('name')} has none of {', '.join(TYPES)}")
+    return found
 
 
 def _typed(element: Any, types: Mapping[str, Any]) -> Variable:

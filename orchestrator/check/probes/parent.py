@@ -71,12 +71,18 @@ class Outcome:
     stage: int = -1
 
 
-def run(folder: Path, side: str, task: str, pokes: bool = False, payload: Any = None) -> Outcome:
-    """One probe; after a crash in one of its stages a new child does the rest, a few times over."""
+def run(
+    folder: Path, side: str, task: str, habits: Mapping[str, bool] | None = None, payload: Any = None
+) -> Outcome:
+    """One probe; after a crash in one of its stages a new child does the rest, a few times over.
+
+    habits    what is known of the FMU, see `Bench`
+    payload   what the task needs
+    """
     whole = Outcome()
     first = 0
     for _ in range(6):
-        job = {"folder": str(folder), "side": side, "task": task, "first": first, "pokes": pokes}
+        job = {"folder": str(folder), "side": side, "task": task, "first": first, "habits": habits or {}}
         part = _child(job | {"seconds": current().work, "payload": payload})
         whole.said += part.said
         whole.result, whole.stage = part.result, part.stage

@@ -58,9 +58,9 @@ def _life(folder: Path) -> Life:
         has = ", ".join(there) if there else "none"
         wanted = " or ".join(folders(declared.major))
         return Life(declared, (), {}, {}, f"no binary for this platform, expected {wanted}, found {has}")
-    loaded = dict(zip(sides, _each(folder, sides, "basic:load", {}), strict=True))
+    loaded = dict(zip(sides, _each(folder, sides, "basic:load"), strict=True))
     sound = [s for s in sides if not loaded[s].end and not _errors(loaded[s])]
-    lived = dict(zip(sound, _each(folder, sound, "default:default", {}), strict=True))
+    lived = dict(zip(sound, _each(folder, sound, "default:default"), strict=True))
     return Life(declared, sides, loaded, lived)
 
 
@@ -68,10 +68,10 @@ def _errors(outcome: Outcome) -> bool:
     return any(severity == "error" for severity, _ in outcome.said)
 
 
-def _each(folder: Path, sides: Sequence[str], task: str, pokes: dict[str, bool]) -> list[Outcome]:
+def _each(folder: Path, sides: Sequence[str], task: str) -> list[Outcome]:
     """One task for several sides at the same time."""
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda side: run(folder, side, task, pokes.get(side, False)), sides))
+        return list(pool.map(lambda side: run(folder, side, task), sides))
 
 
 def _findings(sides: Sequence[str], outcomes: Sequence[Outcome], several: bool) -> Iterator[Finding]:
@@ -132,7 +132,7 @@ def probe(
         def work(side: str) -> Outcome:
             whole = Outcome()
             for task in tasks:
-                part = run(subject.folder, side, task, found.lived[side].result["pokes"], whole.result)
+                part = run(subject.folder, side, task, found.lived[side].result, whole.result)
                 ends = [*part.crashes, *([part.end] if part.end else [])]
                 whole.said += [*part.said, *((crash, text) for text in ends)]
                 whole.result = part.result

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from orchestrator.trial.bench import Bench, Said
-from orchestrator.trial.binary import Refused
+from orchestrator.trial.binary import FATAL, Refused
 from orchestrator.trial.player import Player, odd
 
 HUGE = 1e30  # times the nominal value: a model that runs away
@@ -19,17 +19,32 @@ def default(bench: Bench) -> Iterator[Said]:
     start = bench.declared.experiment.get("startTime", 0.0)
     stop = bench.declared.experiment.get("stopTime")
     most = MOST if stop is None else int((stop - start) / bench.declared.step + 1e-9)
-    player = bench.player(stop=stop if most else None).begin()
+    player, first, rows = _run(bench, stop if most else None, max(most, 1))
     names = player.outputs.names
-    row = player.row()
-    if odd(names, row):
-        yield "error", f"after initialisation {odd(names, row)}"
+    if odd(names, first):
+        yield "error", f"after initialisation {odd(names, first)}"
     limits = [HUGE * v.nominal for v in player.outputs.variables for _ in range(v.size)]
-    rows = player.run_for(bench.seconds, max(most, 1))
     yield from _unsound(player, rows, limits)
     yield from _reached(player)
     player.close()
-    bench.result = {"pokes": _pokes(bench)}
+    bench.summed = player.summed
+    bench.result = {"pokes": _pokes(bench), "summed": player.summed}
+
+
+def _run(bench: Bench, stop: float | None, most: int) -> tuple[Player, list[float], list[list[float]]]:
+    """Row after initialisation, and rows of the steps; with the points as the FMU takes them."""
+    player = bench.player(stop=stop).begin()
+    first = player.row()
+    try:
+        return player, first, player.run_for(bench.seconds, most)
+    except Refused as refusal:
+        if refusal.status == FATAL or bench.side == "me":
+            raise
+        other = bench.player(stop=stop, summed=True).begin()
+        try:
+            return other, first, other.run_for(bench.seconds, most)
+        except Refused:
+            raise refusal from None
 
 
 def _unsound(player: Player, rows: Sequence[Sequence[float]], limits: Sequence[float]) -> Iterator[Said]:

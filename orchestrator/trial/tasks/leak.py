@@ -9,16 +9,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from statistics import median
 
 from orchestrator.trial.bench import Bench, Said
 from orchestrator.trial.instance import Instance
 
 ROUNDS = 2000  # instances
-WARM = 100  # before the memory is measured: caches fill once
-WINDOW = 100  # between two measurements
+WARM = 200  # before the memory is measured: caches fill once
+WINDOW = 50  # between two looks at the clock
 LOADS = 40
 LEAK = 16.0  # bytes per instance: the smallest block that an allocator hands out takes more
+NOISE = 8e3  # bytes by which the interpreter's own memory goes up and down
 FULL = 64e6  # bytes: enough to be sure
 
 
@@ -26,24 +26,21 @@ def leak(bench: Bench) -> Iterator[Said]:
     """Two thousand instances leave no memory, no file handle and no thread behind."""
     for _ in range(WARM):
         _life(bench)
-    measures: dict[str, tuple[Callable[[], float], float]] = {
-        "bytes of memory": (memory, LEAK),
-        "file handles": (handles, 0.01),
-        "threads": (running, 0.01),
+    measures: dict[str, tuple[Callable[[], float], float, float]] = {
+        "bytes of memory": (memory, LEAK, NOISE),
+        "file handles": (handles, 0.01, 2),
+        "threads": (running, 0.01, 2),
     }
-    growth: dict[str, list[float]] = {name: [] for name in measures}
+    before = {name: measure() for name, (measure, _, _) in measures.items()}
     done, deadline = 0, time.monotonic() + 4 * bench.seconds
-    while done < ROUNDS and time.monotonic() < deadline and sum(growth["bytes of memory"]) * WINDOW < FULL:
-        before = {name: measure() for name, (measure, _) in measures.items()}
+    while done < ROUNDS and time.monotonic() < deadline and memory() - before["bytes of memory"] < FULL:
         for _ in range(WINDOW):
             _life(bench)
-        for name, (measure, _) in measures.items():
-            growth[name].append((measure() - before[name]) / WINDOW)
         done += WINDOW
-    for name, (_, limit) in measures.items():
-        usual = median(growth[name])  # the interpreter's own memory goes up and down
-        if usual > limit:
-            yield "error", f"each instance leaves {usual:.3g} {name} behind (of {done} instances)"
+    for name, (measure, limit, noise) in measures.items():
+        growth = (measure() - before[name] - noise) / done
+        if growth > limit:
+            yield "error", f"each instance leaves {growth:.3g} {name} behind (of {done} instances)"
 
 
 def _life(bench: Bench) -> None:

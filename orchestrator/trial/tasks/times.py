@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from orchestrator.trial.bench import Bench, Said
@@ -11,6 +11,7 @@ from orchestrator.trial.binary import Refused
 from orchestrator.trial.player import Player
 from orchestrator.trial.values import Values
 
+Rows = list[list[float]]
 STEPS = 60
 LATE = 1000.0  # s
 FEW = 20
@@ -18,63 +19,50 @@ LEAP = 10  # times the largest step of the usual start: nothing in a model that 
 
 
 def drift(bench: Bench) -> Iterator[Said]:
-    """Communication points that are summed up, and so drift by rounding errors, are accepted."""
+    """Communication points are accepted, whether they are counted or summed up and so drift by rounding."""
     own = bench.declared.step
     lengths = [own]
     if bench.can("canHandleVariableCommunicationStepSize"):
         # much longer steps than the FMU recommends may fail for other reasons
         lengths += [own / 3, *(x for x in (0.1, 1 / 60) if x <= 20 * own)]
     for length in lengths:
-        player = bench.player(step=length)
-        player.stop = player.start + STEPS * length
-        player.begin()
-        plain = _counted(bench, length)
-        if plain is None:
-            yield "error", f"a communication step of {length:.9g} s is refused"
+        (counted, plain), (summed, drifted) = (_played(bench, length, way) for way in (False, True))
+        if not counted and not summed:
+            yield "error", f"a communication step of {length:.9g} s is refused: {plain}"
             continue
-        message = _summed(player)
-        if message:
-            yield "error", message
-        elif player.number == len(plain):
-            yield from _lost_step(player, plain)
+        yield from (("error", text) for text in (plain, drifted) if text)
+        if not plain and not drifted and len(counted) == len(summed):
+            yield from _lost_step(bench.names(), length, counted, summed)
 
 
-def _summed(player: Player) -> str:
-    """Step with a summed time; a refusal in words."""
-    time = player.start
-    for n in range(STEPS):
-        try:
-            player.instance.step(time, player.step)
-        except Refused as refusal:
-            counted = player.start + n * player.step
-            more = f": {refusal.said}" if refusal.said else ""
-            text = f"step {n + 1} of {player.step:.9g} s is refused at the summed time {time:.17g} s"
-            return f"{text} (counted {counted:.17g} s){more}"
-        if player.instance.ended:
-            break
-        time += player.step
-        player.number += 1
-    return ""
-
-
-def _counted(bench: Bench, length: float) -> list[list[float]] | None:
-    """The same steps with a counted time; None when they are refused as well."""
+def _played(bench: Bench, length: float, summed: bool) -> tuple[list[list[float]], str]:
+    """Rows, and where it ends in a refusal that in words."""
+    player = bench.player(step=length, summed=summed)
+    player.stop = player.start + STEPS * length
+    rows: list[list[float]] = []
     try:
-        player = bench.player(step=length).begin()
-        rows = player.run(STEPS)
+        player.begin()
+        for _ in range(STEPS):
+            rows += player.run(1)
         player.close()
-    except Refused:
-        return None
-    return rows
+    except Refused as refusal:
+        n = len(rows)
+        counted, ways = player.start + n * length, ("counted", "summed")
+        exact = sum([length] * n, player.start)
+        there, other = (exact, counted) if summed else (counted, exact)
+        more = f": {refusal.said}" if refusal.said else ""
+        text = f"step {n + 1} of {length:.9g} s is refused at the {ways[summed]} time {there:.17g} s"
+        return rows, f"{text} ({ways[not summed]} {other:.17g} s){more}"
+    return rows, ""
 
 
-def _lost_step(player: Player, plain: list[list[float]]) -> Iterator[Said]:
-    """Outputs that are a whole step behind."""
-    for i, (name, x) in enumerate(zip(player.outputs.names, player.row(), strict=True)):
-        column = [row[i] for row in plain]
+def _lost_step(names: Sequence[str], length: float, counted: Rows, summed: Rows) -> Iterator[Said]:
+    """Outputs that are a whole step apart."""
+    for i, name in enumerate(names):
+        column, x = [row[i] for row in counted], summed[-1][i]
         moves = max((abs(b - a) for a, b in pairwise(column)), default=0.0)
         if abs(x - column[-1]) > max(0.9 * moves, 1e-6 * abs(x)):
-            text = f"after {STEPS} steps of {player.step:.9g} s with summed times {name} is {x:.9g}"
+            text = f"after {len(counted)} steps of {length:.9g} s with summed times {name} is {x:.9g}"
             yield "warning", f"{text}, with counted times {column[-1]:.9g}"
             return
 
