@@ -111,7 +111,10 @@ def _shown(v: Variable) -> tuple[str, str]:
     if other is None:
         return "", ""
     unit = pretty(other[0])
-    return unit, "" if v.start is None else f"{figure(v.start * other[1], 4)} {unit}"
+    if v.start is None:
+        return unit, ""
+    rounded = float(f"{v.start * other[1]:.4g}")
+    return unit, f"{figure(rounded)} {unit}"
 
 
 def _remarks(v: Variable) -> Iterable[str]:
@@ -130,9 +133,9 @@ def _bounds(low: float | None, high: float | None) -> str:
     return f"≥ {figure(low)}" if low is not None else f"≤ {figure(high)}" if high is not None else ""
 
 
-def figure(value: float, digits: int = 6) -> str:
+def figure(value: float) -> str:
     """A number as in a data sheet: 1.6e9 for 1600000000.0, with a true minus."""
-    text = re.sub(r"e([+-])0*(\d+)", lambda m: f"e{m[1].strip('+')}{m[2]}", f"{value:.{digits}g}")
+    text = re.sub(r"e([+-])0*(\d+)", lambda m: f"e{m[1].strip('+')}{m[2]}", f"{value:.6g}")
     return text.replace("-", "\N{MINUS SIGN}")
 
 

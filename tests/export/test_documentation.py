@@ -1,0 +1,178 @@
+"""What a person sees of an FMU: the page in documentation/, icon, licence, display units."""
+
+from __future__ import annotations
+
+import re
+import struct
+import tomllib
+
+import pytest
+from lxml import etree, html
+
+from fmus.contract import quantities
+from fmus.export.package import package
+from fmus.export.prose import prose, slug
+from fmus.export.tables import figure, pretty
+from fmus.files import shipped
+from fmus.harvester import HARVESTER
+from fmus.machine import ALL
+from fmus.parameters import numbers
+
+SUBSYSTEMS = {**ALL, HARVESTER.name: HARVESTER}
+ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
+
+
+@pytest.fixture(scope="module")
+def content():
+    """(name, FMI version) -> files of the FMU."""
+    return {
+        (name, fmi): package(sub, fmi, 1e-3, 40.0).files for name, sub in SUBSYSTEMS.items() for fmi in (2, 3)
+    }
+
+
+@pytest.fixture
+def page(content):
+    """page("swing"): the parsed documentation."""
+    return lambda name, fmi=3: html.fromstring(content[name, fmi]["documentation/index.html"].decode())
+
+
+@pytest.mark.parametrize("fmi", ICONS)
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
+    """A square PNG of at least 128 pixels, and the licence that the code must not travel without."""
+    files = content[name, fmi]
+    icon = files[ICONS[fmi]]
+    assert icon.startswith(b"\x89PNG\r\n\x1a\n")
+    width, height = struct.unpack_from(">II", icon, 16)
+    assert width == height >= 128
+    assert files["documentation/licenses/license.txt"] == shipped("LICENSE").read_bytes()
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_icons_differ(content, name):
+    """Nobody takes one FMU for another on a diagram."""
+    icons = {other: content[other, 2]["model.png"] for other in SUBSYSTEMS}
+    assert [other for other, icon in icons.items() if icon == icons[name]] == [name]
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_page_needs_nothing_from_outside(content, page, name):
+    """Pictures and styles are inside; links lead to a place in the page or to a file beside it in the FMU."""
+    tree = page(name)
+    places = {element.get("id") for element in tree.iter() if element.get("id")}
+    links = {a.get("href") for a in tree.iter("a")}
+    assert {link[1:] for link in links if link.startswith("#")} <= places
+    assert {f"documentation/{link}" for link in links if not link.startswith("#")} <= set(content[name, 3])
+    assert all(image.get("src").startswith("data:") for image in tree.iter("img"))
+    assert not list(tree.iter("link", "script", "iframe"))
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_sections_that_the_readme_names_come_along(name):
+    """Each link of the README to a section of another document is followed; a wrong anchor would be lost."""
+    readme = SUBSYSTEMS[name].values.parent / "README.md"
+    wanted = re.findall(r"\]\([^)\s]+\.md#([^)\s]+)\)", readme.read_text(encoding="utf-8"))
+    assert [section.anchor for section in prose(readme)[1]] == list(dict.fromkeys(wanted))
+
+
+def test_installed_copy_of_a_document_is_found(tmp_path):
+    """Without docs/ beside the packages the sections come from the copy inside, here from the project."""
+    readme = tmp_path / "fmus" / "x" / "README.md"
+    readme.parent.mkdir(parents=True)
+    readme.write_text("# x\n\nSee [valve](../../docs/equations.md#2-valve-eqs-1-2) and [gone](../gone.md).\n")
+    text, sections = prose(readme)
+    assert text.strip() == '<p>See <a href="#2-valve-eqs-1-2">valve</a> and gone.</p>'
+    assert [(section.title, section.short) for section in sections] == [("2. Valve, eqs. (1), (2)", "Valve")]
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_every_port_and_every_number_is_in_a_table(page, name):
+    """Inputs, outputs and parameters with unit and text, parameters with their value, source and note."""
+    sub, tree = SUBSYSTEMS[name], page(name)
+    rows = {section: _rows(tree, section) for section in ("ports", "parameters")}
+    ports = quantities(sub.inputs) | quantities(sub.outputs)
+    assert set(rows["ports"]) == set(ports)
+    assert set(rows["parameters"]) == set(quantities(sub.parameters))
+    for variable, quantity in ports.items():
+        assert quantity.text in rows["ports"][variable]
+        assert pretty(quantity.unit) in rows["ports"][variable]
+    for variable, number in numbers(sub)["parameters"].items():
+        row = rows["parameters"][variable]
+        assert f"{figure(number.value)} {pretty(number.unit)}" in row
+        assert f"{number.source} {number.note}" in row
+
+
+def _rows(tree, section):
+    """Name -> text of the row, of the tables of a section."""
+    found = tree.get_element_by_id(section).xpath(".//tr[td/code and count(td) > 1]")
+    texts = [" ".join(" ".join(cell.text_content().split()) for cell in row.findall("td")) for row in found]
+    return {row.find("td/code").text: text for row, text in zip(found, texts, strict=True)}
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_parameters_stand_under_headings(name):
+    """Every parameter has a group, and those of a group follow each other."""
+    groups = [quantity.group for quantity in quantities(SUBSYSTEMS[name].parameters).values()]
+    assert all(groups)
+    if name == HARVESTER.name:
+        return  # joined in the order of the components, of which two have valves
+    changes = [a for a, b in zip(groups, [*groups[1:], ""], strict=True) if a != b]
+    assert len(changes) == len(set(changes))
+
+
+def test_text_of_a_declaration_is_escaped(toys, make_toy):
+    """A sign that means something in HTML stays a sign."""
+    sub, values = toys["gain"]
+    quantity = quantities(sub.inputs)["left"].__class__("1", "a < b & c", maximum=5.0)
+    odd = make_toy(
+        "odd",
+        {"factor": quantity},
+        {},
+        {"left": quantity, "right": quantity},
+        {"product": quantity},
+        lambda *_: {},
+        lambda _x, u, p: {"product": p.factor * u.left},
+    )
+    text = package(odd, 2, 1e-3, 1.0, values).files["documentation/index.html"].decode()
+    assert "a &lt; b &amp; c" in text
+    assert "a < b" not in text
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_quantities_are_shown_in_customary_units(content, name):
+    """Pressures in bar, flows in L/min, angles in degrees, forces in kN, in both versions."""
+    customary = {"Pa": "bar", "m3/s": "L/min", "rad": "deg", "rad/s": "deg/s", "N": "kN", "N.m": "kN.m"}
+    for fmi, path in ((2, ".//ScalarVariable/Real"), (3, ".//Float64")):
+        tree = etree.fromstring(content[name, fmi]["modelDescription.xml"])
+        units = [(e.get("unit"), e.get("displayUnit")) for e in tree.iterfind(path)]
+        assert units
+        assert {(u, d) for u, d in units if u in customary} <= set(customary.items())
+
+
+def test_numbers_travel_with_the_fmu(content):
+    """resources/parameters.toml holds the numbers of the FMU, also of the one that has no such file."""
+    for (name, _), files in content.items():
+        table = tomllib.loads(files["resources/parameters.toml"].decode())["parameters"]
+        assert set(table) == set(quantities(SUBSYSTEMS[name].parameters))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1.6e9, "1.6e9"), (-4e-05, "−4e−5"), (20684000.0, "2.0684e7"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001
+)
+def test_numbers_read_as_in_a_data_sheet(value, text):
+    """No padded exponent, and a true minus."""
+    assert figure(value) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"), [("N.m.s/rad", "N·m·s/rad"), ("m3/(s.Pa)", "m³/(s·Pa)"), ("s-1", "s⁻¹"), ("1", "")]
+)
+def test_units_read_as_in_print(unit, text):
+    """Powers are raised, products dotted."""
+    assert pretty(unit) == text
+
+
+def test_slugs_are_those_of_forges():
+    """The anchors in the READMEs work where the documents are read on the web, too."""
+    assert slug("4. Swing, eq. (9a) with E1, E2, E5, E7") == "4-swing-eq-9a-with-e1-e2-e5-e7"
