@@ -27,6 +27,8 @@ class Sighting:
     def __str__(self) -> str:
         where = f"in {self.call}" if self.call else "before the first call"
         when = f" at t = {self.time:.9g} s" if self.time == self.time else ""
+        if self.inputs.startswith("("):  # not inputs, but what is tried
+            return f"{where}{when} {self.inputs}"
         return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
 
 
@@ -47,7 +49,7 @@ class Beacon:
         _HEAD.pack_into(self._memory, 0, self._count, self.time, name.encode())
 
     def inputs(self, text: str) -> None:
-        """Tell what was set last."""
+        """Tell what was set last; in brackets what is tried."""
         raw = text.encode()[:_TEXT]
         self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
         self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))

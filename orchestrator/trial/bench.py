@@ -65,7 +65,8 @@ class Bench:
         """A new instance."""
         usual = {"start": self.declared.experiment.get("startTime", 0.0), "summed": self.summed}
         options = usual | options
-        return Player(options.pop("binary", None) or self.binary, self.side, self.folder, **options)
+        binary, side = options.pop("binary", None) or self.binary, options.pop("side", self.side)
+        return Player(binary, side, self.folder, **options)
 
     def names(self) -> list[str]:
         """Names of the scalars in a row."""

@@ -212,6 +212,14 @@ class Instance:
             self.call("GetDirectionalDerivative", rows, n, column, one, seed, one, result, n)
         return list(result)
 
+    def adjoint(self, unknown: int, knowns: Sequence[int]) -> list[float]:
+        """Derivatives of one unknown with respect to the knowns (FMI 3)."""
+        row, seed = (ctypes.c_uint * 1)(unknown), (ctypes.c_double * 1)(1.0)
+        columns, one = (ctypes.c_uint * len(knowns))(*knowns), ctypes.c_size_t(1)
+        n, result = ctypes.c_size_t(len(knowns)), (ctypes.c_double * len(knowns))()
+        self.call("GetAdjointDerivative", row, one, columns, n, seed, one, result, n)
+        return list(result)
+
     def slopes(self, references: Sequence[int]) -> list[float]:
         """First time derivatives of outputs."""
         count = len(references)

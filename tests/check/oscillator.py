@@ -35,6 +35,7 @@ CAN_2 = (
     ' modelIdentifier="oscillator"'
 )
 CAN_3 = CAN_2.replace("FMUstate", "FMUState").replace("Derivative=", "Derivatives=")
+CAN_3 += ' providesAdjointDerivatives="true"'
 SLAVE = 'canHandleVariableCommunicationStepSize="true" maxOutputDerivativeOrder="1"'
 UPDATE = 'providesIntermediateUpdate="true" canReturnEarlyAfterIntermediateUpdate="true"'
 CATEGORIES = '<LogCategories><Category name="logEvents"/><Category name="logStatusError"/></LogCategories>'

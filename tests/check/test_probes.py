@@ -57,6 +57,7 @@ FAULTS = (
     Planted("drift", "is refused at the summed time", "drift"),
     Planted("start_time", "time is 0 s at t = 1000 s", "start"),
     Planted("start_time", "the first step from t = 1000 s changes position by -1", "leap"),
+    Planted("start_time", "nothing else depends on time", "clock"),
     Planted("stop_time", "a stop time is needed", "stop"),
     Planted("instances", "a second run in the same process differs", "shared"),
     Planted("instances", "a second instance cannot be made", "once"),
@@ -71,6 +72,7 @@ FAULTS = (
     Planted("reset", "the run after a reset differs", "reset"),
     Planted("directional", "of force with respect to u is -1, by differences 1", "directional"),
     Planted("directional", "the derivative of force with respect to u", "directional", major=3),
+    Planted("adjoint", "the adjoint derivative of force with respect to u is 0", "adjoint", major=3),
     Planted("output_derivatives", "the derivative of position is", "slope"),
     Planted("output_derivatives", "the derivative of position is", "slope", major=3),
     Planted("dependencies", "force changes with u, its dependencies list", change=NO_DEPENDENCY),
@@ -100,11 +102,16 @@ def _short() -> Iterator[None]:
         yield
 
 
-def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
-    """What some probes say of an FMU; all of them when none is named."""
+def opened(path: Path, folder: Path) -> Subject:
+    """An FMU for the probes."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    subject = Subject(path, folder)
+    return Subject(path, folder)
+
+
+def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
+    """What some probes say of an FMU; all of them when none is named."""
+    subject = opened(path, folder)
     return [found for name in probes or RULES for found in RULES[name](subject)]
 
 
@@ -115,6 +122,31 @@ def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
     found = apply(path, tmp_path, planted.probe)
     assert any(planted.says in f.text and f.severity == planted.severity for f in found), found
     assert all(f.rule == f"run.{planted.probe}" for f in found)
+
+
+def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
+    """Where it stood is told, also when no single call took long enough to count as a hang."""
+    with limits(Limits(call=30.0, probe=1.0, work=0.2)):
+        found = apply(oscillators.make(fault="hang"), tmp_path, "default")
+    text = "co-simulation: not done within 1 s, stopped in fmi2DoStep at t = 0.31 s"
+    assert text in [f.text for f in found]
+
+
+def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path):
+    """A note that says what is there, and nothing else."""
+    subject = opened(oscillators.make(), tmp_path)
+    (binary,) = (tmp_path / "binaries").iterdir()
+    binary.rename(binary.with_name("amiga68k"))
+    (text,) = [f.text for name in RULES for f in RULES[name](subject)]
+    assert text.startswith(f"no binary for this platform, expected {binary.name}")
+    assert text.endswith("found amiga68k: the FMU was not run")
+
+
+def test_an_fmu_that_takes_summed_times_only_is_probed_that_way(oscillators, tmp_path):
+    """It is told once, by the probe meant, and everything else is looked at."""
+    found = apply(oscillators.make(fault="strict"), tmp_path)
+    assert {f.rule for f in found} == {"run.drift"}
+    assert "is refused at the counted time" in found[0].text
 
 
 @pytest.mark.parametrize("major", [2, 3])

@@ -8,6 +8,7 @@ from orchestrator.check.probes.rules import loads, probe, runs
 STATE = ("canGetAndSetFMUstate", "canGetAndSetFMUState")
 BYTES = ("canSerializeFMUstate", "canSerializeFMUState")
 SLOPE = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+ADJOINT = ("providesAdjointDerivatives",)
 ORDER = ("maxOutputDerivativeOrder",)
 UPDATE = ("providesIntermediateUpdate",)
 EARLY = ("canReturnEarlyAfterIntermediateUpdate",)
@@ -89,6 +90,12 @@ TABLE: tuple[tuple[str, str, Check, str], ...] = (
         "Directional derivatives are derivatives",
         probe("slopes:directional", needs=SLOPE),
         "FMPy#545",
+    ),
+    (
+        "adjoint",
+        "Adjoint derivatives equal directional derivatives",
+        probe("slopes:adjoint", needs=ADJOINT, major=3),
+        "",
     ),
     (
         "output_derivatives",

@@ -101,7 +101,8 @@ def running() -> float:
 def reload(bench: Bench) -> Iterator[Said]:
     """Loading, making an instance, freeing and unloading, again and again."""
     before = handles()
-    for _ in range(LOADS):
+    for n in range(LOADS):
+        bench.beacon.inputs(f"(loaded for the {n + 1}. time)")
         binary = bench.load(bench.folder)
         instance = Instance(binary, bench.side, bench.folder)
         instance.free()

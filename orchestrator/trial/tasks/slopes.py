@@ -139,6 +139,25 @@ def _central(point: Point, known: Variable, shift: float) -> Row | None:
     return [(a - b) / (2 * shift) for a, b in zip(plus, minus, strict=True)]
 
 
+def adjoint(bench: Bench) -> Iterator[Said]:
+    """Adjoint derivatives are the directional ones, row by row."""
+    for point in _points(bench):
+        knowns = [*point.inputs, *point.states][:KNOWNS]
+        references = [k.reference for k in knowns]
+        instance = point.player.instance
+        if not knowns or not point.unknowns:
+            return
+        columns = [instance.directional([u.reference for u in point.unknowns], r) for r in references]
+        for i, unknown in enumerate(point.unknowns):
+            row = instance.adjoint(unknown.reference, references)
+            for known, a, column in zip(knowns, row, columns, strict=True):
+                # the same products summed in another order
+                if not abs(a - column[i]) <= 1e-6 * abs(column[i]) + 1e-9 * unknown.nominal / known.scale:
+                    text = f"the adjoint derivative of {unknown.name} with respect to {known.name} is {a:.6g}"
+                    yield "error", f"{text}, the directional one {column[i]:.6g}"
+                    return
+
+
 def output_derivatives(bench: Bench) -> Iterator[Said]:
     """Output derivatives are about the slope of the outputs along the run, inputs held."""
     fine = bench.can("canHandleVariableCommunicationStepSize")
