@@ -158,7 +158,7 @@ def build(
 @app.command()
 def parameters(
     subsystem: Annotated[
-        str | None, typer.Argument(help="swing, boom_stick or manipulator; default: all")
+        str | None, typer.Argument(help="swing, boom_stick, manipulator or operator; default: the machine")
     ] = None,
     source: Annotated[
         str | None,
@@ -242,12 +242,15 @@ def check(
         Path | None, typer.Option(metavar="OUT", help="Write the findings to a file, for programs.")
     ] = None,
     static: Annotated[bool, typer.Option("--static", help="Run nothing of the FMU.")] = False,
+    timeout: Annotated[
+        float, typer.Option(metavar="SECONDS", help="A call into the FMU that takes longer is a hang.")
+    ] = 10.0,
     rules: Annotated[bool, typer.Option("--rules", help="Print the table of rules.")] = False,
 ) -> None:
     """Tell what is wrong with an FMU and which tool will refuse it; exit status 1 if there are errors."""
     from orchestrator.check import command
 
-    if not command.run(fmu, for_, json, rules, static):
+    if not command.run(fmu, for_, json, rules, static, timeout):
         raise typer.Exit(1)
 
 
