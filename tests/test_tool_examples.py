@@ -1,4 +1,4 @@
-"""Examples for tools that may not be here: wires as in the machine, scripts that run or say what is missing."""
+"""Examples for tools that may not be here: wires as in the machine; scripts run or say what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How near a run of the work cycle comes to the reference: for the scripts of other tools, NumPy is enough."""
+"""How near a run of the work cycle comes to the reference: for scripts of other tools, NumPy is enough."""
 
 from __future__ import annotations
 
