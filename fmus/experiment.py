@@ -6,7 +6,8 @@ At each communication point the inputs are set; within a step of length H input 
 
 (docs/design.md, "Inputs inside a step"), and CVODES solves dx/dt = f(x, u(tau), p) from step to step. So a
 tool that sets the inputs at the communication points and holds them reproduces the result, whatever the step
-does to the accuracy of a coupling.
+does to the accuracy of a coupling. `python -m fmus.experiment` writes the files again, to be done whenever
+equations or numbers have changed.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from numpy.typing import NDArray
 from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.export.interface import interface
 from fmus.export.proof import STEP, data_file, parameter_set
-from fmus.machine import COMMAND_WIRES, CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.harvester import HARVESTER
+from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.operator import OPERATOR
 from fmus.parameters import Values, values
@@ -134,6 +136,13 @@ def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Arr
     ]
 
 
+def main() -> None:
+    """Write the experiments of all subsystems and of the whole."""
+    known = machine()
+    for sub in (*ALL.values(), HARVESTER):
+        write_reference(sub, known)
+
+
 def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     """Write the files of the experiment beside the subsystem."""
     moving = stimuli(sub, known)
@@ -152,3 +161,7 @@ def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
         x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
     }
     data_file(sub, "parameters.ssv").write_bytes(parameter_set(sub, settable))
+
+
+if __name__ == "__main__":
+    main()

@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.experiment import machine, write_reference
-from fmus.harvester import HARVESTER
-from fmus.machine import ALL, CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus import experiment
+from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.operator import OPERATOR
 from fmus.parameters import write
@@ -76,9 +75,7 @@ def main(folder: Path) -> None:
     time, signals = trace()
     kept = np.column_stack([time, signals])[::EVERY]
     write_csv(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
-    known = machine()
-    for sub in (*ALL.values(), HARVESTER):
-        write_reference(sub, known)
+    experiment.main()
 
 
 if __name__ == "__main__":

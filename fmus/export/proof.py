@@ -1,6 +1,6 @@
 """The reference experiment that an FMU carries by FMI-LS-REF (draft 1.0.0-alpha.1), for any tool.
 
-Its data lie beside the subsystem and are made by `python -m fmus.reference`: parameters and start values,
+Its data lie beside the subsystem and are made by `python -m fmus.experiment`: parameters and start values,
 inputs, result. They stay together whatever numbers the FMU is built with; the experiment sets all of them.
 """
 
@@ -12,14 +12,15 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.contract import Subsystem
-from fmus.export.sspxml import add, digits, root, text
+from fmus.contract import Subsystem, quantities
+from fmus.export.sspxml import add, digits, root, tag, text
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"
 STEP = 1e-2  # s, at which the inputs are set
 TOLERANCE = 1e-8  # of the FMU's solver, tighter than its default: what is left is hardly its error
 BOUND = 1e-5  # largest deviation, over range; a hundred times more at the default tolerance
+_PARAMETER = tag("ssv:Parameter")
 _LS = "http://fmi-standard.org/fmi-ls-manifest"
 # file -> MIME type, role, text
 _RELATED = {
@@ -43,18 +44,29 @@ def data_file(sub: Subsystem, name: str) -> Path:
 
 
 def proof(sub: Subsystem) -> dict[str, bytes]:
-    """Path in the FMU -> content; nothing for a subsystem without reference."""
-    result = data_file(sub, "result.csv")
-    if not result.is_file():
-        return {}
+    """Path in the FMU -> content; nothing for a subsystem without reference, or with other variables."""
     data = {name: data_file(sub, name) for name in ("parameters.ssv", "input.csv", "result.csv")}
     files = {name: path.read_bytes() for name, path in data.items() if path.is_file()}
+    if "result.csv" not in files or not _named(files) <= _variables(sub):
+        return {}
     lines = files["result.csv"].decode().strip().splitlines()
     stop = float(lines[-1].partition(",")[0])
     files["experiment.exp"] = _experiment(sub, stop, "input.csv" in files)
     files["fmi-ls-manifest.xml"] = _manifest([n for n in _RELATED if n in files or n.startswith("..")])
     page = _page(sub, stop, lines[0].split(",")[1:], "input.csv" in files)
     return {f"{PLACE}/{name}": content for name, content in files.items()} | {PAGE: page.encode()}
+
+
+def _named(files: Mapping[str, bytes]) -> set[str]:
+    """Variables that the files name."""
+    tables = (content for name, content in files.items() if name.endswith(".csv"))
+    columns = {name for t in tables for name in t.decode().partition("\n")[0].split(",")[1:]}
+    return columns | {str(e.get("name")) for e in etree.fromstring(files["parameters.ssv"]).iter(_PARAMETER)}
+
+
+def _variables(sub: Subsystem) -> set[str]:
+    groups = (sub.parameters, sub.inputs, sub.states, sub.outputs)
+    return {name for group in groups for name in quantities(group)}
 
 
 def _manifest(names: list[str]) -> bytes:

@@ -76,7 +76,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 
 def test_the_committed_experiments_are_those_of_the_equations():
-    """Inputs, parameters and the beginning of each result are what `python -m fmus.reference` writes."""
+    """Inputs, parameters and the beginning of each result are what `python -m fmus.experiment` writes."""
     known = machine()
     for sub in SUBSYSTEMS.values():
         moving = stimuli(sub, known)
@@ -123,6 +123,11 @@ def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_pat
 def test_a_subsystem_without_reference_carries_none(tmp_path):
     """Somebody's own subsystem is built as before."""
     assert proof(replace(SWING, values=tmp_path / "parameters.toml")) == {}
+
+
+def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
+    """A variant of a subsystem beside the same files: what they name is not there, so they stay out."""
+    assert proof(replace(SWING, outputs=SWING.states)) == {}
 
 
 def test_an_experiment_without_inputs_has_no_stimuli():
