@@ -9,6 +9,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from lxml import etree
 
 from fmus.contract import quantities
 from fmus.experiment import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
@@ -136,6 +137,14 @@ def test_an_experiment_without_inputs_has_no_stimuli():
     assert f"{PLACE}/input.csv" not in files
     assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
     assert b"There are no inputs" in files[PAGE]
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_the_parameter_set_keeps_the_schema(name):
+    """Valid against the SSP 1.0 schema for parameter sets that FMPy ships."""
+    file = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
+    schema = etree.XMLSchema(etree.parse(str(file)))
+    schema.assertValid(etree.fromstring(proof(SUBSYSTEMS[name])[f"{PLACE}/parameters.ssv"]))
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
