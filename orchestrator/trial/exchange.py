@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from orchestrator.trial.binary import Refused
-from orchestrator.trial.instance import Instance, _EventInfo
+from orchestrator.trial.instance import EventInfo, Instance
 
 TOLERANCE = 1e-4
 EVENTS = 100  # iterations of one event
@@ -60,7 +60,7 @@ class Exchange:
 
     def _update(self) -> tuple[bool, bool, bool, float]:
         if self.instance.declared.major == 2:
-            info = _EventInfo()
+            info = EventInfo()
             self.instance.call("NewDiscreteStates", ctypes.byref(info))
             return bool(info.needed), bool(info.terminate), bool(info.defined), info.next
         flags, following = [ctypes.c_bool(False) for _ in range(5)], ctypes.c_double(0.0)
@@ -110,9 +110,9 @@ class Exchange:
             limit = min(end, self.next) - self.time
             signs = self._signs()
             self._inner(max(limit, 0.0))
-            flags = [self.instance._flag(), self.instance._flag()]
+            flags = [self.instance.flag(), self.instance.flag()]
             self.instance.call(
-                "CompletedIntegratorStep", self.instance._flag(True), *(ctypes.byref(f) for f in flags)
+                "CompletedIntegratorStep", self.instance.flag(True), *(ctypes.byref(f) for f in flags)
             )
             self.instance.ended = bool(flags[1].value)
             if flags[0].value or self.time >= self.next or signs != self._signs():

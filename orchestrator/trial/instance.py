@@ -23,13 +23,13 @@ SPELLING = {  # FMI 3 name -> FMI 2 name
 GUARD = 64  # bytes behind a serialised state that the FMU must leave alone
 
 
-class _Functions2(ctypes.Structure):
+class Functions2(ctypes.Structure):
     """fmi2CallbackFunctions."""
 
     _fields_ = [(n, ctypes.c_void_p) for n in ("logger", "allocate", "free", "finished", "environment")]
 
 
-class _EventInfo(ctypes.Structure):
+class EventInfo(ctypes.Structure):
     """fmi2EventInfo."""
 
     _fields_ = [
@@ -77,7 +77,7 @@ class Instance:
     def _instantiate2(self, words: list[bytes], logging: bool) -> Any:
         allocate, free = _memory()
         logger = ctypes.cast(self.binary.logger, ctypes.c_void_p).value
-        self._callbacks = _Functions2(logger, allocate, free, None, None)
+        self._callbacks = Functions2(logger, allocate, free, None, None)
         name, token, resources = words
         kind = 1 if self.side == "cs" else 0
         return self.binary.raw(
@@ -113,7 +113,8 @@ class Instance:
         found: int = self.binary.raw(self._name(name), self.handle, *arguments)
         return found
 
-    def _flag(self, value: bool = False) -> Any:
+    def flag(self, value: bool = False) -> Any:
+        """A boolean of this version of FMI."""
         return ctypes.c_int(value) if self.declared.major == 2 else ctypes.c_bool(value)
 
     # ---- life
@@ -122,8 +123,8 @@ class Instance:
         """Announce the experiment and enter initialisation mode."""
         self.binary.beacon.time = start
         d = ctypes.c_double
-        experiment = [self._flag(tolerance is not None), d(tolerance or 0.0), d(start)]
-        experiment += [self._flag(stop is not None), d(stop or 0.0)]
+        experiment = [self.flag(tolerance is not None), d(tolerance or 0.0), d(start)]
+        experiment += [self.flag(stop is not None), d(stop or 0.0)]
         if self.declared.major == 2:
             self.call("SetupExperiment", *experiment)
             experiment = []
