@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 import fmpy
 
 from fmus.contract import ModelError
+from fmus.export.keep import kept
 from fmus.export.platforms import PLATFORMS
 
 FLAGS = (
@@ -32,6 +34,12 @@ def shared_library(model: str, code: Mapping[str, bytes], compiled: Sequence[str
     library = f"{model}{target.suffix}"
     command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS]
     command += ["-isystem", str(HEADERS), *compiled, "-o", library, *_link(library, target.suffix)]
+    return kept(
+        _ingredients(command, code), lambda: _compiled(f"{model}, {platform}", command, code, library)
+    )
+
+
+def _compiled(label: str, command: Sequence[str], code: Mapping[str, bytes], library: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         for name, data in code.items():
             (Path(folder) / name).write_bytes(data)
@@ -39,9 +47,18 @@ def shared_library(model: str, code: Mapping[str, bytes], compiled: Sequence[str
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
             raise ModelError(
-                f"{model}, {platform}: the C compiler failed with exit status {run.returncode}\n{run.stderr}"
+                f"{label}: the C compiler failed with exit status {run.returncode}\n{run.stderr}"
             )
         return (Path(folder) / library).read_bytes()
+
+
+def _ingredients(command: Sequence[str], code: Mapping[str, bytes]) -> Iterator[bytes]:
+    """All that a library follows from."""
+    yield version("ziglang").encode()
+    yield from (word.encode() for word in command)
+    for name in sorted(code):
+        yield from (name.encode(), code[name])
+    yield from (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
 
 
 def _link(library: str, suffix: str) -> list[str]:

@@ -21,7 +21,7 @@ from fmpy import read_model_description
 
 from fmus.contract import ModelError
 from fmus.export.build import build
-from fmus.export.compile import HEADERS
+from fmus.export.compile import FLAGS, HEADERS
 from fmus.export.platforms import PLATFORMS, host, select, universal
 from fmus.harvester import HARVESTER
 from fmus.swing import SWING
@@ -311,9 +311,38 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
         scratch = tmp_path / place / "scratch"
         scratch.mkdir(parents=True)
         monkeypatch.setattr("tempfile.tempdir", str(scratch))
+        monkeypatch.setattr("fmus.export.keep.store", lambda place=place: tmp_path / place / "store")
         built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
         assert not list(scratch.iterdir())  # nothing is left of the compilers' files
     assert built[0] == built[1]
+
+
+def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
+    """The same code, flags and platform: the library is the one that was kept."""
+    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "store")
+    sub, numbers = toys["gain"]
+    first = build(sub, tmp_path / "first", numbers=numbers).read_bytes()
+    assert build(sub, tmp_path / "other", numbers=numbers, step=0.5).read_bytes() != first
+
+    def compiler(*_, **__):
+        raise AssertionError("the compiler was called")
+
+    monkeypatch.setattr("fmus.export.compile.subprocess.run", compiler)
+    assert build(sub, tmp_path / "second", numbers=numbers).read_bytes() == first
+    for other in ({"fmi": 3}, {"platforms": ("aarch64-linux",)}):
+        with pytest.raises(AssertionError, match="compiler was called"):
+            build(sub, tmp_path / "third", numbers=numbers, **other)
+    monkeypatch.setattr("fmus.export.compile.FLAGS", ("-O1", *FLAGS))
+    with pytest.raises(AssertionError, match="compiler was called"):
+        build(sub, tmp_path / "third", numbers=numbers)
+
+
+def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
+    """A read-only home is no reason not to build."""
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "file" / "store")
+    sub, numbers = toys["gain"]
+    assert build(sub, tmp_path, numbers=numbers).is_file()
 
 
 def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
