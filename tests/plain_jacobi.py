@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from work_cycle import SIGNALS
 
 from orchestrator import load, run
@@ -42,9 +43,10 @@ def ours(
     folder: Path, step: float, stop: float, rates: bool = True, master: str = "plain"
 ) -> dict[str, np.ndarray]:
     """The work cycle with harvester.ssp of `folder`, or without its rate wires: SIGNALS every 20 ms."""
-    MASTERS["plain"] = _plain
     system = load(folder / "harvester.ssp")
     if not rates:
         system = system.without("*_rate", "*_acceleration")
-    trace = run(system, master=master, step=step, stop=stop, record=list(SIGNALS), record_step=0.02).trace
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(MASTERS, "plain", _plain)
+        trace = run(system, master=master, step=step, stop=stop, record=SIGNALS, record_step=0.02).trace
     return {name: trace[name][1:] for name in SIGNALS}
