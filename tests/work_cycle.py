@@ -22,6 +22,8 @@ PRESSURES = (
 SIGNALS = (*(f"manipulator.{j}_{kind}" for kind in ("speed", "angle") for j in JOINTS), *PRESSURES)
 # the manipulator first: it alone can be initialised without the others
 ORDER = ("manipulator", "boom_stick", "swing", "operator")
+FMUS = (*ORDER, "harvester")
+VERSIONS = ("fmu_dir", "fmi3_dir")  # fixtures: the folders of FMI 2.0 and 3.0
 
 RATED = CONNECTIONS + COMMAND_WIRES
 HELD = tuple(wire for wire in RATED if not wire[1].endswith(("_rate", "_acceleration")))
