@@ -1,0 +1,184 @@
+"""FMUs driven from C: compilers, the driver in c/, and scripts for it."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from fmus.export.compile import HEADERS
+from fmus.export.platforms import PLATFORMS, host
+from fmus.reference import work_cycle
+from fmus.scenarios import COMMANDS
+
+CODE = Path(__file__).parent / "c"
+STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))
+LINUX = sys.platform == "linux"
+needs_gcc = pytest.mark.skipif(not (LINUX and shutil.which("gcc")), reason="gcc on Linux is not there")
+_numbers = count()
+
+
+def zig(platform: str | None = None) -> list[str]:
+    """The project's own compiler, for a platform of `fmus.export.platforms`."""
+    return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform or host()].target]
+
+
+def run(command: Sequence[object], **more: object) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end; what it says is the failure."""
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, **more)
+    assert done.returncode == 0, (
+        f"{' '.join(words[:6])}: exit status {done.returncode}\n{done.stderr[-3000:]}"
+    )
+    return done
+
+
+def driver(version: int, folder: Path, compiler: Sequence[str], *flags: str, suffix: str = "") -> Path:
+    """The driver for FMUs of this version of FMI."""
+    program = folder / f"drive{version}{suffix}"
+    code = (CODE / "drive.c", CODE / f"fmu{version}.c")
+    libraries = () if suffix == ".exe" else ("-ldl", "-lpthread")
+    run([*compiler, *STANDARD, "-O1", "-g", *flags, *code, "-o", program, *libraries])
+    return program
+
+
+@dataclass(frozen=True)
+class Fmu:
+    """What a script needs to know of an FMU."""
+
+    name: str
+    version: int
+    token: str
+    library: Path
+    sources: Path
+    references: Mapping[str, int]
+    start: Mapping[str, float]
+    shown: tuple[int, int]  # states, derivatives and outputs: first value reference and how many
+    states: int
+
+    def inputs(self) -> list[str]:
+        return [name for name in self.start if name in PUSHED]
+
+
+def unpack(path: Path, folder: Path, platform: str | None = None) -> Fmu:
+    """Unpack an FMU."""
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    description = fmpy.read_model_description(str(folder), validate=False)
+    version = int(description.fmiVersion[0])
+    target = PLATFORMS[platform or host()]
+    variables = {v.name: v for v in description.modelVariables}
+    shown = [v.valueReference for v in variables.values() if v.causality in ("local", "output")]
+    return Fmu(
+        name=description.modelName,
+        version=version,
+        token=description.guid if version == 2 else description.instantiationToken,
+        library=folder
+        / "binaries"
+        / (target.folders[0] if version == 2 else target.name)
+        / f"{description.modelName}{target.suffix}",
+        sources=folder / "sources",
+        references={name: v.valueReference for name, v in variables.items()},
+        start={n: float(v.start) for n, v in variables.items() if v.causality == "input"},
+        shown=(min(shown), len(shown)),
+        states=len(description.derivatives),
+    )
+
+
+def drive(
+    program: Path,
+    fmu: Fmu,
+    script: Iterable[str],
+    folder: Path,
+    *,
+    threads: int = 1,
+    before: Sequence[str] = (),
+    environment: Mapping[str, str] | None = None,
+    library: Path | None = None,
+) -> list[str]:
+    """Run a script, in each thread; what each one prints. `before` is a program that runs the driver."""
+    stem = f"run{next(_numbers)}"
+    (folder / f"{stem}.txt").write_text("\n".join([*script, ""]), encoding="utf-8")
+    # names relative to the folder mean the same to Windows programs under Wine
+    binary = os.path.relpath(library or fmu.library, folder)
+    binary = binary if "/" in binary else f"./{binary}"
+    words = [*before, program, binary, fmu.token, f"{stem}.txt", stem, threads]
+    run(words, cwd=folder, env={**os.environ, **(environment or {})})
+    return [(folder / f"{stem}.{k}").read_text(encoding="utf-8") for k in range(threads)]
+
+
+def numbers(text: str) -> np.ndarray:
+    """What `get` printed, one row per call."""
+    return np.array([[float(word) for word in line.split()] for line in text.splitlines()])
+
+
+# ---- scripts ---------------------------------------------------------------------------------------
+
+# inputs and by how much they are moved, about a tenth of what the machine does
+PUSHED = {
+    **dict.fromkeys(("swing_command", "boom_command", "stick_command"), 1.0),
+    **{"swing_torque": 1e3, "boom_force": 200.0, "stick_force": -100.0},
+}
+
+
+def begin(fmu: Fmu, i: int = 0, kind: str = "cs") -> list[str]:
+    """A new instance; an operator is just about to move a lever."""
+    awake = [f"set {i} {fmu.references['clock']} 1.1"] if "clock" in fmu.references else []
+    return [f"make {i} {kind}", f"begin {i} 0 1e-6", *awake, f"end {i}"]
+
+
+def push(fmu: Fmu, phase: float, i: int = 0) -> list[str]:
+    """All inputs at a point of a sine."""
+    return [
+        f"set {i} {fmu.references[name]} {fmu.start[name] + PUSHED[name] * math.sin(phase)!r}"
+        for name in fmu.inputs()
+    ]
+
+
+def look(fmu: Fmu, i: int = 0) -> str:
+    return f"get {i} {fmu.shown[0]} {fmu.shown[1]}"
+
+
+def moves(fmu: Fmu, first: int, steps: int, step: float = 0.005, i: int = 0) -> list[str]:
+    """Steps with moving inputs, and the outputs after each."""
+    lines = []
+    for k in range(first, first + steps):
+        lines += [*push(fmu, 0.1 * k, i), f"step {i} {step!r} 1", look(fmu, i)]
+    return lines
+
+
+def cycle(fmu: Fmu, stop: float) -> list[str]:
+    """The work cycle of harvester.fmu up to `stop` [s], with the rates of the commands."""
+    time, commands = work_cycle()
+    step = float(time[1] - time[0])
+    lines = begin(fmu)
+    for k in range(round(stop / step)):
+        for name, value, following in zip(COMMANDS, commands[k], commands[k + 1], strict=True):
+            lines.append(f"set 0 {fmu.references[name]} {float(value)!r}")
+            lines.append(f"set 0 {fmu.references[f'{name}_rate']} {float(following - value) / step!r}")
+        lines += [f"step 0 {step!r} 1", look(fmu)]
+    return lines
+
+
+def assert_same(ours: np.ndarray, theirs: np.ndarray) -> None:
+    """Two runs of the same C give the same numbers, to 1e-9 of what each one ranges over.
+
+    Rounding differs, at 1e-16, where libraries of mathematics and orders of operations do. The solver carries
+    that on: its steps follow from estimates of its error, and change smoothly with them.
+    """
+    assert ours.shape == theirs.shape
+    assert np.ptp(ours, axis=0).max() > 0
+    scale = np.maximum(np.ptp(ours, axis=0), 1e-6 * np.abs(ours).max(axis=0))
+    errors = np.abs(ours - theirs).max(axis=0) / np.where(scale > 0, scale, 1.0)
+    assert errors.max() <= 1e-9, f"column {errors.argmax()}: {errors.max():.3g} of its range"

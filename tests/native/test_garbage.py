@@ -1,0 +1,61 @@
+"""Garbage in: random sequences of calls with random arguments, through the C interface."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import pytest
+from native.bench import CODE, STANDARD, begin, drive, needs_gcc, run, unpack, zig
+
+from fmus.export.compile import FLAGS
+
+# for more: NATIVE_FUZZ_CALLS=1000000 NATIVE_FUZZ_SEED=7 NATIVE_FUZZ_MODELS="manipulator harvester"
+CALLS = int(os.environ.get("NATIVE_FUZZ_CALLS", "50000"))  # of each program below
+SEED = int(os.environ.get("NATIVE_FUZZ_SEED", "1"))
+MODELS = os.environ.get("NATIVE_FUZZ_MODELS", "swing").split()
+SANITIZED = ("gcc", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def fuzz(compiler, sources, version, folder):
+    """Build the fuzz driver with an FMU's sources, run it; what it counted, by name."""
+    program = folder / "fuzz"
+    includes = (f"-I{CODE}", f"-I{sources}")
+    run([*compiler, *STANDARD, *includes, CODE / f"fuzz{version}.c", "-o", program, "-lm"])
+    text = run([program, SEED, CALLS]).stdout
+    return {name: int(n) for name, n in re.findall(r"(\w+) (\d+)[,\n]", text)}
+
+
+@needs_gcc
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", MODELS)
+def test_sanitizers_find_nothing(machines, tmp_path, version, name):
+    """Whatever is called with whatever: no invalid memory, nothing undefined, no hang, no OK with NaN."""
+    counted = fuzz(SANITIZED, machines[version, name].sources, version, tmp_path)
+    assert counted["calls"] >= CALLS
+    assert min(counted["OK"], counted["refused"]) > CALLS / 10  # it gets somewhere, and it is garbage
+
+
+@needs_gcc
+@pytest.mark.parametrize("version", [2, 3])
+def test_sanitizers_find_nothing_in_a_wild_model(wild, tmp_path, version):
+    """The same for a model of quotients, roots and logarithms, most of which are not finite."""
+    fmu = unpack(wild[version], tmp_path / "fmu")
+    counted = fuzz(SANITIZED, fmu.sources, version, tmp_path)
+    assert min(counted["OK"], counted["refused"]) > CALLS / 10
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_optimised_code_lets_no_odd_number_through(wild, tmp_path, version):
+    """The compiler and the flags of the shipped binaries do not optimise the checks for NaN away."""
+    fmu = unpack(wild[version], tmp_path / "fmu")
+    flags = [flag for flag in FLAGS if flag.startswith(("-O", "-f")) and flag != "-fvisibility=hidden"]
+    assert fuzz([*zig(), *flags], fmu.sources, version, tmp_path)["calls"] >= CALLS
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_step_without_end_is_given_up(wild, drivers, tmp_path, version):
+    """A step that would take the solver for hours ends with an error that says so."""
+    fmu = unpack(wild[version], tmp_path / "fmu")
+    with pytest.raises(AssertionError, match="more inner steps than allowed"):
+        drive(drivers[version], fmu, [*begin(fmu), "step 0 1e9 1"], tmp_path)

@@ -1,0 +1,47 @@
+"""Valgrind: whatever is done with an FMU, no memory is used wrongly or lost."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+
+import pytest
+from native.bench import Fmu, begin, drive, look, push
+
+VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--show-leak-kinds=all")
+LIFE = [("swing", 1000), ("operator", 1000), ("manipulator", 100), ("boom_stick", 100), ("harvester", 100)]
+INSTANCES, ROUNDS = 100, 10
+
+pytestmark = pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+
+
+def life(fmu: Fmu, steps: int) -> Iterator[str]:
+    """All instances side by side through `steps` steps each and all that can be done with a saved state."""
+    part, length = steps // ROUNDS, 1e-4
+    unknown, known = fmu.shown[0] + fmu.states, fmu.shown[0]  # a derivative, a state
+    for i in range(INSTANCES):
+        yield from begin(fmu, i)
+    for r in range(ROUNDS):
+        for i in range(INSTANCES):
+            yield from push(fmu, 0.1 * r + i, i)
+            yield f"save {i}"
+            if (i + r) % 5 == 0:  # once more from here, by way of a file
+                yield from (f"step {i} {length} {part}", f"restore {i}", f"at {i} {r * part * length!r}")
+                yield from (f"write {i} bytes", f"read {i} bytes")
+            yield from (f"step {i} {length} {part}", look(fmu, i), f"slopes {i} {unknown + fmu.states} 1")
+            yield from (f"along {i} {unknown} {known}", f"against {i} {unknown} {known}", f"forget {i}")
+    for i in range(INSTANCES):
+        yield from (f"reset {i}", f"free {i}")
+    yield from begin(fmu, 0, "me")
+    yield from (f"euler 0 1e-8 10 {fmu.states}", look(fmu), "free 0")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(("name", "steps"), LIFE)
+def test_valgrind_finds_nothing(machines, drivers, tmp_path, version, name, steps):
+    """A hundred instances, a thousand steps each, states saved, serialised and restored: no error, no leak.
+
+    The larger models take fewer steps: a step of them runs the same code for longer.
+    """
+    fmu = machines[version, name]
+    drive(drivers[version], fmu, life(fmu, steps), tmp_path, before=VALGRIND)

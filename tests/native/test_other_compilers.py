@@ -1,0 +1,29 @@
+"""The C inside the FMUs means the same to every compiler, however it optimises."""
+
+from __future__ import annotations
+
+import pytest
+from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
+
+from fmus.scenarios import WORK_CYCLE_STOP
+
+GCC = {
+    "O0": (3, "-O0"),
+    "O2": (2, "-O2"),
+    "Os": (3, "-Os"),
+    "fused": (2, "-O3", "-march=native", "-ffp-contract=fast"),  # a * b + c rounded once: other roundings
+    "undefined": (2, "-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all"),
+}
+
+
+@needs_gcc
+@pytest.mark.parametrize(("version", "flags"), [(v, f) for v, *f in GCC.values()], ids=GCC)
+def test_gcc_gives_the_numbers_of_the_shipped_binary(machines, drivers, tmp_path, version, flags):
+    """Over the work cycle the whole machine built by gcc is the one in the FMU; nothing is undefined in C."""
+    fmu = machines[version, "harvester"]
+    library = tmp_path / "harvester.so"
+    run(["gcc", *flags, *STANDARD, "-fPIC", "-shared", fmu.sources / "all.c", "-o", library, "-lm"])
+    script = cycle(fmu, WORK_CYCLE_STOP)
+    [ours] = drive(drivers[version], fmu, script, tmp_path)
+    [theirs] = drive(drivers[version], fmu, script, tmp_path, library=library)
+    assert_same(numbers(ours), numbers(theirs))

@@ -1,0 +1,74 @@
+"""Binaries for other machines, run where an emulator is installed: the numbers of this machine."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import pytest
+from native.bench import assert_same, begin, cycle, drive, driver, moves, numbers, unpack, zig
+
+from fmus.build import STEP
+from fmus.export.build import build_all
+from fmus.harvester import HARVESTER
+from fmus.operator import OPERATOR
+from fmus.scenarios import WORK_CYCLE_STOP
+
+WINE = shutil.which("wine64") or shutil.which("wine", path="/usr/lib/wine") or shutil.which("wine")
+QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
+ARM = Path("/usr/aarch64-linux-gnu")  # where Debian's libc6-arm64-cross puts the loader and libraries
+STOP = 5.0  # s: all three levers have moved
+
+
+def compare(
+    machines: Mapping[tuple[int, str], object],
+    drivers: Mapping[int, Path],
+    folder: Path,
+    platform: str,
+    before: Sequence[str],
+    suffix: str = "",
+) -> None:
+    """Both versions of the whole machine and the operator on the other platform, and on this one."""
+    folders = {version: folder / str(version) for version in (2, 3)}
+    build_all([HARVESTER, OPERATOR], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
+    for version, built in folders.items():
+        program = driver(version, folder, zig(platform), suffix=suffix)
+        for name in ("harvester", "operator"):
+            host = machines[version, name]
+            other = unpack(built / f"{name}.fmu", built / name, platform)
+            script = cycle(host, STOP) if name == "harvester" else [*begin(host), *moves(host, 0, 1000)]
+            [ours] = drive(drivers[version], host, script, folder)
+            [theirs] = drive(program, other, script, folder, before=before)
+            assert_same(numbers(ours), numbers(theirs))
+
+
+@pytest.fixture
+def wine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Wine with a drive C: of its own, which takes 0.7 GB and goes when the test is over."""
+    if WINE is None:
+        pytest.skip("Wine is not installed (Debian: wine64)")
+    prefix = tmp_path / "wine"
+    for name, value in (("WINEPREFIX", str(prefix)), ("WINEDEBUG", "-all"), ("DISPLAY", "")):
+        monkeypatch.setenv(name, value)
+    # its services live on for a while, and would keep a pipe open that they got from the first program
+    subprocess.run(
+        [WINE, "wineboot", "--init"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    yield WINE
+    server = shutil.which("wineserver") or "/usr/lib/wine/wineserver"
+    subprocess.run([server, "--kill", "--wait"], check=False, capture_output=True)
+    shutil.rmtree(prefix, ignore_errors=True)
+
+
+def test_windows_gives_the_same_numbers(machines, drivers, tmp_path, wine):
+    """The Windows binaries under Wine follow the work cycle as the binaries of this machine do."""
+    compare(machines, drivers, tmp_path, "x86_64-windows", [wine], ".exe")
+
+
+@pytest.mark.skipif(QEMU is None, reason="qemu-aarch64 is not installed (Debian: qemu-user)")
+@pytest.mark.skipif(not ARM.is_dir(), reason="no libraries for aarch64 (Debian: libc6-arm64-cross)")
+def test_arm_gives_the_same_numbers(machines, drivers, tmp_path):
+    """The aarch64 Linux binaries under qemu follow the work cycle as the binaries of this machine do."""
+    compare(machines, drivers, tmp_path, "aarch64-linux", [str(QEMU), "-L", str(ARM)])

@@ -1,0 +1,53 @@
+"""Instances in threads: they share nothing."""
+
+from __future__ import annotations
+
+import platform
+import sys
+
+import pytest
+from native.bench import STANDARD, begin, drive, driver, look, moves, needs_gcc, run
+
+THREADS = 8
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the driver has threads of POSIX only")
+
+
+def work(fmu, steps):
+    """A life with everything that computes or allocates."""
+    unknown, known = fmu.shown[0] + fmu.states, fmu.shown[0]
+    derive = [f"along 0 {unknown} {known}", f"against 0 {unknown} {known}"]
+    return [
+        *begin(fmu),
+        *moves(fmu, 0, steps),
+        "save 0",
+        *derive,
+        "restore 0",
+        "forget 0",
+        look(fmu),
+        "free 0",
+    ]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", ["swing", "boom_stick", "manipulator", "operator", "harvester"])
+def test_eight_threads_give_the_serial_numbers(machines, drivers, tmp_path, version, name):
+    """Eight threads with an instance each print, digit by digit, what one alone prints."""
+    fmu = machines[version, name]
+    script = work(fmu, 300)
+    [alone] = drive(drivers[version], fmu, script, tmp_path)
+    assert set(drive(drivers[version], fmu, script, tmp_path, threads=THREADS)) == {alone}
+
+
+@needs_gcc
+@pytest.mark.parametrize("version", [2, 3])
+def test_no_thread_touches_the_memory_of_another(machines, tmp_path, version):
+    """ThreadSanitizer sees no data race between eight instances in eight threads."""
+    fmu = machines[version, "swing"]
+    sanitized = ("gcc", "-fsanitize=thread", "-O1", "-g", "-fPIC")
+    library = tmp_path / "swing.so"
+    run([*sanitized, *STANDARD, "-shared", fmu.sources / "all.c", "-o", library, "-lm"])
+    program = driver(version, tmp_path, ["gcc"], "-fsanitize=thread")
+    # the sanitizer's own memory does not find its place where the system spreads addresses too far
+    fixed = ("setarch", platform.machine(), "--addr-no-randomize")
+    drive(program, fmu, work(fmu, 30), tmp_path, threads=THREADS, library=library, before=fixed)
