@@ -11,6 +11,7 @@ from fmus.export.codegen import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from fmus.units import display, parse
 
+COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 LOG_CATEGORIES = {
     "logEvents": "Each call of a function",
     "logStatusWarning": "What needs attention",
@@ -52,6 +53,8 @@ def model_description(face: Interface, guid: str, sources: Sequence[str], step: 
         description=face.text,
         version=package_version(),
         generationTool=f"harvester-cosim {package_version()}",
+        copyright=COPYRIGHT,
+        license="MIT",
         variableNamingConvention="flat",
         numberOfEventIndicators="0",
     )

@@ -8,6 +8,7 @@ from lxml import etree
 
 from fmus.export.interface import Interface
 from fmus.export.model_description import (
+    COPYRIGHT,
     causality,
     default_experiment,
     dependency_lists,
@@ -55,6 +56,8 @@ def model_description3(face: Interface, token: str, step: float, stop: float) ->
         description=face.text,
         version=package_version(),
         generationTool=f"harvester-cosim {package_version()}",
+        copyright=COPYRIGHT,
+        license="MIT",
         variableNamingConvention="flat",
     )
     for element, flags in (("ModelExchange", _FLAGS | _EXCHANGE), ("CoSimulation", _FLAGS | _COSIMULATION)):
