@@ -53,6 +53,7 @@ def model_description(face: Interface, guid: str, sources: Sequence[str], step: 
         description=face.text,
         version=package_version(),
         generationTool=f"harvester-cosim {package_version()}",
+        author="the harvester-cosim authors",
         copyright=COPYRIGHT,
         license="MIT",
         variableNamingConvention="flat",

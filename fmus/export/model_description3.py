@@ -56,6 +56,7 @@ def model_description3(face: Interface, token: str, step: float, stop: float) ->
         description=face.text,
         version=package_version(),
         generationTool=f"harvester-cosim {package_version()}",
+        author="the harvester-cosim authors",
         copyright=COPYRIGHT,
         license="MIT",
         variableNamingConvention="flat",
