@@ -25,6 +25,7 @@ def _seconds(text: str) -> float:
         raise typer.BadParameter(f"expected a number of seconds, got {text!r}") from None
 
 
+INTERRUPTED = 130  # exit status, as of a shell
 SYSTEM, BUILD = Path("build/harvester.ssp"), Path("build")
 
 # What `run` and `validate` share.
@@ -158,7 +159,7 @@ def build(
 @app.command()
 def parameters(
     subsystem: Annotated[
-        str | None, typer.Argument(help="swing, boom_stick, manipulator or operator; default: the machine")
+        str | None, typer.Argument(help="swing, boom_stick, manipulator or levers; default: the machine")
     ] = None,
     source: Annotated[
         str | None,
@@ -262,12 +263,14 @@ def main(arguments: list[str] | None = None) -> int:
         return _stopped()
     except Exception as error:
         return _stopped() if isinstance(error.__cause__, KeyboardInterrupt) else _told(error)
+    if status == INTERRUPTED:  # some versions of the command-line library swallow the interrupt itself
+        return _stopped()
     return status if isinstance(status, int) else 0
 
 
 def _stopped() -> int:
     print("harvester: interrupted", file=sys.stderr)
-    return 130
+    return INTERRUPTED
 
 
 def _told(error: Exception) -> int:

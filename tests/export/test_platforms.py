@@ -25,6 +25,7 @@ from fmus.export.compile import FLAGS, HEADERS
 from fmus.export.platforms import PLATFORMS, host, select, universal
 from fmus.harvester import HARVESTER
 from fmus.swing import SWING
+from orchestrator.__main__ import main
 
 lief.logging.disable()
 
@@ -371,3 +372,55 @@ def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
         build(sub, tmp_path, step=0.5, numbers=numbers)
     assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
     assert old.read_bytes() == before
+
+
+# ---- the command -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        (["--platform", "linux64"], "platform 'linux64' is unknown, expected host, all or x86_64-linux, "),
+        (["--fmi", "1"], "--fmi 1: expected 2, 3, both"),
+    ],
+)
+def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
+    """One line and exit status 2; no folder is made."""
+    assert main(["build", "--out", str(tmp_path / "new"), *option]) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"harvester: {told}")
+    assert printed.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "versions", "platforms"),
+    [
+        ([], (2, 3), (host(),)),
+        (["--fmi", "3", "--platform", "all"], (3,), tuple(PLATFORMS)),
+        (
+            ["--fmi", "2", "--platform", "aarch64-linux", "--platform", "host"],
+            (2,),
+            {"aarch64-linux", host()},
+        ),
+    ],
+)
+def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms):
+    """Both versions for this machine, or what the options say."""
+    asked = []
+    monkeypatch.setattr("fmus.build.build_machine", lambda *arguments: asked.append(arguments) or [])
+    assert main(["build", "--out", str(tmp_path), *options]) == 0
+    assert [(folder, fmi, set(names)) for folder, fmi, names in asked] == [
+        (tmp_path, versions, set(platforms))
+    ]
+
+
+def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
+    """Exit status 130 and one line, whatever the command-line library makes of the interrupt."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fmus.build.build_machine", interrupted)
+    assert main(["build", "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err == "harvester: interrupted\n"
