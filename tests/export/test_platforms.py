@@ -1,4 +1,4 @@
-"""Shared libraries for all platforms: what is in them, what they ask of a machine; whole and equal files."""
+"""Shared libraries for all platforms: where they lie, what is in them, what they ask of a machine."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ import pytest
 
 from fmus.contract import ModelError
 from fmus.export.build import build
-from fmus.export.compile import FLAGS, HEADERS
+from fmus.export.compile import HEADERS
 from fmus.export.platforms import PLATFORMS, host, select, universal
 from fmus.harvester import HARVESTER
 from fmus.swing import SWING
-from orchestrator.__main__ import main
 
 lief.logging.disable()
 
@@ -228,128 +227,3 @@ def test_apple_silicon_library_is_signed(library, fmi):
         page = data[i << shift : min((i + 1) << shift, limit)]
         stored = data[directory + hashes + i * size :][:size]
         assert hashlib.sha256(page).digest() == stored
-
-
-# ---- builds ----------------------------------------------------------------------------------------
-
-
-def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
-    """For all platforms: no time, no path and no order of the compilers gets into the file."""
-    sub, numbers = toys["gain"]
-    built = []
-    for place in ("here", "some where else"):
-        scratch = tmp_path / place / "scratch"
-        scratch.mkdir(parents=True)
-        monkeypatch.setattr("tempfile.tempdir", str(scratch))
-        monkeypatch.setattr("fmus.export.keep.store", lambda place=place: tmp_path / place / "store")
-        built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
-        assert not list(scratch.iterdir())  # nothing is left of the compilers' files
-    assert built[0] == built[1]
-
-
-def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
-    """The same code, flags and platform: the library is the one that was kept."""
-    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "store")
-    sub, numbers = toys["gain"]
-    first = build(sub, tmp_path / "first", numbers=numbers).read_bytes()
-    assert build(sub, tmp_path / "other", numbers=numbers, step=0.5).read_bytes() != first
-
-    def compiler(*_, **__):
-        raise AssertionError("the compiler was called")
-
-    monkeypatch.setattr("fmus.export.compile.subprocess.run", compiler)
-    assert build(sub, tmp_path / "second", numbers=numbers).read_bytes() == first
-    for other in ({"fmi": 3}, {"platforms": ("aarch64-linux",)}):
-        with pytest.raises(AssertionError, match="compiler was called"):
-            build(sub, tmp_path / "third", numbers=numbers, **other)
-    monkeypatch.setattr("fmus.export.compile.FLAGS", ("-O1", *FLAGS))
-    with pytest.raises(AssertionError, match="compiler was called"):
-        build(sub, tmp_path / "third", numbers=numbers)
-
-
-def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
-    """A read-only home is no reason not to build."""
-    (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "file" / "store")
-    sub, numbers = toys["gain"]
-    assert build(sub, tmp_path, numbers=numbers).is_file()
-
-
-def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
-    """A compiler that fails for one platform: no new file, no half file, the old one untouched."""
-    sub, numbers = toys["gain"]
-    old = build(sub, tmp_path, numbers=numbers)
-    before = old.read_bytes()
-    monkeypatch.setattr("fmus.export.compile.FLAGS", ("-fno-such-flag",))
-    with pytest.raises(ModelError, match="gain, x86_64-linux: the C compiler failed"):
-        build(sub, tmp_path, step=0.5, numbers=numbers, platforms=("x86_64-linux", "x86_64-windows"))
-    assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
-    assert old.read_bytes() == before
-
-
-def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
-    """An interrupt in the middle of the zip file leaves the old FMU and nothing else."""
-    sub, numbers = toys["gain"]
-    old = build(sub, tmp_path, numbers=numbers)
-    before = old.read_bytes()
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(zipfile.ZipFile, "writestr", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        build(sub, tmp_path, step=0.5, numbers=numbers)
-    assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
-    assert old.read_bytes() == before
-
-
-# ---- the command -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("option", "told"),
-    [
-        (["--platform", "linux64"], "platform 'linux64' is unknown, expected host, all or x86_64-linux, "),
-        (["--fmi", "1"], "--fmi 1: expected 2, 3, both"),
-    ],
-)
-def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
-    """One line and exit status 2; no folder is made."""
-    assert main(["build", "--out", str(tmp_path / "new"), *option]) == 2
-    printed = capsys.readouterr().err
-    assert printed.startswith(f"harvester: {told}")
-    assert printed.count("\n") == 1
-    assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "versions", "platforms"),
-    [
-        ([], (2, 3), (host(),)),
-        (["--fmi", "3", "--platform", "all"], (3,), tuple(PLATFORMS)),
-        (
-            ["--fmi", "2", "--platform", "aarch64-linux", "--platform", "host"],
-            (2,),
-            {"aarch64-linux", host()},
-        ),
-    ],
-)
-def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms):
-    """Both versions for this machine, or what the options say."""
-    asked = []
-    monkeypatch.setattr("fmus.build.build_machine", lambda *arguments: asked.append(arguments) or [])
-    assert main(["build", "--out", str(tmp_path), *options]) == 0
-    assert [(folder, fmi, set(names)) for folder, fmi, names in asked] == [
-        (tmp_path, versions, set(platforms))
-    ]
-
-
-def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
-    """Exit status 130 and one line, whatever the command-line library makes of the interrupt."""
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("fmus.build.build_machine", interrupted)
-    assert main(["build", "--out", str(tmp_path)]) == 130
-    assert capsys.readouterr().err == "harvester: interrupted\n"
