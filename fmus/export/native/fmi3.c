@@ -94,9 +94,11 @@ fmi3Instance fmi3InstantiateScheduledExecution(
     return NULL;
 }
 
-/* Inside its own step an instance is still needed. */
+/* Inside its own step an instance is still needed. Else no word: the caller's log may be gone already. */
 void fmi3FreeInstance(fmi3Instance instance) {
-    if (allowed(instance, __func__, OUTSIDE)) free(instance);
+    const Instance *self = instance;
+    if (self && self->core.s.phase == INSIDE_STEP) allowed(instance, __func__, OUTSIDE);
+    else free(instance);
 }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
