@@ -113,7 +113,7 @@ def manipulator(axes: Axes) -> None:
         disc(axes, joint, 6.2, ORANGE, 2.6)
 
 
-def operator(axes: Axes) -> None:
+def levers(axes: Axes) -> None:
     """A joystick and the two ways it goes."""
     area(axes, [(22, 12), (78, 12), (70, 28), (30, 28)])
     axes.add_patch(Arc((50, 28), 38, 24, theta1=0, theta2=180, color=DARK, lw=6))
@@ -136,7 +136,7 @@ def harvester(axes: Axes) -> None:
 
 
 ICONS: Mapping[str, Callable[[Axes], None]] = {
-    f.__name__: f for f in (swing, boom_stick, manipulator, operator, harvester)
+    f.__name__: f for f in (swing, boom_stick, manipulator, levers, harvester)
 }
 
 

@@ -1,4 +1,4 @@
-"""Builds the machine: FMUs of its parts and operator, their system `harvester.ssp`, and all in one FMU."""
+"""Builds the machine: FMUs of its parts and levers, their system `harvester.ssp`, and all in one FMU."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def data(name: str) -> Path:
 def build_machine(
     folder: Path, versions: Sequence[int] = (2,), platforms: Sequence[str] | None = None
 ) -> list[Path]:
-    """Write the FMUs of the machine, its operator and the whole, and harvester.ssp; their paths.
+    """Write the FMUs of the machine, its levers and the whole, and harvester.ssp; their paths.
 
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.platforms`; by default the one this runs on

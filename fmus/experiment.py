@@ -24,9 +24,9 @@ from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.export.interface import interface
 from fmus.export.proof import STEP, data_file, parameter_set
 from fmus.harvester import HARVESTER
+from fmus.levers import LEVERS
 from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
-from fmus.operator import OPERATOR
 from fmus.parameters import Values, values
 from fmus.tables import write_csv
 
@@ -42,11 +42,11 @@ def machine() -> dict[str, Array]:
     """`component.variable` -> samples (n,) every STEP from 0 to STOP: all signals of the machine at work."""
     count = round(STOP / STEP)
     time = np.arange(2 * count + 1) * STEP / 2  # corners of the strokes lie on this grid, too
-    levers = symbolic(OPERATOR).function().map(time.size)
-    p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
+    levers = symbolic(LEVERS).function().map(time.size)
+    p = np.tile(list(values(LEVERS).p.values()), (time.size, 1)).T
     commands = np.asarray(levers(time[None, :], ca.DM(0, time.size), p)[1])
-    known = {f"operator.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)}
-    known["operator.clock"] = time
+    known = {f"levers.{n}": row for n, row in zip(quantities(LEVERS.outputs), commands, strict=True)}
+    known["levers.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     sources = {end: known[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))

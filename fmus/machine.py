@@ -8,13 +8,13 @@ import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
+from fmus.levers import LEVERS
 from fmus.manipulator import MANIPULATOR
-from fmus.operator import OPERATOR
 from fmus.swing import SWING
 
-# the machine; and what is built: the machine and its operator
+# the machine; and what is built: the machine and its levers
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
-ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, OPERATOR.name: OPERATOR}
+ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, LEVERS.name: LEVERS}
 
 # power ports: what flows over each port and back
 SIGNALS: tuple[tuple[str, str], ...] = (
@@ -46,14 +46,14 @@ HOLDING: tuple[tuple[str, str], ...] = (
 
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
-# from the operator, each with its rate
+# from the levers, each with its rate
 COMMAND_WIRES: tuple[tuple[str, str], ...] = tuple(
-    (f"operator.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
+    (f"levers.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
 )
 
-# inputs of the machine without operator and the component inputs they feed
+# inputs of the machine without levers and the component inputs they feed
 INPUTS: Mapping[str, tuple[str, ...]] = {
     **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),

@@ -1,4 +1,4 @@
-"""Makes work cycle, reference trace, operator's program, and the experiments that FMUs carry as their proof.
+"""Makes work cycle, reference trace, levers' program, and the experiments that FMUs carry as their proof.
 
     python -m fmus.reference DATA_FOLDER
 
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus import experiment
+from fmus.levers import LEVERS
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
-from fmus.operator import OPERATOR
 from fmus.parameters import write
-from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, operator_numbers, sample
+from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
 from fmus.tables import write_csv
 
 TOLERANCE = 1e-11  # relative, of CVODES
@@ -66,8 +66,8 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def main(folder: Path) -> None:
-    """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
-    write(OPERATOR.values, operator_numbers())
+    """Write scenario and trace below `folder`; the levers' program and experiments beside the models."""
+    write(LEVERS.values, program_numbers())
     time, commands = work_cycle()
     write_csv(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10

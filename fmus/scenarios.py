@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError, quantities
-from fmus.operator import OPERATOR
-from fmus.operator.variables import LEVERS, STROKES, WORDS, stroke_name
+from fmus.levers import LEVERS
+from fmus.levers.variables import AXES, STROKES, WORDS, stroke_name
 from fmus.parameters import Number
 
 RATE = 200.0  # samples per second, section 4 of the paper
@@ -72,7 +72,7 @@ WORK_CYCLE: tuple[Move, ...] = (
 )
 WORK_CYCLE_STOP = 42.0  # s
 
-# programs of the operator by name; boom_up is also data/scenarios/boom_up.csv
+# programs of the levers by name; boom_up is also data/scenarios/boom_up.csv
 DEFAULT = "work_cycle"
 PROGRAMS: Mapping[str, tuple[Move, ...]] = {
     DEFAULT: WORK_CYCLE,
@@ -92,9 +92,9 @@ def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDA
 
 
 def program(moves: Sequence[Move]) -> dict[str, float]:
-    """The same moves as parameters of the operator; strokes that are not used are all zero."""
-    values = {stroke_name(lever, n, word): 0.0 for lever in LEVERS for n in STROKES for word in WORDS}
-    for lever in LEVERS:
+    """The same moves as parameters of the levers; strokes that are not used are all zero."""
+    values = {stroke_name(lever, n, word): 0.0 for lever in AXES for n in STROKES for word in WORDS}
+    for lever in AXES:
         mine = [move for move in moves if move.axis == lever]
         if len(mine) > len(STROKES):
             raise ModelError(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
@@ -103,9 +103,9 @@ def program(moves: Sequence[Move]) -> dict[str, float]:
     return values
 
 
-def operator_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
-    """The content of the operator's parameters.toml."""
-    units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
+def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+    """The content of the levers' parameters.toml."""
+    units = {name: q.unit for name, q in quantities(LEVERS.parameters).items()}
     values = program(moves)
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
     notes = {True: "work cycle, fmus/scenarios.py", False: "stroke not used"}

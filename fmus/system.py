@@ -1,4 +1,4 @@
-"""harvester.ssp: the FMUs of the machine and its operator, connected, with poses and programs to choose."""
+"""harvester.ssp: the FMUs of the machine and its levers, connected, with poses and programs to choose."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fmus.export.ssp import write_ssp
+from fmus.levers import LEVERS
 from fmus.machine import COMMAND_WIRES, CONNECTIONS
-from fmus.operator import OPERATOR
 from fmus.poses import NOMINAL, POSES, pose_set
 from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 
 NAME = "harvester"
 # some tools initialise in the order of the file: the manipulator's holding forces come first
-ORDER = ("manipulator", "boom_stick", "swing", "operator")
-COLUMNS = (("operator",), ("boom_stick", "swing"), ("manipulator",))
+ORDER = ("manipulator", "boom_stick", "swing", "levers")
+COLUMNS = (("levers",), ("boom_stick", "swing"), ("manipulator",))
 VERSIONS = {2: "1.0", 3: "2.0"}  # of SSP, by the version of FMI
 
 
@@ -38,8 +38,8 @@ def write_system(folder: Path, fmus: Mapping[str, Path], step: float, fmi: int =
 
 
 def parameter_sets() -> dict[str, dict[str, float]]:
-    """Poses and programs of the operator by name, each with its values by "component.variable"."""
+    """Poses and programs of the levers by name, each with its values by "component.variable"."""
     sets = {name: pose_set(pose) for name, pose in POSES.items()}
     for name, moves in PROGRAMS.items():
-        sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
+        sets[name] = {f"{LEVERS.name}.{p}": value for p, value in program(moves).items()}
     return sets

@@ -39,7 +39,7 @@ def worst(validation: Validation, group: str) -> float:
 
 
 def test_default_run_meets_the_bars_over_the_whole_work_cycle(system):
-    """Default master and step, led by the operator: speeds 0.5 %, angles 0.05 %, pressures 1 % NRMSE."""
+    """Default master and step, led by the levers: speeds 0.5 %, angles 0.05 %, pressures 1 % NRMSE."""
     result = run(system)
     assert result.card.step >= 5e-4
     validation = compare(result.trace, REFERENCE, rate=False)

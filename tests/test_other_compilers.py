@@ -35,7 +35,7 @@ def sources(fmu: Path, folder: Path) -> Path:
         for name in archive.namelist():
             if name.startswith("sources/"):
                 archive.extract(name, folder)
-    return folder / "sources" / "all.c"
+    return folder / "sources" / f"{fmu.stem}_fmu.c"
 
 
 def gcc(*arguments: object) -> None:
@@ -75,7 +75,7 @@ def test_two_fmus_link_into_one_program(fmi3_dir, tmp_path):
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
 def test_fmpy_builds_the_sources_itself(request, tmp_path, monkeypatch, version):
-    """`fmpy compile` builds swing.fmu from its list of sources, in both versions; the result runs the same."""
+    """`fmpy compile` builds swing.fmu from its list of sources, in both versions; it runs the same."""
     from fmpy.build import build_platform_binary
 
     fmu = request.getfixturevalue(version) / "swing.fmu"

@@ -6,26 +6,26 @@ package Harvester "The FMUs of harvester-cosim in a Modelica tool; README.md has
     model Swing = swing_me_FMU "Swing drive";
     model BoomStick = boom_stick_me_FMU "Boom and stick drives";
     model Manipulator = manipulator_me_FMU "Column, boom and stick";
-    model Driver = operator_me_FMU "Plays strokes of the levers; `operator` is a word of the language";
+    model Levers = levers_me_FMU "Plays strokes of the levers";
   end Imported;
 
   model OneBlock "The work cycle with harvester.fmu"
-    Imported.Driver driver;
+    Imported.Levers levers;
     Imported.Machine machine;
   equation
-    connect(driver.swing_command, machine.swing_command);
-    connect(driver.swing_command_rate, machine.swing_command_rate);
-    connect(driver.boom_command, machine.boom_command);
-    connect(driver.boom_command_rate, machine.boom_command_rate);
-    connect(driver.stick_command, machine.stick_command);
-    connect(driver.stick_command_rate, machine.stick_command_rate);
+    connect(levers.swing_command, machine.swing_command);
+    connect(levers.swing_command_rate, machine.swing_command_rate);
+    connect(levers.boom_command, machine.boom_command);
+    connect(levers.boom_command_rate, machine.boom_command_rate);
+    connect(levers.stick_command, machine.stick_command);
+    connect(levers.stick_command_rate, machine.stick_command_rate);
     machine.supply_pressure = 20.684e6 "Pa";
     machine.tank_pressure = 0 "Pa";
     annotation (experiment(StopTime = 42, Interval = 0.02, Tolerance = 1e-8));
   end OneBlock;
 
   model FourBlocks "The work cycle with the four FMUs, wired as in harvester.ssp"
-    Imported.Driver driver;
+    Imported.Levers levers;
     Imported.Swing swing;
     Imported.BoomStick boom_stick;
     Imported.Manipulator manipulator;
@@ -50,12 +50,12 @@ package Harvester "The FMUs of harvester-cosim in a Modelica tool; README.md has
     connect(manipulator.stick_acceleration, boom_stick.stick_acceleration);
     connect(manipulator.stick_holding_force, boom_stick.stick_holding_force);
     // command levers
-    connect(driver.swing_command, swing.swing_command);
-    connect(driver.swing_command_rate, swing.swing_command_rate);
-    connect(driver.boom_command, boom_stick.boom_command);
-    connect(driver.boom_command_rate, boom_stick.boom_command_rate);
-    connect(driver.stick_command, boom_stick.stick_command);
-    connect(driver.stick_command_rate, boom_stick.stick_command_rate);
+    connect(levers.swing_command, swing.swing_command);
+    connect(levers.swing_command_rate, swing.swing_command_rate);
+    connect(levers.boom_command, boom_stick.boom_command);
+    connect(levers.boom_command_rate, boom_stick.boom_command_rate);
+    connect(levers.stick_command, boom_stick.stick_command);
+    connect(levers.stick_command_rate, boom_stick.stick_command_rate);
     // supply line: constant pressure
     swing.supply_pressure = 20.684e6 "Pa";
     swing.tank_pressure = 0 "Pa";

@@ -13,9 +13,8 @@ from dataclasses import fields
 from pathlib import Path
 
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, BoomStickParameters, BoomStickState
-from fmus.components import cylinder, cylinder_drive
+from fmus.components import cylinder, cylinder_drive, ports
 from fmus.components.cylinder_drive import Drive, Oil, Surroundings
-from fmus.components.ports import lever, return_line, rod, supply_line
 from fmus.contract import Scalar, Subsystem
 
 
@@ -121,9 +120,9 @@ BOOM_STICK = Subsystem(
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=(
-        *(rod(axis, drives=True) for axis in ("boom", "stick")),
-        *(lever(axis) for axis in ("boom", "stick")),
-        supply_line(),
-        return_line(),
+        *(ports.rod(axis, drives=True) for axis in ("boom", "stick")),
+        *(ports.lever(axis) for axis in ("boom", "stick")),
+        ports.supply_line(),
+        ports.return_line(),
     ),
 )

@@ -1,4 +1,4 @@
-"""The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and all.c, which includes the rest."""
+"""The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and one that includes all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmus.export.interface import Interface, Variable
 DEFAULT_TOLERANCE = 1e-6
 
 
-_ORDER = ("model", "adjoint", "rosenbrock", "core", "snapshot", "instance")  # of all.c; others follow
+_ORDER = ("model", "adjoint", "rosenbrock", "core", "snapshot", "instance")  # the others follow
 
 
 def native_sources(fmi: int) -> dict[str, str]:
@@ -31,11 +31,16 @@ def native_sources(fmi: int) -> dict[str, str]:
 
 
 def sources(face: Interface, guid: str, fmi: int) -> dict[str, str]:
-    """File name -> text of all C files of an FMU; only all.c is to be compiled."""
+    """File name -> text of all C files of an FMU; only that of `main_source` is to be compiled."""
     code = native_sources(fmi) | _generated(face, guid, fmi)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
-    return code | {"all.c": _all(face, names, fmi)}
+    return code | {main_source(face.name): _all(face, names, fmi)}
+
+
+def main_source(model: str) -> str:
+    """The file to compile: named after the model, so that the objects of several FMUs differ by name."""
+    return f"{model}_fmu.c"
 
 
 def _all(face: Interface, names: Sequence[str], fmi: int) -> str:

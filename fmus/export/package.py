@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmus.contract import Subsystem
-from fmus.export.codegen import sources
+from fmus.export.codegen import main_source, sources
 from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface
 from fmus.export.model_description import model_description
@@ -21,7 +21,6 @@ from fmus.files import shipped
 from fmus.parameters import Values, document, values
 
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
-_COMPILED = ("all.c",)
 VERSIONS = (2, 3)  # of FMI
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
@@ -50,16 +49,16 @@ def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values 
     token = _fingerprint(drafts.values())
     content = {path: text.replace(_PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
     if fmi == 3:
-        content["sources/buildDescription.xml"] = build_description(sub.name, _COMPILED)
+        content["sources/buildDescription.xml"] = build_description(sub.name, [main_source(sub.name)])
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
-    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), _COMPILED)
+    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)])
 
 
 def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:
     """The files that carry the GUID or instantiation token, or that it stands for, with a placeholder."""
     files = {f"sources/{name}": text for name, text in sources(face, _PLACEHOLDER, fmi).items()}
     if fmi == 2:
-        description = model_description(face, _PLACEHOLDER, _COMPILED, step, stop)
+        description = model_description(face, _PLACEHOLDER, [main_source(face.name)], step, stop)
     else:
         description = model_description3(face, _PLACEHOLDER, step, stop)
     return files | {"modelDescription.xml": description.decode()}

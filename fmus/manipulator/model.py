@@ -18,10 +18,9 @@ from pathlib import Path
 
 import casadi as ca
 
-from fmus.components import cylinder, linkage
+from fmus.components import cylinder, linkage, ports
 from fmus.components.linkage import Point, Triangle
 from fmus.components.rigid_body import EquationsOfMotion, equations_of_motion
-from fmus.components.ports import rod, shaft
 from fmus.contract import Scalar, Subsystem, column
 from fmus.manipulator.variables import (
     ManipulatorInputs,
@@ -234,5 +233,8 @@ MANIPULATOR = Subsystem(
     observe=observe,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
-    terminals=(shaft("swing", drives=False), *(rod(axis, drives=False) for axis in ("boom", "stick"))),
+    terminals=(
+        ports.shaft("swing", drives=False),
+        *(ports.rod(axis, drives=False) for axis in ("boom", "stick")),
+    ),
 )

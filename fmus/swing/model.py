@@ -16,10 +16,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmus.components import chamber, hose, motor, spool_valve
+from fmus.components import chamber, hose, motor, ports, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow
-from fmus.components.ports import lever, return_line, shaft, supply_line
 from fmus.contract import Scalar, Subsystem
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
@@ -115,5 +114,10 @@ SWING = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
-    terminals=(shaft("swing", drives=True), lever("swing"), supply_line(), return_line()),
+    terminals=(
+        ports.shaft("swing", drives=True),
+        ports.lever("swing"),
+        ports.supply_line(),
+        ports.return_line(),
+    ),
 )

@@ -16,8 +16,8 @@ from fmus.experiment import RESULT_DIGITS, machine, signals, solve, start_values
 from fmus.export.build import build
 from fmus.export.proof import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
 from fmus.harvester import HARVESTER
+from fmus.levers import LEVERS
 from fmus.machine import ALL
-from fmus.operator import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from orchestrator.check.experiment import cases
@@ -132,8 +132,8 @@ def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
 
 
 def test_an_experiment_without_inputs_has_no_stimuli():
-    """The operator has no inputs: no file, and none in the experiment."""
-    files = proof(OPERATOR)
+    """The levers have no inputs: no file, and none in the experiment."""
+    files = proof(LEVERS)
     assert f"{PLACE}/input.csv" not in files
     assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
     assert b"There are no inputs" in files[PAGE]

@@ -93,10 +93,10 @@ def test_archive_holds_sources_and_documentation(toy_dir):
         names = archive.namelist()
         page = archive.read("documentation/index.html").decode()
         xml = archive.read("modelDescription.xml").decode()
-        code = archive.read("sources/all.c").decode()
+        code = archive.read("sources/chamber_fmu.c").decode()
     listed = set(re.findall(r'<File name="([^"]+)"', xml))
     included = set(re.findall(r'#include "(\w+\.c)"', code))
-    assert listed == {"all.c"}
+    assert listed == {"chamber_fmu.c"}
     assert {f"sources/{name}" for name in listed | included} == {n for n in names if n.endswith(".c")}
     assert {"sources/model.h", "sources/sizes.h"} <= set(names)
     assert "<code>pressure_rate</code>" in page
@@ -139,7 +139,7 @@ def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
         "-shared",
     ]
     headers = Path(fmpy.__file__).parent / "c-code"
-    code = unpacked[name] / "sources" / "all.c"
+    code = unpacked[name] / "sources" / f"{name}_fmu.c"
     command = ["gcc", *flags, f"-I{headers}", str(code), "-o", "/dev/null", "-lm"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
@@ -181,7 +181,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
     """C that does not compile gives one line, then what the compiler said."""
     sub, numbers = toys["gain"]
-    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"all.c": "#error broken\n"})
+    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
     with pytest.raises(
         ModelError, match=r"gain, [a-z0-9_-]+: the C compiler failed with exit status 1\n(.|\n)*#error broken"
     ):

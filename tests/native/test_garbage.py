@@ -20,7 +20,8 @@ SANITIZED = ("gcc", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-
 def fuzz(compiler, sources, version, folder):
     """Build the fuzz driver with an FMU's sources, run it; what it counted, by name."""
     program = folder / "fuzz"
-    includes = (f"-I{CODE}", f"-I{sources}")
+    [source] = sources.glob("*_fmu.c")
+    includes = (f"-I{CODE}", f"-I{sources}", f'-DSOURCES="{source.name}"')
     run([*compiler, *STANDARD, *includes, CODE / f"fuzz{version}.c", "-o", program, "-lm"])
     text = run([program, SEED, CALLS]).stdout
     return {name: int(n) for name, n in re.findall(r"(\w+) (\d+)[,\n]", text)}

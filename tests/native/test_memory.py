@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from native.bench import Fmu, begin, drive, look, push
 
-VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--show-leak-kinds=all")
-LIFE = [("swing", 1000), ("operator", 1000), ("manipulator", 100), ("boom_stick", 100), ("harvester", 100)]
+VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
+LIFE = [("swing", 1000), ("levers", 1000), ("manipulator", 100), ("boom_stick", 100), ("harvester", 20)]
 INSTANCES, ROUNDS = 100, 10
 
 pytestmark = pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")

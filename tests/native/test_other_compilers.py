@@ -22,7 +22,7 @@ def test_gcc_gives_the_numbers_of_the_shipped_binary(machines, drivers, tmp_path
     """Over the work cycle the whole machine built by gcc is the one in the FMU; nothing is undefined in C."""
     fmu = machines[version, "harvester"]
     library = tmp_path / "harvester.so"
-    run(["gcc", *flags, *STANDARD, "-fPIC", "-shared", fmu.sources / "all.c", "-o", library, "-lm"])
+    run(["gcc", *flags, *STANDARD, "-fPIC", "-shared", fmu.sources / "harvester_fmu.c", "-o", library, "-lm"])
     script = cycle(fmu, WORK_CYCLE_STOP)
     [ours] = drive(drivers[version], fmu, script, tmp_path)
     [theirs] = drive(drivers[version], fmu, script, tmp_path, library=library)

@@ -13,7 +13,7 @@ from native.bench import assert_same, begin, cycle, drive, driver, moves, number
 from fmus.build import STEP
 from fmus.export.build import build_all
 from fmus.harvester import HARVESTER
-from fmus.operator import OPERATOR
+from fmus.levers import LEVERS
 from fmus.scenarios import WORK_CYCLE_STOP
 
 WINE = shutil.which("wine64") or shutil.which("wine", path="/usr/lib/wine") or shutil.which("wine")
@@ -30,12 +30,12 @@ def compare(
     before: Sequence[str],
     suffix: str = "",
 ) -> None:
-    """Both versions of the whole machine and the operator on the other platform, and on this one."""
+    """Both versions of the whole machine and the levers on the other platform, and on this one."""
     folders = {version: folder / str(version) for version in (2, 3)}
-    build_all([HARVESTER, OPERATOR], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
+    build_all([HARVESTER, LEVERS], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
     for version, built in folders.items():
         program = driver(version, folder, zig(platform), suffix=suffix)
-        for name in ("harvester", "operator"):
+        for name in ("harvester", "levers"):
             host = machines[version, name]
             other = unpack(built / f"{name}.fmu", built / name, platform)
             script = cycle(host, STOP) if name == "harvester" else [*begin(host), *moves(host, 0, 1000)]

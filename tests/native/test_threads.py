@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import platform
+import shutil
+import subprocess
 import sys
 
 import pytest
@@ -30,13 +32,20 @@ def work(fmu, steps):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("name", ["swing", "boom_stick", "manipulator", "operator", "harvester"])
+@pytest.mark.parametrize("name", ["swing", "boom_stick", "manipulator", "levers", "harvester"])
 def test_eight_threads_give_the_serial_numbers(machines, drivers, tmp_path, version, name):
     """Eight threads with an instance each print, digit by digit, what one alone prints."""
     fmu = machines[version, name]
     script = work(fmu, 300)
     [alone] = drive(drivers[version], fmu, script, tmp_path)
     assert set(drive(drivers[version], fmu, script, tmp_path, threads=THREADS)) == {alone}
+
+
+def not_randomized() -> tuple[str, ...]:
+    """The sanitizer's own memory does not find its place where the system spreads addresses too far."""
+    words = ("setarch", platform.machine(), "--addr-no-randomize")
+    allowed = shutil.which(words[0]) and subprocess.run([*words, "true"], check=False).returncode == 0
+    return words if allowed else ()
 
 
 @needs_gcc
@@ -46,8 +55,6 @@ def test_no_thread_touches_the_memory_of_another(machines, tmp_path, version):
     fmu = machines[version, "swing"]
     sanitized = ("gcc", "-fsanitize=thread", "-O1", "-g", "-fPIC")
     library = tmp_path / "swing.so"
-    run([*sanitized, *STANDARD, "-shared", fmu.sources / "all.c", "-o", library, "-lm"])
+    run([*sanitized, *STANDARD, "-shared", fmu.sources / "swing_fmu.c", "-o", library, "-lm"])
     program = driver(version, tmp_path, ["gcc"], "-fsanitize=thread")
-    # the sanitizer's own memory does not find its place where the system spreads addresses too far
-    fixed = ("setarch", platform.machine(), "--addr-no-randomize")
-    drive(program, fmu, work(fmu, 30), tmp_path, threads=THREADS, library=library, before=fixed)
+    drive(program, fmu, work(fmu, 30), tmp_path, threads=THREADS, library=library, before=not_randomized())

@@ -12,7 +12,7 @@
 
 #include "sizes.h"
 
-/* All files are compiled as one (all.c), so that nothing but the FMI functions has a name outside. */
+/* All files are compiled as one (<model>_fmu.c), so that nothing but the FMI functions has a name outside. */
 #define LOCAL static
 
 /* Length of an array for n numbers: C99 has no arrays of length zero. */

@@ -1,4 +1,4 @@
-/* Garbage in: what the fuzz drivers of FMI 2 and FMI 3 share. They are compiled in one piece with an FMU's all.c
+/* Garbage in: what the fuzz drivers of FMI 2 and FMI 3 share. They are compiled in one piece with an FMU's sources
    under the address and undefined-behaviour sanitizers:
 
        fuzz SEED CALLS

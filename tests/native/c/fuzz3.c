@@ -2,7 +2,7 @@
 
 #include "scarce.h"
 
-#include "all.c"
+#include SOURCES /* the FMU, in one piece */
 
 #undef malloc
 #undef calloc

@@ -1,4 +1,4 @@
-"""Variables of the operator: ten strokes per lever, a clock, commands and their rates; as in model.py."""
+"""Variables of the levers: ten strokes per lever, a clock, commands and their rates; as in model.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from fmus.contract import Quantity, Scalar
 
-LEVERS = ("swing", "boom", "stick")
+AXES = ("swing", "boom", "stick")
 STROKES = range(1, 11)
 WORDS = ("start", "command", "rise", "hold", "fall")  # of one stroke, as in `stroke.Stroke`
 
@@ -30,11 +30,11 @@ def stroke_name(lever: str, number: int, word: str) -> str:
 
 
 # 150 parameters from one pattern; their numbers and sources are in parameters.toml
-OperatorParameters: type[Any] = make_dataclass(
-    "OperatorParameters",
+LeversParameters: type[Any] = make_dataclass(
+    "LeversParameters",
     [
         (stroke_name(lever, number, word), Annotated[Scalar, quantity], field())
-        for lever in LEVERS
+        for lever in AXES
         for number in STROKES
         for word, quantity in zip(WORDS, _stroke(lever, number), strict=True)
     ],
@@ -43,19 +43,19 @@ OperatorParameters: type[Any] = make_dataclass(
 
 
 @dataclass(frozen=True)
-class OperatorState:
+class LeversState:
     """How far the program is."""
 
     clock: Annotated[Scalar, Quantity("s", "Time in the program; starts at 0, whatever the start time")]
 
 
 @dataclass(frozen=True)
-class OperatorInputs:
-    """None: the operator does not look."""
+class LeversInputs:
+    """None."""
 
 
 @dataclass(frozen=True)
-class OperatorOutputs:
+class LeversOutputs:
     """Commands to the valves and their rates."""
 
     swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]

@@ -1,4 +1,4 @@
-"""The operator: plays its strokes as declared, with rates to the right of each corner; the built program."""
+"""The levers: play their strokes as declared, with rates to the right of each corner; the built program."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from fmus.build import data
 from fmus.contract import ModelError, symbolic
-from fmus.operator import OPERATOR
-from fmus.operator.stroke import AHEAD, Stroke, sample
-from fmus.operator.variables import LEVERS, STROKES
+from fmus.levers import LEVERS
+from fmus.levers.stroke import AHEAD, Stroke, sample
+from fmus.levers.variables import AXES, STROKES
 from fmus.parameters import numbers, values
 from fmus.poses import NOMINAL, POSES, pose_set
-from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE, WORK_CYCLE_STOP, Move, operator_numbers, program
+from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE, WORK_CYCLE_STOP, Move, program, program_numbers
 from fmus.scenarios import sample as sampled
 
 _NAMES = ("start", "command", "rise", "hold", "fall")
@@ -35,7 +35,7 @@ def moves(draw):
 
 
 def at(move: Move, time: float) -> tuple[float, float]:
-    """Command and rate of the operator's stroke."""
+    """Command and rate of a stroke."""
     value, rate = _SAMPLE(time, *(getattr(move, n) for n in _NAMES))
     return float(value), float(rate)
 
@@ -65,7 +65,7 @@ def test_the_rate_at_a_millisecond_leads_to_the_next(move, ms):
 
 def test_the_rates_are_the_derivatives_of_the_commands():
     """Of the model's own expressions, at random instants of the work cycle."""
-    s, v = symbolic(OPERATOR), values(OPERATOR)
+    s, v = symbolic(LEVERS), values(LEVERS)
     rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:]])
     clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
     for t in clock:
@@ -76,23 +76,23 @@ def test_the_rates_are_the_derivatives_of_the_commands():
 def test_the_fmu_plays_the_work_cycle(fmu_dir):
     """At every millisecond the commands and rates of the scenario."""
     time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
-    names = [f"{lever}_command" for lever in LEVERS]
+    names = [f"{lever}_command" for lever in AXES]
     rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
-    with driving(fmu_dir / "operator.fmu") as operator:
+    with driving(fmu_dir / "levers.fmu") as levers:
         for n in range(len(time) - 1):
             # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
-            np.testing.assert_allclose(operator.get(*names), commands[n], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(levers.get(*names), commands[n], rtol=0, atol=1e-9)
             np.testing.assert_allclose(
-                operator.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
+                levers.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
             )
-            operator.step(1e-3, 5)
+            levers.step(1e-3, 5)
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_any_master_gets_the_same_commands(fmu_dir, kind):
     """In co-simulation and model exchange, whatever the start time: the clock begins with the run."""
     rows = simulate_fmu(
-        str(fmu_dir / "operator.fmu"),
+        str(fmu_dir / "levers.fmu"),
         fmi_type=kind,
         start_time=5.0,
         stop_time=12.0,
@@ -100,14 +100,14 @@ def test_any_master_gets_the_same_commands(fmu_dir, kind):
         output=["boom_command"],
     )
     time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
-    expected = np.interp(rows["time"] - 5.0, time, commands[:, LEVERS.index("boom")])
+    expected = np.interp(rows["time"] - 5.0, time, commands[:, AXES.index("boom")])
     # CVode integrates dclock/dt = 1 to its tolerance of 1e-6 or better; at no more than 11 V/s
     np.testing.assert_allclose(rows["boom_command"], expected, rtol=0, atol=1e-4)
 
 
 def test_the_shipped_program_is_the_work_cycle():
     """parameters.toml is what `python -m fmus.reference` writes."""
-    assert numbers(OPERATOR)["parameters"] == operator_numbers()["parameters"]
+    assert numbers(LEVERS)["parameters"] == program_numbers()["parameters"]
 
 
 def test_programs_are_the_shipped_scenarios():
@@ -117,7 +117,7 @@ def test_programs_are_the_shipped_scenarios():
         header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
         table = np.loadtxt(path, delimiter=",", skiprows=1)
         time, commands = sampled(PROGRAMS[name], table[-1, 0])
-        for axis, column in zip(LEVERS, commands.T, strict=True):
+        for axis, column in zip(AXES, commands.T, strict=True):
             known = (
                 table[:, header.index(f"{axis}_command")] if f"{axis}_command" in header else 0 * table[:, 0]
             )
@@ -131,12 +131,12 @@ def test_a_program_that_is_too_long_is_refused():
     with pytest.raises(ModelError, match="stick lever: 11 strokes, expected at most 10"):
         program(many)
     assert program(many[:10])["stick_10_start"] == 9.0
-    assert len(program(())) == len(LEVERS) * len(STROKES) * 5
+    assert len(program(())) == len(AXES) * len(STROKES) * 5
 
 
 def test_the_default_sets_are_the_start_values():
     """The pose and the program that the system binds change nothing in the FMUs."""
-    assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
+    assert program(PROGRAMS[DEFAULT]) == values(LEVERS).p
     from fmus.machine import SUBSYSTEMS
 
     for port, value in pose_set(POSES[NOMINAL]).items():

@@ -1,4 +1,4 @@
-"""The operator: plays a program of strokes on three levers.
+"""The levers: they play a program of strokes on three levers.
 
     d clock / dt = 1        command = sum of the strokes at `clock`, each a trapezoid
 
@@ -13,17 +13,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fmus.components.ports import lever
+from fmus.components import ports
 from fmus.contract import Scalar, Subsystem
-from fmus.operator.stroke import Stroke, sample
-from fmus.operator.variables import (
-    LEVERS,
+from fmus.levers.stroke import Stroke, sample
+from fmus.levers.variables import (
+    AXES,
     STROKES,
     WORDS,
-    OperatorInputs,
-    OperatorOutputs,
-    OperatorParameters,
-    OperatorState,
+    LeversInputs,
+    LeversOutputs,
+    LeversParameters,
+    LeversState,
     stroke_name,
 )
 
@@ -35,28 +35,28 @@ def _lever(which: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
     return sum(values), sum(rates)
 
 
-def dynamics(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorState:
+def dynamics(x: LeversState, u: LeversInputs, p: Any) -> LeversState:
     """Time derivative of the state."""
-    return OperatorState(clock=1)
+    return LeversState(clock=1)
 
 
-def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
+def observe(x: LeversState, u: LeversInputs, p: Any) -> LeversOutputs:
     """Outputs."""
     shown: dict[str, Scalar] = {}
-    for which in LEVERS:
+    for which in AXES:
         shown[f"{which}_command"], shown[f"{which}_command_rate"] = _lever(which, x.clock, p)
-    return OperatorOutputs(**shown)
+    return LeversOutputs(**shown)
 
 
-OPERATOR = Subsystem(
-    name="operator",
-    text="Operator: a program of up to ten strokes on each of three levers",
-    parameters=OperatorParameters,
-    states=OperatorState,
-    inputs=OperatorInputs,
-    outputs=OperatorOutputs,
+LEVERS = Subsystem(
+    name="levers",
+    text="Levers: a program of up to ten strokes on each of three levers",
+    parameters=LeversParameters,
+    states=LeversState,
+    inputs=LeversInputs,
+    outputs=LeversOutputs,
     dynamics=dynamics,
     observe=observe,
     values=Path(__file__).with_name("parameters.toml"),
-    terminals=tuple(lever(axis) for axis in LEVERS),
+    terminals=tuple(ports.lever(axis) for axis in AXES),
 )

@@ -1,5 +1,0 @@
-"""The operator: a program of lever strokes."""
-
-from fmus.operator.model import OPERATOR
-
-__all__ = ["OPERATOR"]
