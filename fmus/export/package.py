@@ -51,7 +51,9 @@ def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values 
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description(sub.name, [main_source(sub.name)])
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
-    return Package(sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)])
+    return Package(
+        sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)]
+    )
 
 
 def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:
