@@ -168,6 +168,10 @@ class Symbolic:
         """(x, u, p) -> (dx, y)."""
         return ca.Function(name, [self.x, self.u, self.p], [self.dx, self.y], ["x", "u", "p"], ["dx", "y"])
 
+    def initial(self) -> ca.Function:
+        """(start values x, u, p) -> x at the start."""
+        return ca.Function("initial", [self.x, self.u, self.p], [self.start])
+
 
 def symbolic(sub: Subsystem) -> Symbolic:
     """Evaluate the subsystem's functions once on symbols."""

@@ -86,7 +86,7 @@ def solve(sub: Subsystem, v: Values, moving: Mapping[str, Array], count: int) ->
     nominal = np.array([q.nominal for q in quantities(sub.states).values()])
     tau, z = ca.SX.sym("tau"), ca.SX.sym("z", nominal.size)
     at = _moved(sub, model.u, tau)
-    f, g = model.function(), ca.Function("start", [model.x, model.u, model.p], [model.start])
+    f, g = model.function(), model.initial()
     ode = {"x": z, "t": tau, "p": column(model.u, model.p), "ode": f(z * nominal, at, model.p)[0] / nominal}
     options = {"reltol": TOLERANCE, "abstol": TOLERANCE, "max_num_steps": 1_000_000}
     step = ca.integrator("step", "cvodes", ode, 0.0, STEP, options)

@@ -86,35 +86,34 @@ def simulate(
     model: Monolith,
     time: Array,
     inputs: Array,
-    x_start: Array | None = None,
+    p: Array | None = None,
     tolerance: float = 1e-12,
 ) -> tuple[Array, Array]:
     """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
 
-    `tolerance` is relative, and absolute times each state's nominal value. `x_start` are start values
-    (default: of the parameter files); computed start values are consistent with them.
+    `tolerance` is relative, and absolute times each state's nominal value. `p` are parameters, the pose to
+    start from among them (default: of the parameter files).
     """
     scale = ca.DM(model.nominal)
+    p = model.p if p is None else p
     t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.states))
-    at, slope, p = (
-        ca.SX.sym(n, k) for n, k in (("at", inputs.shape[1]), ("slope", inputs.shape[1]), ("p", model.p.size))
+    at, slope, fixed = (
+        ca.SX.sym(n, k) for n, k in (("at", inputs.shape[1]), ("slope", inputs.shape[1]), ("p", p.size))
     )
-    rate = model.right_hand_side(z * scale, at + slope * t, p) / scale
-    ode = {"t": t, "x": z, "p": column(at, slope, p), "ode": rate}
+    rate = model.right_hand_side(z * scale, at + slope * t, fixed) / scale
+    ode = {"t": t, "x": z, "p": column(at, slope, fixed), "ode": rate}
     options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
-    x = model.start(model.x if x_start is None else x_start, inputs[0], model.p).full()[:, 0]
+    x = model.start(model.x, inputs[0], p).full()[:, 0]
     states = [x]
     corners = breakpoints(time, inputs)
     for first, last in pairwise(corners):
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]
         solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
-        result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, model.p]))
+        result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
         piece = result["xf"].full().T * model.nominal
         states.extend(piece)
         x = piece[-1]
     history = np.array(states)
-    outputs = (
-        model.outputs.map(len(time))(history.T, inputs.T, ca.repmat(ca.DM(model.p), 1, len(time))).full().T
-    )
-    return history, outputs
+    outputs = model.outputs.map(len(time))(history.T, inputs.T, ca.repmat(ca.DM(p), 1, len(time)))
+    return history, outputs.full().T

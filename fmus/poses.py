@@ -21,10 +21,15 @@ class Pose:
     swing: float = 0.0
 
 
-_START = values(MANIPULATOR).x
+def parameter(joint: str) -> str:
+    """The manipulator's parameter that holds the angle of a joint at the start."""
+    return f"initial_{joint}_angle"
+
+
+_OWN = values(MANIPULATOR).p
 NOMINAL = "nominal"
 POSES: Mapping[str, Pose] = {
-    NOMINAL: Pose(_START["boom_angle"], _START["stick_angle"], _START["swing_angle"]),
+    NOMINAL: Pose(*(_OWN[parameter(joint)] for joint in (*JOINTS, "swing"))),
     "reach": Pose(0.05, -0.65),  # arm out, head near the ground at 5.8 m
     "folded": Pose(0.7, -2.1),  # stick under the raised boom, head 2.8 m out: to drive between trees
     "close": Pose(-0.2, -2.0),  # head near the ground, 1.7 m beside the column
@@ -33,16 +38,17 @@ POSES: Mapping[str, Pose] = {
 
 
 def pose_set(pose: Pose) -> dict[str, float]:
-    """Start values for a pose, also those that tools which pass nothing on at initialisation need.
+    """The parameters of a pose, and inputs for tools that pass nothing on at initialisation.
 
     Piston positions are x(q) and holding forces G(q) / J, by the manipulator's own equations.
     """
-    model, start = symbolic(MANIPULATOR), values(MANIPULATOR)
-    angles = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
-    numbers = [list(group.values()) for group in ({**start.x, **angles}, start.u, start.p)]
-    outputs = model.function()(*numbers)[1].full()[:, 0]
+    model, own = symbolic(MANIPULATOR), values(MANIPULATOR)
+    angles = {"swing": pose.swing, "boom": pose.boom, "stick": pose.stick}
+    p = {**own.p, **{parameter(joint): angle for joint, angle in angles.items()}}
+    x, *known = (list(group.values()) for group in (own.x, own.u, p))
+    outputs = model.function()(model.initial()(x, *known), *known)[1].full()[:, 0]
     y = dict(zip(quantities(MANIPULATOR.outputs), map(float, outputs), strict=True))
-    found = {f"manipulator.{name}": value for name, value in angles.items()}
+    found = {f"manipulator.{parameter(joint)}": angle for joint, angle in angles.items()}
     for joint in JOINTS:
         force = y[f"{joint}_holding_force"]
         found |= {

@@ -38,7 +38,7 @@ def _with_entry(system: System, file: Location, entry: Entry) -> System:
     notes: list[str] = []
     for port, linear in targets:
         variable = system.variable(port)
-        settable(port, variable)
+        settable(port, system.components[port.component].interface)
         own = system.inputs[entry.name].unit if entry.name in system.inputs else variable.unit
         first, note = conversion(entry.unit, own, where)
         notes += [note] if note else []

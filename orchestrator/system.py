@@ -12,6 +12,8 @@ from orchestrator.errors import Problem, suggest
 from orchestrator.interface import Interface, Value, Variable
 from orchestrator.units import IDENTITY, Linear, Unit
 
+FEW = 4  # names that fit into a message
+
 
 class Port(NamedTuple):
     """One variable of one component."""
@@ -151,7 +153,7 @@ class System:
                 if port in connected:
                     fed = f"it is fed by {connected[port]}"
                     raise Problem(f"{name} cannot be set: {fed}; to set it, cut that wire: --cut {port}")
-                settable(port, self.variable(port))
+                settable(port, self.components[port.component].interface)
                 fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
         components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
         return replace(self, components=components)
@@ -172,11 +174,14 @@ class System:
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
-def settable(port: Port, variable: Variable) -> None:
+def settable(port: Port, interface: Interface) -> None:
     """Refuse to set what the FMU computes itself."""
+    variable = interface.variables[port.variable]
     if not variable.settable:
         kind = f"{variable.variability} {variable.causality}"
-        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself")
+        sources = sorted((interface.initially.get(port.variable) or frozenset()) - {port.variable})
+        told = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= FEW else ""
+        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself{told}")
 
 
 def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = IDENTITY) -> Value:

@@ -148,13 +148,23 @@ def test_parameters_are_printed_with_their_sources(capsys, only):
 @pytest.mark.usefixtures("here")
 def test_poses_and_programs_are_chosen_by_name():
     """Later sets win over earlier ones and over those that the system binds, --set over all."""
-    options = ["--parameters", "raised", "--parameters", "still", "--set", "manipulator.swing_angle=0.5"]
+    options = ["--parameters", "raised", "--parameters", "still"]
+    options += ["--set", "manipulator.initial_swing_angle=0.5"]
     assert main(["run", *options, "--stop", "1.5"]) == 0
     trace = read("build/trace.csv")
     for name, angle in (("swing", 0.5), ("boom", POSES["raised"].boom), ("stick", POSES["raised"].stick)):
         # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
         np.testing.assert_allclose(trace[f"manipulator.{name}_angle"], angle, rtol=0, atol=5e-4)
     assert not trace["levers.boom_command"].any()
+
+
+@pytest.mark.usefixtures("here")
+def test_an_angle_is_set_by_its_parameter(capsys):
+    """The start of an angle is calculated: one line says from which parameter."""
+    assert main(["run", "--set", "manipulator.boom_angle=0.5"]) == 2
+    told = capsys.readouterr().err.strip()
+    assert told.endswith("that the FMU determines itself, at the start from initial_boom_angle")
+    assert "\n" not in told
 
 
 @pytest.mark.usefixtures("here")

@@ -106,7 +106,7 @@ def test_holding_forces_and_pressures(fmu_dir, pose):
         for n, q in (("boom", boom), ("stick", stick))
     }
     expected = {"boom": moment_boom / arms["boom"], "stick": moment_stick / arms["stick"]}
-    with driving(fmu_dir / "manipulator.fmu", boom_angle=boom, stick_angle=stick) as fmu:
+    with driving(fmu_dir / "manipulator.fmu", initial_boom_angle=boom, initial_stick_angle=stick) as fmu:
         for n, force in expected.items():
             # exact geometry, rounding only
             assert fmu.get(f"{n}_holding_force")[0] == pytest.approx(force, rel=1e-9)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, WORK_SPACE, poses
 from fmus.monolith import join, simulate
 from fmus.parameters import values
+from fmus.poses import parameter
 from fmus.reference import work_cycle
 from fmus.scenarios import COMMANDS, WORK_CYCLE
 
@@ -20,23 +19,20 @@ FULL_VACUUM = -101325.0  # Pa gauge
 ENGINE = 113.3e3  # W: 152 hp, section 2 of the paper
 
 
-def run(stop, start=None, numbers=None, samples=201, **inputs):
-    """Outputs by name over [0, stop] s at constant inputs, from start values, with changed parameters."""
-    x, u, p = MODEL.x.copy(), MODEL.u.copy(), MODEL.p.copy()
-    for target, names, given in (
-        (x, MODEL.states, start),
-        (u, MODEL.inputs, inputs),
-        (p, MODEL.parameters, numbers),
-    ):
+def run(stop, numbers=None, samples=201, **inputs):
+    """Outputs by name over [0, stop] s at constant inputs, with changed parameters."""
+    u, p = MODEL.u.copy(), MODEL.p.copy()
+    for target, names, given in ((u, MODEL.inputs, inputs), (p, MODEL.parameters, numbers)):
         for name, value in (given or {}).items():
             target[names.index(name)] = value
-    _, y = simulate(replace(MODEL, p=p), np.linspace(0, stop, samples), np.tile(u, (samples, 1)), x, 1e-8)
+    _, y = simulate(MODEL, np.linspace(0, stop, samples), np.tile(u, (samples, 1)), p, 1e-8)
     return dict(zip(MODEL.output_names, y.T, strict=True))
 
 
 def at(boom, stick, swing=0.0):
+    """The parameters of a pose."""
     angles = {"boom": boom, "stick": stick, "swing": swing}
-    return {f"manipulator.{joint}_angle": angle for joint, angle in angles.items()}
+    return {f"manipulator.{parameter(joint)}": angle for joint, angle in angles.items()}
 
 
 def chambers(y, joint):
@@ -71,7 +67,7 @@ def test_a_held_arm_sinks_as_its_leakage_says(pose):
 
 def test_without_leakage_a_held_arm_stands():
     """The motion of a held arm is leakage alone: with none to speak of, it stands to a micrometre."""
-    y = run(5.0, at(0.5, -1.8), {"boom_stick.valve_leakage": 1e-17, "swing.valve_leakage": 1e-17})
+    y = run(5.0, at(0.5, -1.8) | {"boom_stick.valve_leakage": 1e-17, "swing.valve_leakage": 1e-17})
     for joint in ("boom", "stick"):
         # 1e-17 m3/(s.Pa) is 1/1600 of the nominal leakage, which moves at most 0.22 mm
         assert np.ptp(y[f"manipulator.{joint}_position"]) < 5e-7
@@ -165,7 +161,7 @@ def test_odd_numbers_still_give_a_machine(numbers):
 
 def test_a_head_too_heavy_to_lift_is_not_lifted():
     """With 3 t at the stick end the holding pressure is above the supply: the boom sinks at full command."""
-    y = run(1.5, at(0.0, -0.7), {"manipulator.head_mass": 3000.0}, boom_command=10.0)
+    y = run(1.5, at(0.0, -0.7) | {"manipulator.head_mass": 3000.0}, boom_command=10.0)
     assert chambers(y, "boom")[0][0] > SUPPLY
     assert y["manipulator.boom_velocity"][-1] < 0
 

@@ -6,7 +6,6 @@ from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -85,7 +84,8 @@ def test_numbers_are_those_of_the_components():
         for name, number in entries.items():
             assert number == sources[section, name]
     assert set(NUMBERS.p) == set(found["parameters"])
-    assert NUMBERS.x["boom_angle"] == TABLES["manipulator"]["start"]["boom_angle"].value
+    pose = "initial_boom_angle"
+    assert NUMBERS.p[pose] == TABLES["manipulator"]["parameters"][pose].value
     assert NUMBERS.u["supply_pressure"] == TABLES["swing"]["start"]["supply_pressure"].value
 
 
@@ -215,11 +215,12 @@ def test_targets_of_an_input_start_alike():
 def test_equations_are_those_of_the_monolith():
     """Derivatives, outputs and start at random points, parameters moved too."""
     model, whole = join(SUBSYSTEMS, CONNECTIONS, INPUTS), symbolic(HARVESTER)
-    start = ca.Function("start", [whole.x, whole.u, whole.p], [whole.start])
+    start = whole.initial()
+    first = start(*(list(group.values()) for group in (NUMBERS.x, NUMBERS.u, NUMBERS.p))).full()[:, 0]
     rng = np.random.default_rng(3)
     nominal = np.array([q.nominal for q in quantities(HARVESTER.states).values()])
     for _ in range(10):
-        x = np.array(list(NUMBERS.x.values())) + 0.1 * nominal * rng.normal(size=nominal.size)
+        x = first + 0.1 * nominal * rng.normal(size=nominal.size)
         u = model.u + rng.uniform(-5, 5, model.u.size)
         p = {n: v * rng.uniform(0.99, 1.01) for n, v in NUMBERS.p.items()}
         all_p = [p[NAMES[v]] for v in model.parameters]
@@ -249,7 +250,9 @@ def test_machine_starts_at_rest_in_every_pose(fmu_dir, kind):
     """Pressures follow from the pose: no joint accelerates."""
     joints = ("swing", "boom", "stick")
     for boom, stick in list(poses(3)):
-        with driving(fmu_dir / "harvester.fmu", kind, boom_angle=boom, stick_angle=stick) as fmu:
+        pose = {"initial_boom_angle": boom, "initial_stick_angle": stick}
+        with driving(fmu_dir / "harvester.fmu", kind, **pose) as fmu:
+            assert [*fmu.get("boom_angle", "stick_angle")] == [boom, stick]
             # gravity alone gives 1 to 10 rad/s2; forces balance to rounding of 1e5 N
             np.testing.assert_allclose(fmu.get(*(f"der_{j}_speed" for j in joints)), 0.0, atol=1e-9)
 

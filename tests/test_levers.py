@@ -143,4 +143,4 @@ def test_the_default_sets_are_the_start_values():
         component, name = port.split(".")
         found = values(SUBSYSTEMS[component])
         # stated with nine digits
-        assert ({**found.u, **found.x})[name] == pytest.approx(value, rel=1e-8)
+        assert ({**found.u, **found.p})[name] == pytest.approx(value, rel=1e-8)

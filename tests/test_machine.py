@@ -10,6 +10,7 @@ from fmus.contract import quantities, symbolic
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
 from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
+from fmus.poses import parameter
 
 MODEL = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
@@ -21,10 +22,11 @@ def column(outputs, name):
 
 
 def start_at(boom: float, stick: float):
-    x = MODEL.x.copy()
-    x[MODEL.states.index("manipulator.boom_angle")] = boom
-    x[MODEL.states.index("manipulator.stick_angle")] = stick
-    return x
+    """Parameters with this pose, and the states that follow at the start."""
+    p = MODEL.p.copy()
+    for joint, angle in (("boom", boom), ("stick", stick)):
+        p[MODEL.parameters.index(f"manipulator.{parameter(joint)}")] = angle
+    return p, MODEL.start(MODEL.x, MODEL.u, p)
 
 
 def constant(stop, **commands):
@@ -41,8 +43,8 @@ def test_holding_pressures_stay_between_tank_and_80_percent_of_supply(capsys):
     grid = 11
     rows = {}
     for pose in poses(grid):
-        x = MODEL.start(start_at(*pose), MODEL.u, MODEL.p)
-        y = MODEL.outputs(x, MODEL.u, MODEL.p).full()[:, 0]
+        p, x = start_at(*pose)
+        y = MODEL.outputs(x, MODEL.u, p).full()[:, 0]
         rows[pose] = [float(column(y, name)) for name in PRESSURES]
     table = np.array(list(rows.values())).max(axis=1).reshape(grid, grid) / SUPPLY * 100
     with capsys.disabled():
@@ -56,8 +58,8 @@ def test_holding_pressures_stay_between_tank_and_80_percent_of_supply(capsys):
 def test_start_is_consistent_at_every_pose():
     """At the start nothing accelerates beyond what the leakage of the closed valves does."""
     for pose in poses(7):
-        x = MODEL.start(start_at(*pose), MODEL.u, MODEL.p)
-        y = MODEL.outputs(x, MODEL.u, MODEL.p).full()[:, 0]
+        p, x = start_at(*pose)
+        y = MODEL.outputs(x, MODEL.u, p).full()[:, 0]
         for joint in ("boom", "stick"):
             force, hold = (
                 column(y, f"boom_stick.{joint}_force"),
@@ -76,7 +78,7 @@ def test_closed_valves_hold_every_pose_for_5_s(pose):
     dx < t G_leak P_s / A_rod. The joint follows by 1/J. The swing has no load, so it stands.
     """
     time, u = constant(5.0)
-    _, y = simulate(MODEL, time, u, start_at(*pose))
+    _, y = simulate(MODEL, time, u, start_at(*pose)[0])
     p = values(SUBSYSTEMS["boom_stick"]).p
     for joint in ("boom", "stick"):
         area = np.pi / 4 * (p[f"{joint}_bore"] ** 2 - p[f"{joint}_rod"] ** 2)
@@ -192,7 +194,8 @@ def _random(sub, rng):
         return rng.uniform(-1, 1) * nominal
 
     v = values(sub)
-    x = [draw(n, q.nominal, v.x[n]) for n, q in quantities(sub.states).items()]
+    start = symbolic(sub).initial()(*(list(group.values()) for group in (v.x, v.u, v.p))).full()[:, 0]
+    x = [draw(n, q.nominal, x0) for (n, q), x0 in zip(quantities(sub.states).items(), start, strict=True)]
     u = [draw(n, q.nominal, v.u[n]) for n, q in quantities(sub.inputs).items()]
     return x, u
 

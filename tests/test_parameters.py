@@ -87,7 +87,8 @@ def test_formulas_named_in_notes_give_the_numbers():
 def test_start_values_of_the_parts_belong_to_one_pose():
     """What boom_stick and manipulator start from when alone is x(q) and G(q)/J of the nominal pose."""
     s, v = symbolic(MANIPULATOR), values(MANIPULATOR)
-    outputs = s.function()(list(v.x.values()), list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
+    x, *known = (list(group.values()) for group in (v.x, v.u, v.p))
+    outputs = s.function()(s.initial()(x, *known), *known)[1].full()[:, 0]
     y, start = dict(zip(quantities(MANIPULATOR.outputs), outputs, strict=True)), values(BOOM_STICK).u
     for joint in ("boom", "stick"):
         # stated with nine digits

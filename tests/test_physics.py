@@ -41,6 +41,7 @@ class Equations:
         self.x, self.u, self.p, self.y = (
             quantities(g) for g in (self.sub.states, self.sub.inputs, self.sub.parameters, self.sub.outputs)
         )
+        self.initial = s.initial()
         self.function = ca.Function(name, [s.x, s.u, s.p], [s.dx, s.y, s.start])
 
     def at(self, x, u, p):
@@ -64,10 +65,9 @@ class Equations:
             return rng.uniform(-1, 1) * quantity.nominal
 
         p = {n: (a or ZERO_BY_CHOICE.get(n, 0.0)) * rng.uniform(0.9, 1.1) for n, a in v.p.items()}
-        x, u = (
-            {n: one(n, q, start[n]) for n, q in group.items()}
-            for group, start in ((self.x, v.x), (self.u, v.u))
-        )
+        start = self.initial(*(list(group.values()) for group in (v.x, v.u, v.p))).full()[:, 0]
+        x = {n: one(n, q, a) for (n, q), a in zip(self.x.items(), start, strict=True)}
+        u = {n: one(n, q, v.u[n]) for n, q in self.u.items()}
         return x, u, p
 
 

@@ -12,6 +12,7 @@ from fmus.monolith import join, simulate
 DATA = Path(__file__).parents[1] / "data"
 # parameters that are zero by choice get a size here, so that a wrong term with them shows
 SIZE_OF_ZEROS = {"swing.line_turbulent_resistance": 1e10}
+JOINTS = ("swing", "boom", "stick")
 STRIDE = 4  # the reference trace keeps every fourth sample
 
 
@@ -81,9 +82,10 @@ def test_consistent_start_agrees(model):
     rng = np.random.default_rng(9)
     for boom, stick in poses(5):
         table, tank, angles = random_numbers(rng), rng.uniform(0.0, 5e5), [rng.uniform(-3, 3), boom, stick]
-        given, inputs = model.x.copy(), model.u.copy()
-        given[12:15], inputs[-1] = angles, tank
-        theirs = np.array(model.start(given, inputs, [table[name] for name in model.parameters])).ravel()
+        table |= {f"manipulator.initial_{n}_angle": a for n, a in zip(JOINTS, angles, strict=True)}
+        inputs = model.u.copy()
+        inputs[-1] = tank
+        theirs = np.array(model.start(model.x, inputs, [table[name] for name in model.parameters])).ravel()
         ours = transcription.start(transcription.Machine(table), angles, tank)
         # exact identity: rounding only, up to 1e3 of it where the holding force crosses zero
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)

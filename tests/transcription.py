@@ -274,8 +274,9 @@ def simulate(time: Array, commands: Array, tolerance: float = 1e-12) -> Array:
     VODE's BDF with a difference Jacobian, started anew at each kink of the commands; `tolerance` is relative,
     and absolute times each state's nominal value.
     """
-    m, given = Machine(numbers()), numbers("start")
-    angles = [given[f"manipulator.{joint}_angle"] for joint in ("swing", "boom", "stick")]
+    table, given = numbers(), numbers("start")
+    m = Machine(table)
+    angles = [table[f"manipulator.initial_{joint}_angle"] for joint in ("swing", "boom", "stick")]
     pressures = given["swing.supply_pressure"], given["swing.tank_pressure"]
     states = np.empty((len(time), len(STATES)))
     states[0] = start(m, angles, pressures[1])

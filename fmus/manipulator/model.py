@@ -188,6 +188,15 @@ def observe(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters)
     )
 
 
+def initial(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters) -> dict[str, Scalar]:
+    """The pose to start from, a parameter because not every tool can set the start value of an output."""
+    return {
+        "swing_angle": p.initial_swing_angle,
+        "boom_angle": p.initial_boom_angle,
+        "stick_angle": p.initial_stick_angle,
+    }
+
+
 def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters) -> dict[str, Scalar]:
     """Cylinder triangles must close over the whole stroke, and the pistons stay near their strokes."""
     conditions: dict[str, Scalar] = {}
@@ -231,6 +240,7 @@ MANIPULATOR = Subsystem(
     outputs=ManipulatorOutputs,
     dynamics=dynamics,
     observe=observe,
+    initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=(

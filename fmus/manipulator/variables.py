@@ -129,6 +129,13 @@ class ManipulatorParameters:
     stop_rounding: Annotated[
         Scalar, Quantity("m", "Penetration over which an end stop takes hold", 1e-3, minimum=1e-6)
     ]
+    initial_swing_angle: Annotated[
+        Scalar, Quantity("rad", "Swing angle at the start, counter-clockwise from above", group="Start pose")
+    ]
+    initial_boom_angle: Annotated[Scalar, Quantity("rad", "Boom angle at the start, above the horizontal")]
+    initial_stick_angle: Annotated[
+        Scalar, Quantity("rad", "Stick angle at the start, relative to the boom, negative when folded")
+    ]
 
 
 @dataclass(frozen=True)
