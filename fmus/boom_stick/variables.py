@@ -91,7 +91,9 @@ class BoomStickInputs:
     ]
     stick_command: Annotated[
         Scalar,
-        Quantity("V", "Command to the stick valve, positive extends", 10.0, rate="stick_command_rate"),
+        Quantity(
+            *("V", "Command to the stick valve, positive folds the stick in", 10.0), rate="stick_command_rate"
+        ),
     ]
     stick_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: time derivative of stick_command, may stay unconnected", 10.0)

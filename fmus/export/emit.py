@@ -54,7 +54,7 @@ _UNARY = {
 
 @dataclass(frozen=True)
 class Routine:
-    """A C function: named input vectors to named output vectors; None marks an input not used."""
+    """A C function: named input vectors to named output vectors."""
 
     name: str
     inputs: Mapping[str, ca.SX]

@@ -43,6 +43,12 @@ def package_version() -> str:
         return "0"
 
 
+def digits(value: float) -> str:
+    """The shortest decimal that reads back as the same number: tools show it as it stands."""
+    short = f"{value:.15g}"
+    return short if float(short) == value else repr(value)
+
+
 def model_description(face: Interface, guid: str, sources: Sequence[str], step: float, stop: float) -> bytes:
     """The XML file; `sources` are the C files to compile, step and stop the default experiment [s]."""
     root = etree.Element(
@@ -82,7 +88,7 @@ def log_categories(root: etree._Element) -> None:
 def default_experiment(root: etree._Element, step: float, stop: float) -> None:
     """Writes the element DefaultExperiment, the same in FMI 2 and 3; step and stop in s."""
     numbers = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
-    etree.SubElement(root, "DefaultExperiment", {name: f"{value:.17g}" for name, value in numbers.items()})
+    etree.SubElement(root, "DefaultExperiment", {name: digits(value) for name, value in numbers.items()})
 
 
 def units(root: etree._Element, face: Interface, *others: str) -> None:
@@ -93,7 +99,7 @@ def units(root: etree._Element, face: Interface, *others: str) -> None:
         etree.SubElement(unit, "BaseUnit", base_unit(name))
         shown = display(name)
         if shown:
-            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=f"{shown[1]!r}")
+            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=digits(shown[1]))
     if not len(definitions):
         root.remove(definitions)
 
@@ -102,7 +108,7 @@ def base_unit(unit: str) -> dict[str, str]:
     """Attributes of FMI's and SSP's BaseUnit element."""
     parsed = parse(unit)
     attributes = {name: str(n) for name, n in parsed.base().items()}
-    return attributes if parsed.factor == 1.0 else attributes | {"factor": f"{parsed.factor!r}"}
+    return attributes if parsed.factor == 1.0 else attributes | {"factor": digits(parsed.factor)}
 
 
 def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
@@ -147,7 +153,7 @@ def numbers(v: Variable) -> dict[str, str]:
     return (
         {"unit": q.unit}
         | ({"displayUnit": shown[0]} if shown else {})
-        | {name: f"{value:.17g}" for name, value in values.items() if value is not None}
+        | {name: digits(value) for name, value in values.items() if value is not None}
     )
 
 

@@ -34,8 +34,6 @@ _COSIMULATION = {
     "providesIntermediateUpdate": "true",
     "canReturnEarlyAfterIntermediateUpdate": "true",
     "hasEventMode": "true",
-    # inputs may jump inside a step: the solver has no memory of earlier steps
-    "recommendedIntermediateInputSmoothness": "-1",
 }
 _ELEMENTS = {
     "Outputs": "Output",

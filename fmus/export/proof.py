@@ -13,7 +13,8 @@ from pathlib import Path
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from fmus.export.sspxml import add, digits, root, tag, text
+from fmus.export.model_description import digits
+from fmus.export.sspxml import add, root, tag, text
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"

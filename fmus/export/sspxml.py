@@ -7,7 +7,7 @@ from typing import Any
 
 from lxml import etree
 
-from fmus.export.model_description import package_version
+from fmus.export.model_description import digits, package_version
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # of version 2.0, too
 NAMESPACES = {
@@ -47,12 +47,6 @@ def add(parent: etree._Element, name: str, /, **attributes: object) -> etree._El
     """A new last child; numbers with all their digits, attributes that are None left out."""
     texts = {k: digits(v) if isinstance(v, float) else str(v) for k, v in attributes.items() if v is not None}
     return etree.SubElement(parent, tag(name), texts)
-
-
-def digits(value: float) -> str:
-    """The shortest decimal that reads back as the same number."""
-    short = f"{value:.15g}"
-    return short if float(short) == value else repr(value)
 
 
 def text(element: etree._Element) -> bytes:

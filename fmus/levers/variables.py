@@ -62,7 +62,9 @@ class LeversOutputs:
     boom_command: Annotated[
         Scalar, Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
     ]
-    stick_command: Annotated[Scalar, Quantity("V", "Command to the stick valve, positive extends", 10.0)]
+    stick_command: Annotated[
+        Scalar, Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
+    ]
     swing_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
     ]

@@ -14,7 +14,7 @@ class SwingParameters(ValveParameters):
     """Constants; their numbers and sources are in parameters.toml."""
 
     initial_preload: Annotated[
-        Scalar, Quantity("Pa", "Pressure of both lines at the start", 1e6, minimum=1e3, group="Start")
+        Scalar, Quantity("Pa", "Pressure of both swing lines at the start", 1e6, minimum=1e3, group="Start")
     ]
     line_inertance: Annotated[
         Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0, group="Swing lines")
@@ -53,10 +53,10 @@ class SwingParameters(ValveParameters):
 class SwingState:
     """Pressures and flows of both lines."""
 
-    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of line A", 1e7)]
-    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of line B", 1e7)]
-    swing_flow_a: Annotated[Scalar, Quantity("m3/s", "Flow into line A", 1e-3)]
-    swing_flow_b: Annotated[Scalar, Quantity("m3/s", "Flow into line B", 1e-3)]
+    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of swing line A", 1e7)]
+    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of swing line B", 1e7)]
+    swing_flow_a: Annotated[Scalar, Quantity("m3/s", "Flow into swing line A", 1e-3)]
+    swing_flow_b: Annotated[Scalar, Quantity("m3/s", "Flow into swing line B", 1e-3)]
 
 
 @dataclass(frozen=True)

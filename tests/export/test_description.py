@@ -73,6 +73,14 @@ def test_dependencies_are_those_of_the_equations(chamber):
     assert initial["flow"] == ["conductance", "supply"]
 
 
+def test_numbers_are_written_as_people_write_them(chamber):
+    """The shortest decimal that is the same number: tools show 1e-09, not 1.0000000000000001e-09."""
+    numbers = [getattr(v, a) for v in chamber.modelVariables for a in ("start", "min", "max", "nominal")]
+    written = [n for n in numbers if n is not None]
+    assert len(written) > 5
+    assert all(len(n) <= len(repr(float(n))) for n in written), written
+
+
 def test_capabilities_are_declared(chamber):
     """The flags tell what the FMU can do."""
     for kind in (chamber.coSimulation, chamber.modelExchange):
