@@ -11,6 +11,7 @@ A name that stands both in the states and in the outputs is one variable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -79,6 +80,11 @@ def _none(*_: Any) -> dict[str, Scalar]:
     return {}
 
 
+def never(*_: Any) -> Scalar:
+    """The `corner` of a subsystem without any."""
+    return math.inf
+
+
 @dataclass(frozen=True)
 class Subsystem:
     """One FMU-to-be.
@@ -90,6 +96,8 @@ class Subsystem:
                the start values x of the others, which start at their start value
     require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
                at the start and after every step, else the FMU reports an error
+    corner     (x, u, p) -> seconds to the next known instant at which a rate jumps, infinite for none:
+               a time event in model exchange, so that no solver steps over it
     terminals  its ports
     numbers    what would stand in that file (`parameters.read`), for a subsystem that has none
     """
@@ -105,6 +113,7 @@ class Subsystem:
     values: Path
     initial: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
+    corner: Callable[[Any, Any, Any], Scalar] = never
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
 
@@ -163,6 +172,7 @@ class Symbolic:
     calculated: tuple[str, ...]  # states that `initial` computes
     require: ca.SX
     statements: tuple[str, ...]
+    corner: ca.SX
 
     def function(self, name: str = "model") -> ca.Function:
         """(x, u, p) -> (dx, y)."""
@@ -195,4 +205,5 @@ def symbolic(sub: Subsystem) -> Symbolic:
         calculated=tuple(computed),
         require=column(*require.values()),
         statements=tuple(require),
+        corner=ca.SX(sub.corner(x, u, p)),
     )

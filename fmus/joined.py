@@ -19,6 +19,7 @@ from fmus.contract import (
     Subsystem,
     Terminal,
     column,
+    never,
     quantities,
     stack,
     unstack,
@@ -46,12 +47,17 @@ def joined(
 ) -> Subsystem:
     """Join subsystems by (source output, target input) pairs; inputs fed by nobody keep their start value.
 
+    Components that have a `corner` are refused: the whole would not tell it.
+
     tables   numbers by component; by default those of its parameters.toml
     folder   where README.md and icon.png are
     hidden   outputs, `component.variable`, that nobody outside needs
     totals   names that several components give to an output, of which the sum is shown
     texts    output of the whole -> what it is, where the words of the component do not fit
     """
+    told = [n for n, sub in subsystems.items() if sub.corner is not never]
+    if told:
+        raise ModelError(f"{name}: {told[0]} has corners, expected components without")
     tables = tables or {n: numbers(sub) for n, sub in subsystems.items()}
     start = {f"{c}.{v}": number for c, t in tables.items() for v, number in t["start"].items()}
     whole = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})

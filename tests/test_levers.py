@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import ctypes
+import shutil
+from contextlib import contextmanager
+
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 from driver import driving
 from fmpy import simulate_fmu
+from fmpy.fmi2 import FMU2Model
+from fmpy.fmi3 import FMU3Model
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.build import data
 from fmus.contract import ModelError, symbolic
+from fmus.joined import joined
 from fmus.levers import LEVERS
 from fmus.levers.stroke import AHEAD, Stroke, sample
 from fmus.levers.variables import AXES, STROKES
@@ -103,6 +111,58 @@ def test_any_master_gets_the_same_commands(fmu_dir, kind):
     expected = np.interp(rows["time"] - 5.0, time, commands[:, AXES.index("boom")])
     # CVode integrates dclock/dt = 1 to its tolerance of 1e-6 or better; at no more than 11 V/s
     np.testing.assert_allclose(rows["boom_command"], expected, rtol=0, atol=1e-4)
+
+
+def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
+    """In model exchange the FMU names the corners one by one, and no event after the last one."""
+    corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
+    for folder in (fmu_dir, fmi3_dir):
+        with exchanging(folder / "levers.fmu", 5.0) as following:
+            assert [round(time, 9) for time in following] == sorted(corners)
+
+
+@contextmanager
+def exchanging(path, start):
+    """The times of the events of an FMU whose one state is a clock, one after the other."""
+    folder = fmpy.extract(str(path))
+    description = fmpy.read_model_description(folder)
+    kind = FMU2Model if description.fmiVersion == "2.0" else FMU3Model
+    fmu = kind(
+        guid=description.guid,
+        unzipDirectory=folder,
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        instanceName="levers",
+    )
+    fmu.instantiate()
+    if kind is FMU2Model:
+        fmu.setupExperiment(startTime=start)
+        fmu.enterInitializationMode()
+    else:
+        fmu.enterInitializationMode(startTime=start)
+    fmu.exitInitializationMode()
+
+    def events():
+        ask = fmu.newDiscreteStates if kind is FMU2Model else fmu.updateDiscreteStates
+        while True:
+            *_, defined, time = ask()
+            if not defined:
+                return
+            yield time
+            fmu.enterContinuousTimeMode()
+            fmu.setTime(time)
+            fmu.setContinuousStates((ctypes.c_double * 1)(time - start), 1)
+            fmu.enterEventMode()
+
+    yield events()
+    fmu.terminate()
+    fmu.freeInstance()
+    shutil.rmtree(folder)
+
+
+def test_no_event_is_lost_in_a_whole():
+    """Components with corners cannot be joined: the FMU of the whole would not tell them."""
+    with pytest.raises(ModelError, match="whole: levers has corners, expected components without"):
+        joined("whole", "Levers alone", {"levers": LEVERS}, (), {}, folder=LEVERS.values.parent)
 
 
 def test_the_shipped_program_is_the_work_cycle():

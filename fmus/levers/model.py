@@ -10,12 +10,15 @@ Signs: a positive command turns left, raises the boom, extends the stick cylinde
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+
 from fmus.components import ports
 from fmus.contract import Scalar, Subsystem
-from fmus.levers.stroke import Stroke, sample
+from fmus.levers.stroke import Stroke, sample, wait
 from fmus.levers.variables import (
     AXES,
     STROKES,
@@ -28,10 +31,13 @@ from fmus.levers.variables import (
 )
 
 
+def _strokes(which: str, p: Any) -> list[Stroke]:
+    return [Stroke(*(getattr(p, stroke_name(which, n, word)) for word in WORDS)) for n in STROKES]
+
+
 def _lever(which: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
     """Command and rate of one lever; strokes that overlap add up."""
-    strokes = [Stroke(*(getattr(p, stroke_name(which, n, word)) for word in WORDS)) for n in STROKES]
-    values, rates = zip(*(sample(stroke, clock) for stroke in strokes), strict=True)
+    values, rates = zip(*(sample(stroke, clock) for stroke in _strokes(which, p)), strict=True)
     return sum(values), sum(rates)
 
 
@@ -48,6 +54,15 @@ def observe(x: LeversState, u: LeversInputs, p: Any) -> LeversOutputs:
     return LeversOutputs(**shown)
 
 
+def corner(x: LeversState, u: LeversInputs, p: Any) -> Scalar:
+    """Seconds to the next corner of a stroke: a solver at rest would step over a whole one."""
+    found: Scalar = math.inf
+    for which in AXES:
+        for stroke in _strokes(which, p):
+            found = ca.fmin(found, wait(stroke, x.clock))
+    return found
+
+
 LEVERS = Subsystem(
     name="levers",
     text="Levers: a program of up to ten strokes on each of three levers",
@@ -57,6 +72,7 @@ LEVERS = Subsystem(
     outputs=LeversOutputs,
     dynamics=dynamics,
     observe=observe,
+    corner=corner,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=tuple(ports.lever(axis) for axis in AXES),
 )

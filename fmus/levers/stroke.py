@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -51,6 +52,17 @@ def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
         value = ca.if_else(before, value_before, value)
         rate = ca.if_else(before, rate_before, rate)
     return value, rate
+
+
+def wait(stroke: Stroke, time: Scalar) -> Scalar:
+    """Seconds from `time` to the next corner, as `sample` sees it; infinite for none."""
+    s = stroke
+    up = s.start + s.rise
+    down = up + s.hold
+    found: Scalar = math.inf
+    for corner in (down + s.fall, down, up, s.start):
+        found = ca.if_else(time + AHEAD < corner, corner - time, found)
+    return ca.if_else(s.command == 0, math.inf, found)
 
 
 def _not_zero(duration: Scalar) -> Scalar:

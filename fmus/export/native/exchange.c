@@ -1,4 +1,4 @@
-/* Model exchange: states and derivatives for the caller's solver. The model has no events of its own. */
+/* Model exchange: states and derivatives for the caller's solver. At a time event nothing changes but rates. */
 
 #include <math.h>
 #include <string.h>
@@ -59,4 +59,17 @@ Status exchange_nominals(Instance *self, double nominal[], size_t n) {
     if (!right_size(self, nominal, n)) return ERROR;
     for (int i = 0; i < NX; i++) nominal[i] = model_variables[FIRST_STATE + i].nominal;
     return OK;
+}
+
+/* In co-simulation no events are needed: the caller chooses the steps. */
+int exchange_next_event(Instance *self, double *time) {
+    const State *s = &self->core.s;
+    double wait;
+    *time = 0.0;
+    if (s->type != MODEL_EXCHANGE) return 0;
+    core_start(&self->core);
+    model_corner(s->x, s->u, s->p, self->core.c, &wait);
+    if (!isfinite(s->time + wait) || !(wait > 0.0)) return 0;
+    *time = s->time + wait;
+    return 1;
 }

@@ -154,7 +154,10 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-    CALL(EVENT_MODE, given(c, eventInfo, 1) ? (memset(eventInfo, 0, sizeof *eventInfo), OK) : ERROR);
+    if (!allowed(c, __func__, EVENT_MODE) || !given(c, eventInfo, 1)) return fmi2Error;
+    memset(eventInfo, 0, sizeof *eventInfo);
+    eventInfo->nextEventTimeDefined = exchange_next_event(c, &eventInfo->nextEventTime);
+    return fmi2OK;
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, enter(c, CONTINUOUS_TIME)); }

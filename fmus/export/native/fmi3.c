@@ -161,8 +161,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
         if (!given(instance, results[i], 1)) return fmi3Error;
     *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
-    *nextEventTimeDefined = fmi3False;
-    *nextEventTime = 0.0;
+    *nextEventTimeDefined = exchange_next_event(instance, nextEventTime) != 0;
     return fmi3OK;
 }
 

@@ -78,6 +78,8 @@ LOCAL Status exchange_states(Instance *self, double x[], size_t n);
 LOCAL Status exchange_derivatives(Instance *self, double dx[], size_t n);
 LOCAL Status exchange_indicators(Instance *self, size_t n);
 LOCAL Status exchange_nominals(Instance *self, double nominal[], size_t n);
+/* 1 and the time of the next time event if there is one, else 0. */
+LOCAL int exchange_next_event(Instance *self, double *time);
 
 /* ---- step.c */
 

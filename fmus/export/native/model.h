@@ -64,6 +64,9 @@ LOCAL void model_solve(const double *lu, const double *b, double *k);
 LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
                          double *require);
 
+/* wait [s] until the next known instant at which a rate jumps; infinite if there is none */
+LOCAL void model_corner(const double *x, const double *u, const double *p, const double *c, double *wait);
+
 /* directional derivatives of f and g along (vx, vu) */
 LOCAL void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
                          const double *vu, double *vdx, double *vy);
