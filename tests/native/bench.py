@@ -45,11 +45,14 @@ def run(command: Sequence[object], **more: object) -> subprocess.CompletedProces
 
 
 def driver(version: int, folder: Path, compiler: Sequence[str], *flags: str, suffix: str = "") -> Path:
-    """The driver for FMUs of this version of FMI."""
+    """The driver for FMUs of this version of FMI.
+
+    Flags as for the FMUs: with others the project's compiler makes its Windows libraries anew, for a minute.
+    """
     program = folder / f"drive{version}{suffix}"
     code = (CODE / "drive.c", CODE / f"fmu{version}.c")
     libraries = () if suffix == ".exe" else ("-ldl", "-lpthread")
-    run([*compiler, *STANDARD, "-O1", "-g", *flags, *code, "-o", program, *libraries])
+    run([*compiler, *STANDARD, "-O3", "-g0", "-s", *flags, *code, "-o", program, *libraries])
     return program
 
 

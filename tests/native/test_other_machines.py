@@ -16,7 +16,7 @@ from fmus.harvester import HARVESTER
 from fmus.levers import LEVERS
 from fmus.scenarios import WORK_CYCLE_STOP
 
-WINE = shutil.which("wine64") or shutil.which("wine", path="/usr/lib/wine") or shutil.which("wine")
+WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
 ARM = Path("/usr/aarch64-linux-gnu")  # where Debian's libc6-arm64-cross puts the loader and libraries
 STOP = 5.0  # s: all three levers have moved

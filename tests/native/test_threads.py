@@ -56,5 +56,5 @@ def test_no_thread_touches_the_memory_of_another(machines, tmp_path, version):
     sanitized = ("gcc", "-fsanitize=thread", "-O1", "-g", "-fPIC")
     library = tmp_path / "swing.so"
     run([*sanitized, *STANDARD, "-shared", fmu.sources / "swing_fmu.c", "-o", library, "-lm"])
-    program = driver(version, tmp_path, ["gcc"], "-fsanitize=thread")
+    program = driver(version, tmp_path, ["gcc"], "-fsanitize=thread", "-O1")
     drive(program, fmu, work(fmu, 30), tmp_path, threads=THREADS, library=library, before=not_randomized())
