@@ -66,9 +66,17 @@ def test_the_rate_at_a_millisecond_leads_to_the_next(move, ms):
     now, after = ms / 1000, (ms + 1) / 1000
     for time in (now, now - 1e-12, now + 1e-12):
         value, rate = at(move, time)
-        # up to 1e4 V/s times 2 AHEAD
-        assert value + rate * 1e-3 == pytest.approx(at(move, after - 2 * AHEAD)[0], abs=1e-3)
+        # no more than 1e4 V/s times 1e-12 s
+        assert value + rate * (1e-3 - 2 * AHEAD) == pytest.approx(at(move, after - 2 * AHEAD)[0], abs=2e-8)
         assert at(move, now + 5e-4)[1] == rate  # no corner lies between milliseconds
+
+
+def test_a_clock_of_an_hour_still_meets_the_corners():
+    """Steps of 1 ms added up miss an hour by rounding, in either direction, but no corner there."""
+    clock = float(np.cumsum(np.full(3_600_000, 1e-3))[-1])
+    assert clock != 3600.0
+    for time in (clock, 7200.0 - clock):
+        assert at(Move("boom", 3600.0, 5.0, 0.5, 1.0, 0.5), time)[1] == 10.0
 
 
 def test_the_rates_are_the_derivatives_of_the_commands():
