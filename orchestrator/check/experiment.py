@@ -103,7 +103,8 @@ def _judged(subject: Subject, case: Case) -> Iterator[Finding]:
     for text in result.problems:
         yield warning(f'experiment "{case.name}": {text}')
     if result.end:
-        yield error(f'experiment "{case.name}" does not come to its end: {result.end}')
+        say = note if result.late else error
+        yield say(f'experiment "{case.name}" does not come to its end: {result.end}')
     elif result.errors:
         yield _summary(case, result)
 

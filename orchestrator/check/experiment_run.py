@@ -27,11 +27,13 @@ class Comparison:
     """errors   signal -> NRMSE over range
     problems   what could not be compared or set
     end        why the run did not come to its end; empty when it did
+    late       its time was over
     """
 
     errors: dict[str, float] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     end: str = ""
+    late: bool = False
 
 
 def compare(subject: Subject, case: Case) -> Comparison:
@@ -47,6 +49,7 @@ def compare(subject: Subject, case: Case) -> Comparison:
         result.problems.append(f"{case.reference.name} has no column that is a number of the model")
         return result
     outcome = run(subject.folder, side, "reference:experiment", payload=job)
+    result.late = outcome.late
     result.end = outcome.end or next((text for severity, text in outcome.said if severity == "error"), "")
     if not result.end:
         result.errors = _errors(declared, reference, signals, outcome.result)

@@ -28,7 +28,6 @@ class Subject:
     folder        its content, unpacked for the time of the check; members with unsafe names are left out
     version       fmiVersion as written, such as "2.0"; "" when unknown
     root          root element of modelDescription.xml, with line numbers; None when it is not XML
-    description   FMPy's ModelDescription; None when FMPy cannot read it
     names         names of all members of the archive, as written
     faults        what went wrong while opening, with the ids of the rules that tell it
     """
@@ -37,7 +36,6 @@ class Subject:
     folder: Path
     version: str = ""
     root: Element | None = None
-    description: Any | None = None
     names: tuple[str, ...] = ()
     faults: tuple[Finding, ...] = field(default=())
 
@@ -76,8 +74,7 @@ def opened(path: Path) -> Iterator[Subject]:
         names, faults = unpack(path, folder)
         root, more = _parsed(folder / DESCRIPTION)
         version = "" if root is None else root.get("fmiVersion", "")
-        description = None if root is None else _described(folder)
-        yield Subject(path, folder, version, root, description, names, (*faults, *more))
+        yield Subject(path, folder, version, root, names, (*faults, *more))
 
 
 def _parsed(file: Path) -> tuple[Element | None, tuple[Finding, ...]]:
@@ -95,13 +92,3 @@ def _parsed(file: Path) -> tuple[Element | None, tuple[Finding, ...]]:
         text = f"{DESCRIPTION}: has a document type {tree.docinfo.doctype[:60]!r}, expected none"
         return None, (Finding("xml.syntax", "error", text),)
     return tree.getroot(), ()
-
-
-def _described(folder: Path) -> Any | None:
-    """What FMPy reads; it raises plain exceptions of all kinds, and the rules of FMPy tell them."""
-    from fmpy import read_model_description
-
-    try:
-        return read_model_description(str(folder), validate=False)
-    except Exception:
-        return None

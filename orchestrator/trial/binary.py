@@ -43,15 +43,16 @@ class Missing(Exception):
 
 
 def folders(major: int) -> list[str]:
-    """Names of the folders for this machine, the standard's name first."""
+    """Names of the folders for this machine, the most fitting first."""
     system, machine = platform.system(), platform.machine().lower()
     processor = "aarch64" if machine in ("arm64", "aarch64") else "x86_64"
     if major == 3:
         return [f"{processor}-{system.lower()}"]
     plain = {"Linux": "linux64", "Windows": "win64", "Darwin": "darwin64"}.get(system, system.lower())
-    if processor == "aarch64" and system != "Darwin":
-        return [f"{processor}-{system.lower()}"]
-    return [plain, f"{processor}-{system.lower()}"]
+    pair = f"{processor}-{system.lower()}"
+    if processor == "aarch64":  # FMI 2 names do not tell the processor; those of macOS may be for both
+        return [pair, plain] if system == "Darwin" else [pair]
+    return [plain, pair]
 
 
 def find(folder: Path, declared: Declared, side: str) -> Path | None:

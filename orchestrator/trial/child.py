@@ -16,6 +16,7 @@ from typing import Any
 from orchestrator.trial.beacon import Beacon
 from orchestrator.trial.bench import Bench, Task
 from orchestrator.trial.binary import Crashed, Missing, Refused
+from orchestrator.trial.instance import Spent
 from orchestrator.trial.reading import read
 
 
@@ -44,12 +45,16 @@ def main(folder: Path) -> None:
         try:
             for severity, text in task(bench):
                 write(severity=severity, text=text)
+        except Spent:
+            pass  # the rest of the task needs another instance
         except (Refused, Missing) as problem:
             write(severity="error", text=str(problem))
         except Crashed as problem:
             write(crash=str(problem))
         except OSError as problem:
             write(severity="error", text=f"the binary cannot be loaded: {_first(problem)}")
+        except Exception as problem:  # ours, not the FMU's: said as such, and the other probes go on
+            write(severity="warning", text=f"could not be tried (a defect of this check): {problem!r}")
         write(done=True, result=bench.result)
     sys.stdout.flush()
     os._exit(0)

@@ -20,7 +20,12 @@ SPELLING = {  # FMI 3 name -> FMI 2 name
     "GetContinuousStateDerivatives": "GetDerivatives",
     "GetOutputDerivatives": "GetRealOutputDerivatives",
 }
+_made = 0  # instances of this process
 GUARD = 64  # bytes behind a serialised state that the FMU must leave alone
+
+
+class Spent(Exception):
+    """This process has had its one instance of an FMU that declares that it can be made only once."""
 
 
 class Functions2(ctypes.Structure):
@@ -45,7 +50,7 @@ def _memory() -> tuple[int, int]:
 
 
 class Instance:
-    """An instance; side is "cs" or "me". Raises Refused when the FMU gives none."""
+    """An instance; side is "cs" or "me". Raises Refused when the FMU gives none, Spent when none is left."""
 
     def __init__(
         self,
@@ -67,9 +72,13 @@ class Instance:
             resources = there.as_uri() if self.declared.major == 2 else f"{there}/"
         words = [w.encode() for w in (name, token, resources)]
         make = self._instantiate2 if self.declared.major == 2 else self._instantiate3
+        global _made
+        if _made and self.declared.can(side, "canBeInstantiatedOnlyOncePerProcess"):
+            raise Spent
         handle = make(words, logging)
         if not handle:
             raise Refused(f"{binary.prefix}Instantiate", 3, binary.log.last())
+        _made += 1
         self.handle = ctypes.c_void_p(handle)
         self.ended = False  # the FMU asked to end the simulation
         self.returned_early = False

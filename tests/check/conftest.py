@@ -8,6 +8,7 @@ import pytest
 from any_fmu.models import Workshop
 
 from check.good import Archive, make
+from check.oscillator import Oscillators
 
 
 @pytest.fixture(scope="session")
@@ -20,3 +21,9 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Archive]:
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The small FMUs of the orchestrator's tests."""
     return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()
+
+
+@pytest.fixture(scope="session")
+def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
+    """Oscillators with faults of choice."""
+    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()

@@ -7,6 +7,7 @@
 
 #define _GNU_SOURCE
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -38,7 +39,7 @@ typedef struct {
 } Model;
 
 static double shared; /* for faults: what instances must not share */
-static int alive;
+static int alive, made;
 static void *volatile lost;
 
 static void say(Model *m, int status, const char *category, const char *text) {
@@ -91,6 +92,9 @@ static Model *make(const char *token, const char *location, int side) {
             if (*c == ' ') return NULL;
     }
     if (is("once") && alive) return NULL;
+    if (is("only") && made++) return NULL;
+    if (is("slow")) usleep(20000);
+    if (is("place") && location && strchr(location, '%')) abort();
     if (is("leak")) lost = malloc(64);
     if (is("handles") && !fopen("/dev/null", "r")) return NULL;
     alive++;
@@ -191,6 +195,10 @@ static int advance(Model *m, double t, double h, double *reached) {
         if (is("crash")) return *(volatile int *)8;
         if (is("hang")) for (;;) usleep(1000);
         if (is("exit")) exit(3);
+        if (is("signal")) raise(36);
+        if (is("starts") && !fork()) for (;;) sleep(1);
+        if (is("eats"))
+            for (;;) lost = memset(malloc(1 << 20), 1, 1 << 20);
         if (is("error")) return no(m, "no more");
         if (is("runaway")) m->s.r[X] = m->s.r[V] = 1e120;
     }

@@ -27,12 +27,6 @@ def unpacked(path: Path, folder: Path) -> Subject:
 
 
 @pytest.fixture(scope="module")
-def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
-    """The workshop."""
-    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()
-
-
-@pytest.fixture(scope="module")
 def result(oscillators: Oscillators) -> str:
     """Position of the oscillator over its default experiment, as a CSV file."""
     rows = fmpy.simulate_fmu(

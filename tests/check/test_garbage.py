@@ -75,6 +75,21 @@ def test_an_archive_without_description_names_what_it_holds(tmp_path: Path) -> N
     assert f"lag/{DESCRIPTION}" in found[0].text
 
 
+def test_a_system_given_by_mistake_is_named(tmp_path: Path) -> None:
+    """An SSP is told to be one, and what to do with it."""
+    path = Archive(2, {"SystemStructure.ssd": b"<a/>", "resources/lag.fmu": b""}).write(tmp_path / "lag.ssp")
+    (found,) = [f for f in check(path, run=False).findings if f.severity == "error"]
+    assert found.rule == "archive.description"
+    assert found.text.startswith("is a system (SSP), expected an FMU")
+
+
+def test_what_is_no_fmu_is_not_told_to_have_failed_to_run(tmp_path: Path) -> None:
+    """Nothing is said of probes, and nothing of temporary folders."""
+    path = tmp_path / "lag.fmu"
+    path.write_bytes(b"hello")
+    assert {f.rule for f in check(path).findings} == {"archive.zip"}
+
+
 def test_members_may_not_be_links(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """A symbolic link in the archive is told; the standards forbid it."""
     path = good[2].write(tmp_path / "lag.fmu")

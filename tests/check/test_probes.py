@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
 from orchestrator.check.probes.parent import Limits, limits
@@ -42,6 +41,7 @@ FAULTS = (
     Planted("default", "segmentation fault in fmi2DoStep at t = 0.31 s", "crash"),
     Planted("default", "segmentation fault in fmi3DoStep at t = 0.31 s", "crash", major=3),
     Planted("default", "hang: no return within 2 s in fmi2DoStep at t = 0.31 s", "hang"),
+    Planted("default", "signal 36 in fmi2DoStep", "signal"),
     Planted("default", "the process ended with exit status 3 in fmi2DoStep", "exit"),
     Planted("default", 'fmi2DoStep returned Error at t = 0.31 s: "no more"', "error"),
     Planted("default", "position is nan at t = 0.31 s", "nan"),
@@ -89,12 +89,6 @@ FAULTS = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
-    """The workshop."""
-    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()
-
-
 @pytest.fixture(autouse=True)
 def _short() -> Iterator[None]:
     """Little work per probe; a hang is one after two seconds, which a busy machine does not reach."""
@@ -129,7 +123,7 @@ def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     with limits(Limits(call=30.0, probe=1.0, work=0.2)):
         found = apply(oscillators.make(fault="hang"), tmp_path, "default")
     text = "co-simulation: not done within 1 s, stopped in fmi2DoStep at t = 0.31 s"
-    assert text in [f.text for f in found]
+    assert ("note", text) in [(f.severity, f.text) for f in found]  # slow is not wrong
 
 
 def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path):
@@ -137,7 +131,11 @@ def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path
     subject = opened(oscillators.make(), tmp_path)
     (binary,) = (tmp_path / "binaries").iterdir()
     binary.rename(binary.with_name("amiga68k"))
-    (text,) = [f.text for name in RULES for f in RULES[name](subject)]
+    (found,) = [f for name in RULES for f in RULES[name](subject)]
+    assert (
+        found.rule == "run.possible"
+    )  # no tool has a verdict on it: that there is none says nothing of the FMU
+    text = found.text
     assert text.startswith(f"no binary for this platform, expected {binary.name}")
     assert text.endswith("found amiga68k: the FMU was not run")
 
@@ -147,6 +145,22 @@ def test_an_fmu_that_takes_summed_times_only_is_probed_that_way(oscillators, tmp
     found = apply(oscillators.make(fault="strict"), tmp_path)
     assert {f.rule for f in found} == {"run.drift"}
     assert "is refused at the counted time" in found[0].text
+
+
+def test_an_fmu_that_can_be_made_only_once_is_made_only_once(oscillators, tmp_path):
+    """Each process makes one instance of an FMU that declares so; what needs two is left out."""
+    name = 'modelIdentifier="oscillator"'
+    change = (name, f'{name} canBeInstantiatedOnlyOncePerProcess="true"')
+    assert apply(oscillators.make(2, "only", change), tmp_path) == []
+
+
+def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
+    """Where two thousand instances take too long, nothing is said of leaks."""
+    with limits(Limits(call=2.0, probe=30.0, work=0.02)):
+        found = apply(oscillators.make(fault="slow"), tmp_path, "leak")
+    assert {(f.severity, f.text) for f in found} == {
+        ("note", "an instance takes too long for a look at 2000 of them")
+    }
 
 
 @pytest.mark.parametrize("major", [2, 3])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.check.finding import Check, Rule
-from orchestrator.check.probes.rules import loads, probe, runs
+from orchestrator.check.probes.rules import loads, possible, probe, runs
 
 STATE = ("canGetAndSetFMUstate", "canGetAndSetFMUState")
 BYTES = ("canSerializeFMUstate", "canSerializeFMUState")
@@ -16,6 +16,7 @@ CS = ("cs",)
 
 # name, what must hold, check, threads where it was seen
 TABLE: tuple[tuple[str, str, Check, str], ...] = (
+    ("possible", "The FMU can be run on this machine, so that it can be tried", possible, ""),
     (
         "load",
         "The binary for this machine loads and has the functions of its sides",

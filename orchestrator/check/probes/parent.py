@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +20,7 @@ from typing import Any
 from orchestrator.trial.beacon import Beacon, Sighting
 
 POLL = 0.01  # s between looks at the child
+MESSAGES = 1 << 20  # bytes that a child may write to stderr before they are thrown away
 WORDS = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
@@ -30,19 +33,22 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Wall times [s].
+    """Wall times [s] and memory.
 
-    call    longest single call into the FMU; a longer one is a hang
-    probe   longest probe of one side
-    work    what one probe fills with steps, instances and the like
+    call     longest single call into the FMU; a longer one is a hang
+    probe    longest probe of one side
+    work     what one probe fills with steps, instances and the like
+    memory   largest child [bytes], where /proc tells; 0: a quarter of the machine's memory
     """
 
     call: float = 10.0
     probe: float = 60.0
     work: float = 0.8
+    memory: float = 0.0
 
 
 _limits = [Limits()]
+_halt = threading.Event()  # set by an interrupt: children are to be stopped
 
 
 @contextmanager
@@ -62,11 +68,16 @@ def current() -> Limits:
 
 @dataclass
 class Outcome:
-    """What a child said, how it ended ("" when as it should), and what it hands over."""
+    """What a child said, how it ended ("" when as it should), and what it hands over.
+
+    crashes   ends in stages that were left out after it
+    late      it was stopped because its time was over, which may only mean that the FMU is slow
+    """
 
     said: list[tuple[str, str]] = field(default_factory=list)
-    crashes: list[str] = field(default_factory=list)  # in stages that were left out after it
+    crashes: list[str] = field(default_factory=list)
     end: str = ""
+    late: bool = False
     result: Any = None
     stage: int = -1
 
@@ -86,10 +97,8 @@ def run(
         part = _child(job | {"seconds": current().work, "payload": payload})
         whole.said += part.said
         whole.result, whole.stage = part.result, part.stage
-        if not part.end:
-            return whole
-        if part.stage < 0:
-            whole.end = part.end
+        if not part.end or part.late or part.stage < 0:
+            whole.end, whole.late = part.end, part.late
             return whole
         whole.crashes.append(part.end)
         first = part.stage + 1
@@ -104,7 +113,7 @@ def _child(job: Mapping[str, Any]) -> Outcome:
         beacon = Beacon(folder / "beacon")
         roots = [str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(roots)}
-        with (folder / "errors").open("wb") as errors:
+        with (folder / "errors").open("ab") as errors:
             child = subprocess.Popen(
                 [sys.executable, "-m", "orchestrator.trial.child", name],
                 cwd=name,
@@ -114,41 +123,80 @@ def _child(job: Mapping[str, Any]) -> Outcome:
                 stderr=errors,
                 start_new_session=True,
             )
-            end = _watch(child, beacon)
+            try:
+                end, late = _watch(child, beacon, folder / "errors")
+            finally:
+                _kill(child)
         outcome = _read(folder)
         seen = beacon.read()
         beacon.close()
         tail = (folder / "errors").read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-        outcome.end = end or _ending(child.returncode, outcome, seen, tail)
+        outcome.end, outcome.late = end or _ending(child.returncode, outcome, seen, tail), late
         return outcome
 
 
-def _watch(child: subprocess.Popen[bytes], beacon: Beacon) -> str:
-    """Wait; a child that makes no progress is killed, and the text says where it stood."""
+def _watch(child: subprocess.Popen[bytes], beacon: Beacon, errors: Path) -> tuple[str, bool]:
+    """Wait; why the child has to be stopped and where it stood, and whether only its time is over."""
     begin = moved = time.monotonic()
-    count = -1
+    count, most = -1, current().memory or _memory() / 4
     while True:
         with suppress(subprocess.TimeoutExpired):
             child.wait(POLL)
-            return ""
+            return "", False
+        if errors.stat().st_size > MESSAGES:
+            with suppress(OSError):  # refused where a file in use is locked
+                os.truncate(errors, 0)
         seen, now = beacon.read(), time.monotonic()
         if seen.count != count:
             count, moved = seen.count, now
         if now - moved > current().call:
-            _kill(child)
-            return f"hang: no return within {current().call:g} s {seen}"
+            return f"hang: no return within {current().call:g} s {seen}", False
+        if _used(child.pid) > most:
+            return f"takes more than {most / 1e9:.3g} GB of memory, stopped {seen}", False
         if now - begin > current().probe:
-            _kill(child)
-            return f"not done within {current().probe:g} s, stopped {seen}"
+            return f"not done within {current().probe:g} s, stopped {seen}", True
+        if _halt.is_set():
+            return "interrupted", True
+
+
+def _memory() -> float:
+    """Memory of this machine [bytes]; infinite where it is not told."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
+
+
+def _used(pid: int) -> float:
+    """Memory that a process takes [bytes]; 0 where it is not told."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0.0
+    return float(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
-    """The child and what the FMU may have started."""
+    """The child, if it still runs, and what the FMU has started and left behind."""
     if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError):
+        with suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, signal.SIGKILL)
-    child.kill()
-    child.wait()
+    if child.poll() is None:
+        child.kill()
+        child.wait()
+
+
+def side_by_side(work: Callable[[str], Outcome], sides: Sequence[str]) -> list[Outcome]:
+    """Some work for several sides at the same time; an interrupt stops the children at once."""
+    try:
+        with ThreadPoolExecutor() as pool:
+            try:
+                return list(pool.map(work, sides))
+            except BaseException:
+                _halt.set()  # the threads of the pool are waited for
+                raise
+    finally:
+        _halt.clear()
 
 
 def _read(folder: Path) -> Outcome:
@@ -172,6 +220,7 @@ def _ending(code: int, outcome: Outcome, seen: Sighting, tail: str) -> str:
         return outcome.end
     more = f' ("{tail[:120]}")' if tail else ""
     if code < 0:
-        name = signal.Signals(-code).name
+        known = {int(s): s.name for s in signal.Signals}
+        name = known.get(-code, f"signal {-code}")
         return f"{WORDS.get(name, name)} {seen}{more}"
     return f"the process ended with exit status {code} {seen}{more}"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.check.finding import Check, Finding, error, note, warning
-from orchestrator.check.probes.parent import Outcome, run
+from orchestrator.check.probes.parent import Outcome, run, side_by_side
 from orchestrator.check.subject import Subject
+from orchestrator.check.unpack import DESCRIPTION
 from orchestrator.trial.binary import find, folders
 from orchestrator.trial.declared import Declared
 from orchestrator.trial.reading import read
@@ -69,16 +69,15 @@ def _errors(outcome: Outcome) -> bool:
 
 
 def _each(folder: Path, sides: Sequence[str], task: str) -> list[Outcome]:
-    """One task for several sides at the same time."""
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda side: run(folder, side, task), sides))
+    """One task for several sides."""
+    return side_by_side(lambda side: run(folder, side, task), sides)
 
 
 def _findings(sides: Sequence[str], outcomes: Sequence[Outcome], several: bool) -> Iterator[Finding]:
     """What was said; what both sides say is said once."""
     said: dict[tuple[str, str], list[str]] = {}
     for side, outcome in zip(sides, outcomes, strict=True):
-        end = [("error", outcome.end)] if outcome.end else []
+        end = [("note" if outcome.late else "error", outcome.end)] if outcome.end else []
         for line in [*outcome.said, *end]:
             said.setdefault(line, []).append(side)
     for (severity, text), by in said.items():
@@ -89,11 +88,16 @@ def _findings(sides: Sequence[str], outcomes: Sequence[Outcome], several: bool) 
 # ---- rules
 
 
-def loads(subject: Subject) -> Iterator[Finding]:
-    """The first probe; and why there are no others."""
+def possible(subject: Subject) -> Iterator[Finding]:
+    """Why nothing is run; what is no FMU at all is told by other rules."""
     found = life(subject)
-    if found.problem:
+    if found.problem and (subject.folder / DESCRIPTION).is_file():
         yield note(f"{found.problem}: the FMU was not run")
+
+
+def loads(subject: Subject) -> Iterator[Finding]:
+    """The first probe."""
+    found = life(subject)
     yield from _findings(list(found.loaded), list(found.loaded.values()), len(found.sides) > 1)
 
 
@@ -133,15 +137,15 @@ def probe(
             whole = Outcome()
             for task in tasks:
                 part = run(subject.folder, side, task, found.lived[side].result, whole.result)
-                ends = [*part.crashes, *([part.end] if part.end else [])]
-                whole.said += [*part.said, *((crash, text) for text in ends)]
+                ends = [(crash, text) for text in part.crashes]
+                ends += [("note" if part.late else crash, part.end)] if part.end else []
+                whole.said += [*part.said, *ends]
                 whole.result = part.result
                 if ends:
                     break
             return whole
 
-        with ThreadPoolExecutor() as pool:
-            yield from _findings(able, list(pool.map(work, able)), len(found.sides) > 1)
+        yield from _findings(able, side_by_side(work, able), len(found.sides) > 1)
 
     return check
 

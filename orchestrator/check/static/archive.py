@@ -47,6 +47,12 @@ def suffix(subject: Subject) -> Iterator[Finding]:
 def description(subject: Subject) -> Iterator[Finding]:
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
+    if "SystemStructure.ssd" in subject.names:
+        yield error(
+            "is a system (SSP), expected an FMU; check the .fmu files in its folder resources one by one,"
+            " run the system with harvester run"
+        )
+        return
     near = [
         n for n in subject.names if PurePosixPath(n.replace("\\", "/")).name.lower() == DESCRIPTION.lower()
     ]

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from orchestrator.trial.bench import Bench, Said
 from orchestrator.trial.binary import FATAL, Refused
+from orchestrator.trial.instance import Spent
 from orchestrator.trial.player import Player, odd
 
 HUGE = 1e30  # times the nominal value: a model that runs away
@@ -40,10 +41,10 @@ def _run(bench: Bench, stop: float | None, most: int) -> tuple[Player, list[floa
     except Refused as refusal:
         if refusal.status == FATAL or bench.side == "me":
             raise
-        other = bench.player(stop=stop, summed=True).begin()
         try:
+            other = bench.player(stop=stop, summed=True).begin()
             return other, first, other.run_for(bench.seconds, most)
-        except Refused:
+        except (Refused, Spent):
             raise refusal from None
 
 
@@ -82,6 +83,6 @@ def _pokes(bench: Bench) -> bool:
         player = bench.player().begin()
         rows = player.run(10, poke=True)
         player.close()
-    except Refused:
+    except (Refused, Spent):
         return False
     return all(not odd(player.outputs.names, r) for r in rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,26 +20,30 @@ def resources(bench: Bench) -> Iterator[Said]:
         return
     plain = bench.player().begin()
     expected = [plain.row()]
-    with tempfile.TemporaryDirectory(prefix="probe-", ignore_cleanup_errors=True) as name:
-        folder = Path(name) / ODD
-        shutil.copytree(bench.folder, folder)
-        (folder / "resources").mkdir(exist_ok=True)
-        bench.folder = folder
-        binary = bench.load(folder)
-        for location, severity in _forms(bench.declared.major, folder / "resources"):
-            shown = location.replace(str(folder.as_uri()), "file:///FOLDER").replace(str(folder), "FOLDER")
-            try:
-                player = bench.player(binary=binary, resources=location).begin()
-                row = [player.row()]
-                player.close()
-            except Refused as refusal:
-                yield severity, f'with the resources at "{shown}" in a folder "{ODD}": {refusal}'
-                continue
-            if bits(row) != bits(expected):
-                yield (
-                    severity,
-                    f'with the resources at "{shown}" in a folder "{ODD}" the first outputs differ',
-                )
+    folder = Path.cwd() / ODD  # in the folder of the job, which the parent removes whatever happens here
+    shutil.copytree(bench.folder, folder)
+    (folder / "resources").mkdir(exist_ok=True)
+    bench.folder = folder
+    binary = bench.load(folder)
+    for location, severity in _forms(bench.declared.major, folder / "resources"):
+        case = f'with the resources at "{_shown(location, folder)}" in a folder "{ODD}"'
+        bench.beacon.inputs(f"({case})")
+        try:
+            player = bench.player(binary=binary, resources=location).begin()
+            row = [player.row()]
+            player.close()
+        except Refused as refusal:
+            yield severity, f"{case}: {refusal}"
+            continue
+        if bits(row) != bits(expected):
+            yield severity, f"{case} the first outputs differ"
+
+
+def _shown(location: str, folder: Path) -> str:
+    """A location without the path of the temporary folder."""
+    uri = folder.as_uri()
+    location = location.replace(uri, "file:///FOLDER")
+    return location.replace(uri.replace("file:///", "file:/"), "file:/FOLDER").replace(str(folder), "FOLDER")
 
 
 def _forms(major: int, there: Path) -> list[tuple[str, str]]:

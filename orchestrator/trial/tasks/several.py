@@ -23,8 +23,6 @@ def instances(bench: Bench) -> Iterator[Said]:
     if bits(alone) != bits(again):
         yield "error", f"a second run in the same process differs: {difference(names, alone, again)}"
         return
-    if bench.can("canBeInstantiatedOnlyOncePerProcess"):
-        return
     try:
         first, second = bench.player().begin(), bench.player(name="second").begin()
     except Refused as refusal:
@@ -64,8 +62,6 @@ def _alone(bench: Bench, shift: int, count: int = STEPS) -> list[list[float]]:
 
 def threads(bench: Bench) -> Iterator[Said]:
     """Instances in threads of their own give the serial bits."""
-    if bench.can("canBeInstantiatedOnlyOncePerProcess"):
-        return
     count = 60
     serial = [_alone(bench, n, count) for n in range(THREADS)]
     before = sys.getswitchinterval()

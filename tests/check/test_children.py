@@ -1,0 +1,122 @@
+"""Child processes of the check: whatever the FMU does, they end, and nothing of them is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from check.test_probes import apply, opened
+from orchestrator.check.probes import parent
+from orchestrator.check.probes.parent import Limits, limits
+from orchestrator.trial.beacon import Beacon
+
+ROOT = Path(__file__).parents[2]
+PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
+linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+
+
+def until(happens) -> bool:
+    """Wait for something."""
+    end = time.monotonic() + PATIENCE
+    while not happens() and time.monotonic() < end:
+        time.sleep(0.02)
+    return bool(happens())
+
+
+def group(leader: int) -> list[str]:
+    """Processes of a group that run, as /proc has them."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, number = (folder / "stat").read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(number) == leader and state not in "ZX":
+            found.append(folder.name)
+    return found
+
+
+@linux
+def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypatch):
+    """A process that the FMU has left behind does not outlive the probe."""
+    started = []
+    monkeypatch.setattr(
+        parent, "_kill", lambda child, kill=parent._kill: (started.append(child.pid), kill(child))
+    )
+    with limits(Limits(call=10.0, work=0.2)):
+        apply(oscillators.make(fault="starts"), tmp_path, "default")
+    assert started
+    assert until(lambda: not any(group(pid) for pid in started))
+
+
+@linux
+def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
+    """The limit is told, and where the FMU stood."""
+    with limits(Limits(call=10.0, work=0.2, memory=2e8)):
+        found = apply(oscillators.make(fault="eats"), tmp_path, "default")
+    text = "co-simulation: takes more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
+    assert ("error", text) in [(f.severity, f.text) for f in found]
+
+
+def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(tmp_path):
+    """What a child has written to stderr is thrown away when it is more than anybody would read."""
+    errors = tmp_path / "errors"
+    errors.write_bytes(bytes(parent.MESSAGES + 1))
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    try:
+        with limits(Limits(call=0.2)):
+            end, late = parent._watch(child, Beacon(tmp_path / "beacon"), errors)
+    finally:
+        child.kill()
+        child.wait()
+    assert end.startswith("hang: no return within 0.2 s")
+    assert not late
+    assert errors.stat().st_size == 0
+
+
+def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
+    """The copy in another folder goes, also when the FMU ends the process that made it."""
+    there = tmp_path / "temporary"
+    there.mkdir()
+    monkeypatch.setenv("TMPDIR", str(there))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    found = apply(oscillators.make(fault="place"), tmp_path / "fmu", "resources")
+    assert any("abort in fmi2Instantiate" in f.text and "in a folder" in f.text for f in found), found
+    assert list(there.iterdir()) == []
+
+
+def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
+    """A task that stumbles is a warning that says whose fault it is."""
+    subject = opened(oscillators.make(), tmp_path)
+    outcome = parent.run(subject.folder, "cs", "reference:experiment", payload={})
+    assert outcome.said == [("warning", "could not be tried (a defect of this check): KeyError('start')")]
+    assert outcome.end == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
+    """Ctrl-C, a request to end and a closed terminal: no folder stays, and it takes no more than a moment."""
+    there = tmp_path / "temporary"
+    there.mkdir()
+    check = subprocess.Popen(
+        [sys.executable, "-m", "orchestrator", "check", "--timeout", "1000", oscillators.make(fault="hang")],
+        cwd=ROOT,
+        env=os.environ | {"TMPDIR": str(there)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    hangs = until(lambda: any(b"fmi2DoStep" in b.read_bytes() for b in there.glob("probe-*/beacon")))
+    check.send_signal(getattr(signal, number))
+    _, errors = check.communicate(timeout=PATIENCE)  # the call that hangs has a thousand seconds
+    assert hangs
+    assert (check.returncode, errors) == (130, b"harvester: interrupted\n")
+    assert list(there.iterdir()) == []
