@@ -2,18 +2,21 @@
 
 #include <float.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
-LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
+LOCAL void core_message_of(Core *core, Status kind, const char *format, va_list arguments) {
     char text[768];
     const int used = snprintf(text, sizeof text, "%s: ", core->call);
+    vsnprintf(text + used, sizeof text - (size_t)used, format, arguments);
+    core->report(core->owner, kind, text);
+}
+
+LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
-    vsnprintf(text + used, sizeof text - (size_t)used, format, arguments);
+    core_message_of(core, kind, format, arguments);
     va_end(arguments);
-    core->report(core->owner, kind, text);
 }
 
 LOCAL void core_changed(Core *core) {

@@ -4,6 +4,7 @@
 #ifndef CORE_H
 #define CORE_H
 
+#include <stdarg.h>
 #include <stddef.h>
 
 #include "model.h"
@@ -52,6 +53,7 @@ typedef struct Core {
 
 /* A message "call: text" to the owner. */
 LOCAL void core_message(Core *core, Status kind, const char *format, ...);
+LOCAL void core_message_of(Core *core, Status kind, const char *format, va_list arguments);
 
 /* Default values of all variables. */
 LOCAL void core_reset(Core *core);

@@ -14,7 +14,7 @@ static int right_size(Instance *self, const double x[], size_t n) {
 
 /* Times after the stop time are accepted: solvers step over it and interpolate. */
 Status exchange_set_time(Instance *self, double time) {
-    if (!isfinite(time)) return refuse(self, "the time is not finite%s", "");
+    if (!isfinite(time)) return refuse(self, "the time is not finite");
     self->core.s.time = time;
     return OK;
 }
@@ -52,7 +52,7 @@ Status exchange_derivatives(Instance *self, double dx[], size_t n) {
 }
 
 Status exchange_indicators(Instance *self, size_t n) {
-    return n == 0 ? OK : refuse(self, "the model has no event indicators%s", "");
+    return n == 0 ? OK : refuse(self, "the model has no event indicators");
 }
 
 Status exchange_nominals(Instance *self, double nominal[], size_t n) {

@@ -89,7 +89,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 
 /* The model has no variable of another type. */
 static Status none(Instance *self, size_t nvr) {
-    return nvr == 0 ? OK : refuse(self, "the model has Real variables only%s", "");
+    return nvr == 0 ? OK : refuse(self, "the model has Real variables only");
 }
 
 #define NO_VARIABLES_OF(type)                                                                                \

@@ -45,7 +45,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
-    CALL(CO_SIMULATION | ANY, refuse(c, "no step is in progress: fmi2DoStep returns when it is done%s", ""));
+    CALL(CO_SIMULATION | ANY, refuse(c, "no step is in progress: fmi2DoStep returns when it is done"));
 }
 
 /* DISCARD after a message: this kind of status is of another type. */

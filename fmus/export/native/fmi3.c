@@ -132,7 +132,7 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
 /* Between steps only where the caller said that it would use event mode. */
 static Status enter_event_mode(Instance *self) {
     if (self->core.s.phase == STEP_MODE && !self->events)
-        return refuse(self, "the instance was made without event mode%s", "");
+        return refuse(self, "the instance was made without event mode");
     return enter(self, EVENT_MODE);
 }
 
@@ -233,7 +233,7 @@ static Status adjoint(Instance *self, const unsigned unknown[], size_t n_unknown
         if (known[i] == self->time) continue; /* nothing depends on it */
         if (!is_known(self, known[i])) return ERROR;
         result[i] = core->direction[known[i]];
-        if (!isfinite(result[i])) return refuse(self, "the adjoint derivative is not finite%s", "");
+        if (!isfinite(result[i])) return refuse(self, "the adjoint derivative is not finite");
     }
     return OK;
 }

@@ -4,7 +4,7 @@
 #include "instance.h"
 
 static Status none(Instance *self, size_t n) {
-    return n == 0 ? OK : refuse(self, "the model has no such variables, expected Float64%s", "");
+    return n == 0 ? OK : refuse(self, "the model has no such variables, expected Float64");
 }
 
 #define NO_VARIABLES_OF(type)                                                                                \
@@ -113,23 +113,23 @@ fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference 
 fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clockReference,
                                       fmi3Float64 activationTime) {
     (void)clockReference, (void)activationTime;
-    CALL(ANY, refuse(instance, "the model has no partitions%s", ""));
+    CALL(ANY, refuse(instance, "the model has no partitions"));
 }
 
 /* ---- configuration and per-element dependencies -------------------------------------------------- */
 
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
-    CALL(ANY, refuse(instance, "the model has no structural parameters%s", ""));
+    CALL(ANY, refuse(instance, "the model has no structural parameters"));
 }
 
 fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
-    CALL(ANY, refuse(instance, "the model has no structural parameters%s", ""));
+    CALL(ANY, refuse(instance, "the model has no structural parameters"));
 }
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference valueReference,
                                                size_t *nDependencies) {
     (void)valueReference, (void)nDependencies;
-    CALL(ANY, refuse(instance, "dependencies are in modelDescription.xml: there are no arrays%s", ""));
+    CALL(ANY, refuse(instance, "dependencies are in modelDescription.xml: there are no arrays"));
 }
 
 fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
@@ -138,5 +138,5 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
                                        fmi3DependencyKind dependencyKinds[], size_t nDependencies) {
     (void)dependent, (void)elementIndicesOfDependent, (void)independents;
     (void)elementIndicesOfIndependents, (void)dependencyKinds, (void)nDependencies;
-    CALL(ANY, refuse(instance, "dependencies are in modelDescription.xml: there are no arrays%s", ""));
+    CALL(ANY, refuse(instance, "dependencies are in modelDescription.xml: there are no arrays"));
 }

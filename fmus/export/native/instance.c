@@ -31,8 +31,11 @@ static void report(void *owner, Status kind, const char *text) {
     if (self->logger && (self->log & 1u << kind)) self->write(self, kind, text);
 }
 
-Status refuse(Instance *self, const char *format, const char *detail) {
-    core_message(&self->core, ERROR, format, detail);
+Status refuse(Instance *self, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    core_message_of(&self->core, ERROR, format, arguments);
+    va_end(arguments);
     return ERROR;
 }
 
@@ -125,11 +128,11 @@ Instance *instance_create(const char *name, int type, int logging) {
 Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start_time,
                       int stop_defined, double stop_time) {
     State *s = &self->core.s;
-    if (!isfinite(start_time)) return refuse(self, "the start time is not finite%s", "");
+    if (!isfinite(start_time)) return refuse(self, "the start time is not finite");
     if (stop_defined && !(stop_time >= start_time))
-        return refuse(self, "the stop time is before the start time%s", "");
+        return refuse(self, "the stop time is before the start time");
     if (tolerance_defined && !(tolerance > 0.0 && tolerance < 1.0))
-        return refuse(self, "the tolerance is out of range, expected > 0 and < 1%s", "");
+        return refuse(self, "the tolerance is out of range, expected > 0 and < 1");
     s->time = s->start_time = start_time;
     s->stop_time = stop_defined ? stop_time : HUGE_VAL;
     s->tolerance = tolerance_defined ? fmin(tolerance, LOOSEST_TOLERANCE) : DEFAULT_TOLERANCE;

@@ -51,7 +51,7 @@ LOCAL int allowed(Instance *self, const char *function, int mask);
 /* 1 if the caller's array has an address and n is a possible length; else 0 and an error message. */
 LOCAL int given(Instance *self, const void *array, size_t n);
 /* ERROR after a message. */
-LOCAL Status refuse(Instance *self, const char *format, const char *detail);
+LOCAL Status refuse(Instance *self, const char *format, ...);
 LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);
 LOCAL Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
                             int stop_defined, double stop);

@@ -11,7 +11,7 @@ static int room(Instance *self, void **state) {
     if (!given(self, state, 1)) return 0;
     if (!*state) *state = malloc(snapshot_size());
     if (*state) return 1;
-    refuse(self, "out of memory%s", "");
+    refuse(self, "out of memory");
     return 0;
 }
 
@@ -23,22 +23,22 @@ Status states_get(Instance *self, void **state) {
 
 Status states_set(Instance *self, const void *state) {
     State restored;
-    if (!state) return refuse(self, "there is no saved state%s", "");
+    if (!state) return refuse(self, "there is no saved state");
     if (!snapshot_read(&self->core, &restored, state, snapshot_size(), 0)) return ERROR;
     if (restored.type != self->core.s.type)
         return refuse(self, "the saved state is of an instance for %s",
                       restored.type == CO_SIMULATION ? "co-simulation" : "model exchange");
     if (!(restored.phase & ANY & ~INSIDE_STEP) || !isfinite(restored.time))
-        return refuse(self, "the saved state is none of this model%s", "");
+        return refuse(self, "the saved state is none of this model");
     memcpy(&self->core.s, &restored, sizeof restored);
     core_changed(&self->core);
     return OK;
 }
 
 Status states_serialize(Instance *self, const void *state, char bytes[], size_t size) {
-    if (!state) return refuse(self, "there is no saved state%s", "");
+    if (!state) return refuse(self, "there is no saved state");
     if (!given(self, bytes, 1)) return ERROR;
-    if (size < snapshot_size()) return refuse(self, "the memory is too small%s", "");
+    if (size < snapshot_size()) return refuse(self, "the memory is too small");
     memcpy(bytes, state, snapshot_size());
     snapshot_seal(bytes);
     return OK;
