@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from orchestrator.errors import Problem
+from orchestrator.interrupt import ends_clean
 
 app = typer.Typer(
     add_completion=False,
@@ -258,7 +259,8 @@ def check(
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; a mistake becomes one line on stderr and exit status 2."""
     try:
-        status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
+        with ends_clean():
+            status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
     except KeyboardInterrupt:
         return _stopped()
     except Exception as error:

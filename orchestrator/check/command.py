@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from orchestrator.check import check, rules
 from orchestrator.check.report import table
@@ -29,27 +25,9 @@ def run(
         raise Problem("check: expected an FMU or --rules")
     if not timeout > 0:
         raise Problem(f"check: --timeout {timeout:g}: expected a number of seconds above 0")
-    with _ends_clean(), limits(Limits(call=timeout, probe=max(timeout, Limits.probe))):
+    with limits(Limits(call=timeout, probe=max(timeout, Limits.probe))):
         report = check(fmu, tool, run=not static)
     print(report.text())
     if json:
         json.write_text(report.json(), "utf-8")
     return not report.failed
-
-
-@contextmanager
-def _ends_clean() -> Iterator[None]:
-    """A request to end, or a closed terminal, is an interrupt: children are stopped, folders removed."""
-
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    usual = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
-    for number in usual:
-        signal.signal(number, interrupt)
-    try:
-        yield
-    finally:
-        for number in usual:
-            signal.signal(number, signal.SIG_DFL)
