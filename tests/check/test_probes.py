@@ -13,6 +13,7 @@ from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
 from orchestrator.check.probes.parent import Limits, limits
 from orchestrator.check.subject import Subject
+from orchestrator.trial.tasks import leak
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
@@ -167,3 +168,12 @@ def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
 def test_a_good_fmu_gives_nothing(oscillators, tmp_path, major):
     """No probe has anything to say of the oscillator without fault."""
     assert apply(oscillators.make(major), tmp_path) == []
+
+
+def test_a_table_that_doubles_is_no_leak():
+    """What grows in one half of the instances only has come to an end; what grows in both goes on."""
+    window = leak.WINDOW
+    steady = [1000.0 * window * n for n in range(9)]
+    once = [0.0] * 6 + [1e6] * 3
+    assert leak._growth(steady, noise=8e3) == pytest.approx(1000.0 - 4e3 / (4 * window))
+    assert leak._growth(once, noise=8e3) < leak.LEAK

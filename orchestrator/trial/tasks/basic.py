@@ -51,7 +51,8 @@ def log(bench: Bench) -> Iterator[Said]:
     try:
         player.instance.call("SetDebugLogging", on, ctypes.c_size_t(len(names)), array)
     except (Refused, Missing) as problem:
-        yield "warning", f"{problem}, with the log categories of modelDescription.xml"
+        given = "the log categories of modelDescription.xml" if names else "no log category, which means all"
+        yield "warning", f"{problem}, with {given}"
     player.begin().run(3)
     player.close()
     said = dict.fromkeys((status, category) for status, category, _ in bench.binary.log.messages)

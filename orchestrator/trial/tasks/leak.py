@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,16 +34,37 @@ def leak(bench: Bench) -> Iterator[Said]:
         "file handles": (handles, 0.01, 2),
         "threads": (running, 0.01, 2),
     }
-    before = {name: measure() for name, (measure, _, _) in measures.items()}
-    done, deadline = 0, time.monotonic() + 4 * bench.seconds
-    while done < ROUNDS and time.monotonic() < deadline and memory() - before["bytes of memory"] < FULL:
-        for _ in range(WINDOW):
-            _life(bench)
-        done += WINDOW
-    for name, (measure, limit, noise) in measures.items():
-        growth = (measure() - before[name] - noise) / done
+    looks = {name: [measure()] for name, (measure, _, _) in measures.items()}
+    for _ in _windows(bench, looks["bytes of memory"]):
+        for name, (measure, _, _) in measures.items():
+            looks[name].append(measure())
+    for name, (_, limit, noise) in measures.items():
+        growth, done = _growth(looks[name], noise), WINDOW * (len(looks[name]) - 1)
         if growth > limit:
             yield "error", f"each instance leaves {growth:.3g} {name} behind (of {done} instances)"
+
+
+def _windows(bench: Bench, sizes: Sequence[float]) -> Iterator[None]:
+    """Instances, with a pause after each window, until time is over or the memory is full."""
+    deadline = time.monotonic() + 4 * bench.seconds
+    for n in range(ROUNDS // WINDOW):
+        if n > 1 and (time.monotonic() > deadline or sizes[-1] - sizes[0] > FULL):
+            return
+        for _ in range(WINDOW):
+            _life(bench)
+        yield
+
+
+def _growth(looks: Sequence[float], noise: float) -> float:
+    """Growth per instance, of the half in which it is less: a leak goes on, a table that doubles does not."""
+    half = (len(looks) - 1) // 2
+    return min(
+        (b - a - noise / 2) / (WINDOW * windows)
+        for a, b, windows in (
+            (looks[0], looks[half], half),
+            (looks[half], looks[-1], len(looks) - 1 - half),
+        )
+    )
 
 
 def _warmed(bench: Bench) -> bool:
