@@ -1,7 +1,8 @@
 """What each tool makes of what the rules find. One row per tool and rule; the evidence stands beside it.
 
 Simulink, Dymola, Amesim and OpenModelica were judged by issue threads, without running them. The others run
-in this project's tests, or their sources were read.
+in this project's tests, or their sources were read. A thread is evidence for the tool that imports the FMU;
+one about FMUs that a tool has made stands beside the rule only.
 """
 
 from __future__ import annotations
@@ -65,14 +66,15 @@ SIMULINK = Tool(
         "structure.dependencies": _warning("sees algebraic loops that are not there", "FMIKit#21"),
         "ability.once": _warning("cannot have two blocks of it in a model", "FMIKit#328 FMIKit#397"),
         "ability.tool": _warning("the FMU fails without its tool", "FMIKit#373"),
-        "ability.state": _note("no fast restart and no saved operating point", "FMIKit#136 FMIKit#226"),
+        "ability.state": _note("no fast restart", "FMIKit#448"),
+        "ability.serialize": _note("no fast restart", "FMIKit#448"),
         "experiment.step": _note("communication points drift by rounding", "FMIKit#133"),
         "identity.token": _note("a wrong GUID stops the import", "FMIKit#80"),
         "run.default": _warning("waits without end when a step hangs", "FMIKit#225"),
         "run.first_output": _warning("shows the first output as it is after initialisation", "FMIKit#219"),
         "run.drift": _warning("sums its communication points", "FMIKit#133"),
         "run.instances": _warning("each block is an instance in one process", "FMIKit#328 FMIKit#397"),
-        "run.state": _warning("restores states for operating points", "FMIKit#136 FMIKit#226"),
+        "run.state": _warning("restores states at a fast restart", "FMIKit#448"),
     },
 )
 DYMOLA = Tool(
@@ -82,11 +84,8 @@ DYMOLA = Tool(
     {
         "python.needed": _error("the model fails to initialise", "PythonFMU#184"),
         "platform.windows": _warning("on Windows needs this binary", "FMPy#407"),
-        "name.keyword": _warning("such a name is no Modelica identifier", "OpenModelica#5706"),
-        "name.characters": _note("makes quoted Modelica names of them", "OpenModelica#12344"),
+        "name.keyword": _warning("such a name is no Modelica identifier", ""),
         "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
-        "structure.dependencies": _warning("solves loops that are not there", "FMIKit#21 PyFMI#232"),
-        "ability.derivatives": _note("takes Jacobians by differences", "OpenModelica#7371"),
     },
 )
 OPENMODELICA = Tool(
@@ -95,13 +94,10 @@ OPENMODELICA = Tool(
     THREADS,
     {
         "structure.initial": _warning("lists the missing unknowns as warnings", "OpenModelica#8080"),
-        "name.keyword": _warning(
-            "such a name is no Modelica identifier", "OpenModelica#5706 OpenModelica#3596"
-        ),
+        "name.keyword": _warning("such a name is no Modelica identifier", "OpenModelica#5706"),
         "name.characters": _warning(
             "the imported Modelica code may not compile", "OpenModelica#4707 OpenModelica#5706"
         ),
-        "name.grammar": _error("refuses names that break the grammar", "OpenModelica#11265"),
         "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
         "version.new": _warning(
             "imports FMI 3.0 only since pull request 16268 (2026), Model Exchange", "OpenModelica#16268"
@@ -109,13 +105,6 @@ OPENMODELICA = Tool(
         "kind.exchange": _warning(
             "importFMU takes Model Exchange, OMSimulator Co-Simulation", "OpenModelica#2626"
         ),
-        "binary.libraries": _warning(
-            "such an FMU fails on a clean machine", "OpenModelica#11856 OpenModelica#7895"
-        ),
-        "ability.state": _note("state is asked for by users", "OpenModelica#7939"),
-        "contents.icon": _note("shows an empty block", "OpenModelica#13162"),
-        "run.start_time": _warning("starts at other times than 0", "OpenModelica#11855"),
-        "run.leak": _warning("many instances one after another", "OpenModelica#9220"),
     },
 )
 AMESIM = Tool(
@@ -185,8 +174,8 @@ OMSIMULATOR = Tool(
         "structure.initial": _warning(
             "lists the missing unknowns as warnings", "OMSimulator#838 OpenModelica#8080"
         ),
+        "structure.dependencies": _warning("sees algebraic loops that are not there", "PythonFMU#258"),
         "python.needed": _error("the library does not load", ""),
-        "ability.state": _note("state is asked for by users", "OMSimulator#1542"),
     },
 )
 ECOS = Tool("ecos", "Ecos", RUN, {"unit.factor": _note("does not convert units", "")})

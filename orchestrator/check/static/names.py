@@ -53,7 +53,9 @@ def _structured(subject: Subject) -> bool:
 
 
 @RULES.rule(
-    "name.grammar", "Names keep the naming convention that the FMU claims", "casadi#4030 fmi-cross-check#74"
+    "name.grammar",
+    "Names keep the naming convention that the FMU claims",
+    "casadi#4030 fmi-cross-check#74 OpenModelica#11265",
 )
 def grammar(subject: Subject) -> Iterator[Finding]:
     for v, name in _named(subject):
