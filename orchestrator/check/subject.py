@@ -72,23 +72,20 @@ def opened(path: Path) -> Iterator[Subject]:
     with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         names, faults = unpack(path, folder)
-        root, more = _parsed(folder / DESCRIPTION)
+        root, wrong = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
+        more = (Finding("xml.syntax", "error", wrong),) if wrong else ()
         version = "" if root is None else root.get("fmiVersion", "")
         yield Subject(path, folder, version, root, names, (*faults, *more))
 
 
-def _parsed(file: Path) -> tuple[Element | None, tuple[Finding, ...]]:
-    """The root element of modelDescription.xml. Entities are not expanded and nothing is fetched."""
+def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
+    """The root of an XML file and what is wrong with it. Entities are not expanded and nothing is fetched."""
     from lxml import etree
 
-    if not file.is_file():
-        return None, ()
-    parser = etree.XMLParser(resolve_entities=False, no_network=True)
     try:
-        tree = etree.parse(str(file), parser)
+        tree = etree.parse(str(folder / file), etree.XMLParser(resolve_entities=False, no_network=True))
     except (etree.XMLSyntaxError, OSError) as problem:
-        return None, (Finding("xml.syntax", "error", f"{DESCRIPTION}: is not XML: {problem}"),)
+        return None, f"{file}: is not XML: {problem}"
     if tree.docinfo.doctype:
-        text = f"{DESCRIPTION}: has a document type {tree.docinfo.doctype[:60]!r}, expected none"
-        return None, (Finding("xml.syntax", "error", text),)
-    return tree.getroot(), ()
+        return None, f"{file}: has a document type {tree.docinfo.doctype[:60]!r}, expected none"
+    return tree.getroot(), ""

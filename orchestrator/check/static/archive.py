@@ -12,10 +12,7 @@ from orchestrator.check.subject import Subject
 from orchestrator.check.unpack import DESCRIPTION, unsafe
 
 RULES = Table()
-FOLDERS = {
-    2: ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons"),
-    3: ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons"),
-}
+FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
 LONGEST = 150  # Windows takes 260 characters, of which a temporary folder and the FMU's name need some
 
 
@@ -78,9 +75,8 @@ def paths(subject: Subject) -> Iterator[Finding]:
 
 @RULES.rule("archive.stray", "The archive holds only what the standard names")
 def stray(subject: Subject) -> Iterator[Finding]:
-    allowed = FOLDERS.get(subject.major, ())
     top = {n.split("/")[0] for n in subject.names if not unsafe(n)}
-    strange = sorted(top - {DESCRIPTION, "model.png", *allowed})
+    strange = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
     if subject.major and strange:
         yield note(
             f"{', '.join(strange[:5])}: not a file or folder of an FMU; data for others belong into extra/"

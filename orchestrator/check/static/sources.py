@@ -9,7 +9,7 @@ from orchestrator.check.finding import Finding, error, note, some, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.static.description import violations
 from orchestrator.check.static.platforms import TUPLE
-from orchestrator.check.subject import Element, Subject
+from orchestrator.check.subject import Subject, read_xml
 from orchestrator.check.unpack import DESCRIPTION
 from orchestrator.xml import child, children
 
@@ -18,19 +18,6 @@ BUILD = "sources/buildDescription.xml"
 CODE = (".c", ".cc", ".cpp", ".cxx")
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 HEADERS_3 = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
-
-
-def parsed(subject: Subject, file: str) -> tuple[Element | None, str]:
-    """The root of an XML file of the FMU, and what is wrong with it."""
-    from lxml import etree
-
-    try:
-        tree = etree.parse(
-            str(subject.folder / file), etree.XMLParser(resolve_entities=False, no_network=True)
-        )
-    except (etree.XMLSyntaxError, OSError) as problem:
-        return None, f"{file}: is not XML: {problem}"
-    return (None, f"{file}: has a document type") if tree.docinfo.doctype else (tree.getroot(), "")
 
 
 def _code(subject: Subject) -> list[str]:
@@ -46,7 +33,7 @@ def listed(subject: Subject) -> Iterator[Finding]:
                 yield error(f"{DESCRIPTION} line {file.sourceline}: sources/{name} is listed, but missing")
     if BUILD not in subject.files:
         return
-    root, _ = parsed(subject, BUILD)
+    root, _ = read_xml(subject.folder, BUILD)
     for file in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile"):
         name = file.get("name", "")
         if f"sources/{name}" not in subject.files:
@@ -71,7 +58,7 @@ def build(subject: Subject) -> Iterator[Finding]:
 def description(subject: Subject) -> Iterator[Finding]:
     if BUILD not in subject.files:
         return
-    root, wrong = parsed(subject, BUILD)
+    root, wrong = read_xml(subject.folder, BUILD)
     if root is None:
         yield error(wrong)
         return
@@ -96,7 +83,7 @@ def description(subject: Subject) -> Iterator[Finding]:
 
 @RULES.rule("source.name", "A single source file is named after the model (FMI 3)")
 def single(subject: Subject) -> Iterator[Finding]:
-    root, _ = parsed(subject, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
+    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
     names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
         expected = subject.model.identifiers[0] if subject.model.identifiers else "model"

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from orchestrator.check.finding import Finding, error, note
 from orchestrator.check.registry import Table
 from orchestrator.check.static.description import violations
-from orchestrator.check.static.sources import parsed
-from orchestrator.check.subject import Element, Subject
+from orchestrator.check.subject import Element, Subject, read_xml
 from orchestrator.xml import children
 
 RULES = Table()
@@ -22,14 +21,14 @@ CONNECTED = ("input", "output", "parameter", "calculatedParameter")
 
 
 def _root(subject: Subject) -> Element | None:
-    return parsed(subject, FILE)[0] if FILE in subject.files and subject.model.variables else None
+    return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
 
 
 @RULES.rule("terminal.schema", "terminalsAndIcons.xml keeps its schema")
 def schema(subject: Subject) -> Iterator[Finding]:
     if FILE not in subject.files:
         return
-    root, wrong = parsed(subject, FILE)
+    root, wrong = read_xml(subject.folder, FILE)
     if root is None:
         yield error(wrong)
         return
