@@ -69,7 +69,8 @@ int exchange_next_event(Instance *self, double *time) {
     if (s->type != MODEL_EXCHANGE) return 0;
     core_start(&self->core);
     model_corner(s->x, s->u, s->p, self->core.c, &wait);
-    if (!isfinite(s->time + wait) || !(wait > 0.0)) return 0;
-    *time = s->time + wait;
+    const double next = s->time + wait;
+    if (!isfinite(next) || !(next > s->time)) return 0; /* an event that is already here would never end */
+    *time = next;
     return 1;
 }

@@ -272,6 +272,12 @@ static const char *some_name(void) {
 
 static const char *some_token(void) { return one_in(20) ? (one_in(2) ? "{wrong}" : NULL) : MODEL_GUID; }
 
+/* An event that is announced lies in the future. */
+static void check_event(const void *c, int defined, double when) {
+    const double now = ((const Instance *)c)->core.s.time;
+    if (defined && !(isfinite(when) && when > now)) fail("an event is announced, but not for a later time");
+}
+
 /* After a step that is OK, the time is somewhere in it; a step begins where the last one ended, or nearly so. */
 static void check_passage(double time, double length, double reached) {
     const double near = 0.02 * length + 1e-9 * fabs(time);

@@ -117,10 +117,12 @@ static void try_reset(void) {
 static void try_update_discrete_states(void) {
     fmi3Boolean flags[5];
     double when = NAN;
+    const Slot *s = slot_in(EVENT_MODE);
     start("fmi3UpdateDiscreteStates");
-    judge((int)fmi3UpdateDiscreteStates(instance_of(slot_in(EVENT_MODE)), maybe(flags), maybe(flags + 1),
-                                        maybe(flags + 2), maybe(flags + 3), maybe(flags + 4), maybe(&when)),
-          &when, 1);
+    if (judge((int)fmi3UpdateDiscreteStates(instance_of(s), maybe(flags), maybe(flags + 1), maybe(flags + 2),
+                                            maybe(flags + 3), maybe(flags + 4), maybe(&when)),
+              &when, 1) == 0)
+        check_event(s->c, flags[4], when);
 }
 
 static void try_completed_step(void) {
