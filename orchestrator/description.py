@@ -186,4 +186,7 @@ def _per_second(unit: Unit | None, rate: Unit | None) -> bool:
 
 def _number(owner: Any, name: str) -> float | None:
     text = getattr(owner, name, None)
-    return None if text is None else float(text)
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise Problem(f"{name}: expected a number, got {text!r}") from None

@@ -19,7 +19,7 @@ def read(folder: Path) -> Declared:
     try:
         root = ElementTree.parse(folder / "modelDescription.xml").getroot()
         return _declared(root)
-    except (ElementTree.ParseError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
+    except (ElementTree.ParseError, OSError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"modelDescription.xml cannot be read: {type(error).__name__}: {error}") from None
 
 

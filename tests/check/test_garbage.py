@@ -75,6 +75,23 @@ def test_an_archive_without_description_names_what_it_holds(tmp_path: Path) -> N
     assert f"lag/{DESCRIPTION}" in found[0].text
 
 
+def test_an_unknown_encoding_is_no_defect_of_the_check(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """The probes are left out with a reason, as for any description that cannot be read."""
+    path = good[2].swap('encoding="UTF-8"', 'encoding="abc"').write(tmp_path / "lag.fmu")
+    found = {f.rule for f in check(path).findings}
+    assert "xml.syntax" in found
+    assert DEFECT not in found
+
+
+@pytest.mark.parametrize("exponent", ["nan", "inf", "1e400", "abc", ""])
+def test_an_exponent_that_is_no_number_is_wrong(
+    good: Mapping[int, Archive], exponent: str, tmp_path: Path
+) -> None:
+    """Any text as an exponent of a unit is a finding on the unit."""
+    broken = good[2].swap('<BaseUnit s="1"/>', f'<BaseUnit s="{exponent}"/>')
+    assert {"xml.schema", "unit.wrong"} <= rules(broken.write(tmp_path / "lag.fmu"))
+
+
 def test_a_system_given_by_mistake_is_named(tmp_path: Path) -> None:
     """An SSP is told to be one, and what to do with it."""
     path = Archive(2, {"SystemStructure.ssd": b"<a/>", "resources/lag.fmu": b""}).write(tmp_path / "lag.ssp")

@@ -39,6 +39,15 @@ def test_unpacked_files_are_removed(each, tmp_path, monkeypatch):
     assert list(tmp_path.glob("fmu-*")) == []
 
 
+def test_a_number_that_is_none_is_named(tmp_path):
+    """A start time that is no number is the user's FMU's mistake, in one line."""
+    text = """<fmiModelDescription fmiVersion="2.0" modelName="a" guid="g"><CoSimulation modelIdentifier="a"/>
+<DefaultExperiment startTime="soon"/><ModelVariables/><ModelStructure/></fmiModelDescription>"""
+    (tmp_path / "modelDescription.xml").write_text(text)
+    with pytest.raises(Problem, match=r"startTime: expected a number, got 'soon'$"):
+        read_interface(Location(tmp_path))
+
+
 def test_instances_are_freed(each):
     """A new instance finds no other one alive, and close may be called twice."""
     for _ in range(3):

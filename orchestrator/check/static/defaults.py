@@ -46,8 +46,8 @@ def values(subject: Subject) -> Iterator[Finding]:
         value = _number(element, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             yield error(f"{where}: {name} is {value:g}, expected a positive number")
-    if stop is not None and not stop > start:
-        yield error(f"{where}: stopTime {stop:g} is not after startTime {start:g}")
+    if stop is not None and not start < stop < math.inf:
+        yield error(f"{where}: stopTime {stop:g} is not a time after startTime {start:g}")
     step = _number(element, "stepSize")
     if stop is not None and step is not None and stop > start and step > stop - start:
         yield warning(f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s")
@@ -60,7 +60,7 @@ def step(subject: Subject) -> Iterator[Finding]:
         return
     start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
     size = _number(element, "stepSize")
-    if stop is None or size is None or not 0 < size <= stop - start:
+    if stop is None or size is None or not 0 < size <= stop - start < math.inf:
         return
     count = (stop - start) / size
     # a decimal step is rounded in its last bit, so the count is whole to 1e-9 for up to a million steps

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from orchestrator.check.finding import Finding, error, note, warning
-from orchestrator.check.model import UnitDefinition, listed
+from orchestrator.check.model import UnitDefinition, listed, whole
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 from orchestrator.units import BASES
@@ -109,7 +109,7 @@ def wrong(subject: Subject) -> Iterator[Finding]:
         if unit.base is None or unit.name not in WELL_KNOWN:
             continue
         exponents, factor, offset = WELL_KNOWN[unit.name]
-        said = {b: int(_float(unit.base.get(b, "0")) or 0) for b in BASES if b != "rad"}
+        said = {b: _exponent(unit.base.get(b, "0")) for b in BASES if b != "rad"}
         if said != {b: exponents.get(b, 0) for b in BASES if b != "rad"}:
             yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, found {_text(said)}")
             continue
@@ -124,8 +124,14 @@ def wrong(subject: Subject) -> Iterator[Finding]:
             )
 
 
-def _text(exponents: Mapping[str, int]) -> str:
+def _text(exponents: Mapping[str, int | str]) -> str:
     return " ".join(f"{b}^{e}" for b, e in exponents.items() if e) or "none"
+
+
+def _exponent(text: str) -> int | str:
+    """A whole number; what is none stays as it is written, and so is wrong."""
+    number = whole(text)
+    return text if number is None else number
 
 
 def _float(text: str) -> float:

@@ -19,7 +19,7 @@ def default(bench: Bench) -> Iterator[Said]:
     """Default values: everything finite, no error; hands over whether small changes of inputs are taken."""
     start = bench.declared.experiment.get("startTime", 0.0)
     stop = bench.declared.experiment.get("stopTime")
-    most = MOST if stop is None else int((stop - start) / bench.declared.step + 1e-9)
+    most = MOST if stop is None or math.isinf(stop) else int((stop - start) / bench.declared.step + 1e-9)
     player, first, rows = _run(bench, stop if most else None, max(most, 1))
     names = player.outputs.names
     if odd(names, first):
