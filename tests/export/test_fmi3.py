@@ -372,3 +372,11 @@ def test_output_derivatives_follow_the_solution(open3):
     fmu.step(0.0, 0.1)
     (slope,) = fmu.fmu.getOutputDerivatives([fmu.refs["level"]], [1])
     assert slope == pytest.approx(-2.0 * fmu.get("level"), rel=1e-14)
+
+
+def test_time_is_no_variable_to_set(open3):
+    """fmi3SetFloat64 of the independent variable is an error that says so."""
+    fmu = open3("decay").start()
+    with pytest.raises(FMICallException):
+        fmu.set(time=1.0)
+    assert "the time cannot be set" in fmu.errors()[-1]

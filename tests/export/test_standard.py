@@ -217,3 +217,12 @@ def test_start_values_of_parameters_can_be_read_as_fmpy_does(toy_dir):
     assert {v.name: float(found[v.name]) for v in declared if v.start} == {
         v.name: float(v.start) for v in declared if v.start
     }
+
+
+def test_largest_value_reference_is_unknown(open_fmu):
+    """A reference far beyond the last variable is refused, the largest number that there is too."""
+    fmu = open_fmu("decay").start()
+    for reference in (len(fmu.refs), 2**32 - 1):
+        with pytest.raises(FMICallException):
+            fmu.fmu.getReal([reference])
+        assert f"value reference {reference} is unknown" in fmu.errors()[-1]

@@ -237,6 +237,9 @@ static void tell_failure(Core *core, const Report *report) {
         core_message(core, ERROR, "the derivative of %s is %g at t = %.9g s (%s = %.6g %s)", state->name,
                      core->work.f0[report->worst], time, state->name, value, state->unit);
         break;
+    case SINGULAR:
+        core_message(core, ERROR, "the Jacobian leaves no inner step that can be solved at t = %.9g s", time);
+        break;
     case TOO_MANY_STEPS:
         core_message(core, ERROR, "more inner steps than allowed at t = %.9g s; worst is %s = %.6g %s", time,
                      state->name, value, state->unit);

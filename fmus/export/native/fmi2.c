@@ -4,8 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi2Functions.h"
-#include "instance.h"
+#include "fmi2.h"
 
 /* The logger takes a printf format in which "#" starts a reference: each "%" and "#" is doubled. */
 static void write_log(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char *name,
@@ -23,9 +22,6 @@ static void write_log(fmi2CallbackLogger logger, fmi2ComponentEnvironment enviro
 static void write2(const Instance *self, Status kind, const char *text) {
     write_log((fmi2CallbackLogger)self->logger, self->environment, self->name, kind, text);
 }
-
-/* The body of a function that is allowed in the states `mask`. */
-#define CALL(mask, body) return (fmi2Status)(allowed(c, __func__, mask) ? (body) : ERROR)
 
 /* ---- life of an instance ----------------------------------------------------------------------- */
 
@@ -66,15 +62,9 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     CALL(INSTANTIATED, instance_setup(c, toleranceDefined, tolerance, startTime, stopTimeDefined, stopTime));
 }
 
-/* To another state of the state machine. */
-static Status enter(Instance *self, int phase) {
-    self->core.s.phase = phase;
-    return OK;
-}
-
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) { CALL(INSTANTIATED, enter(c, INITIALIZATION)); }
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { CALL(INSTANTIATED, instance_enter(c, INITIALIZATION)); }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { CALL(INITIALIZATION, instance_initialized(c)); }
-fmi2Status fmi2Terminate(fmi2Component c) { CALL(SIMULATING | STEP_FAILED, enter(c, TERMINATED)); }
+fmi2Status fmi2Terminate(fmi2Component c) { CALL(SIMULATING | STEP_FAILED, instance_enter(c, TERMINATED)); }
 fmi2Status fmi2Reset(fmi2Component c) { CALL(ANY, instance_reset(c)); }
 
 /* ---- values ------------------------------------------------------------------------------------ */
@@ -120,15 +110,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY, states_get(c, FMUstate)); }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) { CALL(ANY, states_set(c, FMUstate)); }
 
-static Status forget(fmi2FMUstate *state) {
-    if (state) {
-        free(*state);
-        *state = NULL;
-    }
-    return OK;
-}
-
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY, forget(FMUstate)); }
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY, states_free(FMUstate)); }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     (void)FMUstate;
@@ -145,54 +127,3 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     CALL(ANY, states_deserialize(c, serializedState, size, FMUstate));
 }
 
-/* ---- model exchange ---------------------------------------------------------------------------- */
-
-enum { READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED };
-
-fmi2Status fmi2EnterEventMode(fmi2Component c) {
-    CALL(MODEL_EXCHANGE | CONTINUOUS_TIME | EVENT_MODE, enter(c, EVENT_MODE));
-}
-
-fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-    if (!allowed(c, __func__, EVENT_MODE) || !given(c, eventInfo, 1)) return fmi2Error;
-    memset(eventInfo, 0, sizeof *eventInfo);
-    eventInfo->nextEventTimeDefined = exchange_next_event(c, &eventInfo->nextEventTime);
-    return fmi2OK;
-}
-
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, enter(c, CONTINUOUS_TIME)); }
-
-fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
-                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
-    Instance *self = c;
-    (void)noSetFMUStatePriorToCurrentPoint;
-    if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi2Error;
-    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi2Error;
-    *enterEventMode = *terminateSimulation = fmi2False;
-    return core_sound(&self->core) ? fmi2OK : fmi2Error;
-}
-
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
-    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_time(c, time));
-}
-
-fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
-    CALL(CONTINUOUS_TIME, exchange_set_states(c, x, nx));
-}
-
-fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
-    CALL(READABLE, exchange_derivatives(c, derivatives, nx));
-}
-
-fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
-    (void)eventIndicators;
-    CALL(READABLE, exchange_indicators(c, ni));
-}
-
-fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
-    CALL(READABLE, exchange_states(c, x, nx));
-}
-
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
-    CALL(READABLE | INSTANTIATED, exchange_nominals(c, x_nominal, nx));
-}

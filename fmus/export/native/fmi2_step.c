@@ -3,8 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "fmi2Functions.h"
-#include "instance.h"
+#include "fmi2.h"
 
 enum { STEPPED = CO_SIMULATION | STEP_MODE | STEP_FAILED | TERMINATED };
 

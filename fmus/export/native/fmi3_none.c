@@ -1,7 +1,6 @@
 /* FMI 3.0: what the model does not have. The functions must be there; they refuse all but empty requests. */
 
-#include "fmi3Functions.h"
-#include "instance.h"
+#include "fmi3.h"
 
 static Status none(Instance *self, size_t n) {
     return n == 0 ? OK : refuse(self, "the model has no such variables, expected Float64");

@@ -118,7 +118,6 @@ Instance *instance_create(const char *name, int type, int logging) {
     if (!self) return NULL;
     strcpy(self->name, name);
     self->log = logging ? ~0u : ALWAYS;
-    self->time = NONE;
     self->core.report = report;
     self->core.owner = self;
     begin(self, type);
@@ -144,6 +143,11 @@ Status instance_initialized(Instance *self) {
     if (!core_sound(&self->core)) return ERROR;
     s->initial = 0;
     s->phase = s->type == CO_SIMULATION && !self->events ? STEP_MODE : EVENT_MODE;
+    return OK;
+}
+
+Status instance_enter(Instance *self, int phase) {
+    self->core.s.phase = phase;
     return OK;
 }
 

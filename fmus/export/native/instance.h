@@ -19,11 +19,11 @@ enum {
     TERMINATED = 128,
     SIMULATING = EVENT_MODE | CONTINUOUS_TIME | STEP_MODE,
     ANY = 255,
+    OUTSIDE = ANY & ~INSIDE_STEP,
     MODEL_EXCHANGE = 256,
-    CO_SIMULATION = 512
+    CO_SIMULATION = 512,
+    READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED /* by a solver */
 };
-
-#define NONE (~0u)
 
 typedef struct Instance {
     Core core;
@@ -34,7 +34,7 @@ typedef struct Instance {
     int events;       /* co-simulation enters event mode */
     int early_return; /* a step may end early */
     unsigned log;     /* mask of kinds of messages that are logged */
-    unsigned time;    /* value reference of the time, NONE where it is no variable */
+    int has_time;     /* the time is a variable, the one after the last */
     char name[];
 } Instance;
 
@@ -56,12 +56,16 @@ LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *cons
 LOCAL Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
                             int stop_defined, double stop);
 LOCAL Status instance_initialized(Instance *self);
+/* To another state of the state machine. */
+LOCAL Status instance_enter(Instance *self, int phase);
 LOCAL Status instance_reset(Instance *self);
 
 /* ---- values.c */
 
 LOCAL Status values_get(Instance *self, const unsigned r[], size_t n, double value[]);
 LOCAL Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
+/* Is this the value reference of the time? */
+LOCAL int is_time(const Instance *self, unsigned r);
 /* May this variable be a known or an unknown of a derivative? A message if not. */
 LOCAL int is_known(Instance *self, unsigned r);
 LOCAL int is_unknown(Instance *self, unsigned r);
@@ -91,5 +95,6 @@ LOCAL Status states_get(Instance *self, void **state);
 LOCAL Status states_set(Instance *self, const void *state);
 LOCAL Status states_serialize(Instance *self, const void *state, char bytes[], size_t size);
 LOCAL Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state);
+LOCAL Status states_free(void **state);
 
 #endif

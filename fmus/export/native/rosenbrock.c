@@ -145,7 +145,7 @@ LOCAL Report rosenbrock(double *x, const double *p, const double *c, const Motio
             proposal = h * (error < DBL_MAX ? fmax(0.2, 0.9 / sqrt(sqrt(error))) : 0.2);
             rejected = 1;
             if (proposal < smallest) {
-                report.outcome = STEP_TOO_SMALL;
+                report.outcome = trust != 0.0 ? STEP_TOO_SMALL : SINGULAR;
                 return report;
             }
         }

@@ -30,7 +30,7 @@ typedef struct {
     double k[6][ROOM(NX)];
 } Work;
 
-typedef enum { SOLVED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS } Outcome;
+typedef enum { SOLVED, NOT_FINITE, SINGULAR, STEP_TOO_SMALL, TOO_MANY_STEPS } Outcome;
 
 typedef struct {
     Outcome outcome;

@@ -53,3 +53,11 @@ Status states_deserialize(Instance *self, const char bytes[], size_t size, void 
     snapshot_write(&restored, *state);
     return OK;
 }
+
+Status states_free(void **state) {
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return OK;
+}

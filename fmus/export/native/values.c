@@ -5,10 +5,12 @@
 
 #include "instance.h"
 
+int is_time(const Instance *self, unsigned r) { return self->has_time && r == NUMBER_OF_VARIABLES; }
+
 Status values_get(Instance *self, const unsigned r[], size_t n, double value[]) {
     if (!given(self, r, n) || !given(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
-        if (r[i] == self->time) value[i] = self->core.s.time;
+        if (is_time(self, r[i])) value[i] = self->core.s.time;
         else if (!core_get(&self->core, r[i], &value[i])) return ERROR;
     }
     return OK;
@@ -18,6 +20,7 @@ Status values_set(Instance *self, const unsigned r[], size_t n, const double val
     Core *core = &self->core;
     if (!given(self, r, n) || !given(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
+        if (is_time(self, r[i])) return refuse(self, "the time cannot be set as a variable");
         if (!core_check(core, r[i], value[i])) return ERROR;
         if (core->s.phase & (CONTINUOUS_TIME | INSIDE_STEP) && model_variables[r[i]].kind != INPUT)
             return refuse(self, "%s can be set only between steps and at events", model_variables[r[i]].name);
@@ -61,7 +64,7 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
     if (!given(self, known, n_known) || !given(self, seed, n_known)) return ERROR;
     memset(core->direction, 0, sizeof core->direction);
     for (size_t i = 0; i < n_known; i++) {
-        if (known[i] == self->time) continue; /* nothing depends on it */
+        if (is_time(self, known[i])) continue; /* nothing depends on it */
         if (!is_known(self, known[i])) return ERROR;
         core->direction[known[i]] += seed[i];
     }

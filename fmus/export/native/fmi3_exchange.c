@@ -1,0 +1,55 @@
+/* FMI 3.0: functions for model exchange. */
+
+#include "fmi3.h"
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
+    CALL(MODEL_EXCHANGE | EVENT_MODE, instance_enter(instance, CONTINUOUS_TIME));
+}
+
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation) {
+    Instance *self = instance;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi3Error;
+    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return core_sound(&self->core) ? fmi3OK : fmi3Error;
+}
+
+fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
+    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_time(instance, time));
+}
+
+fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates) {
+    CALL(CONTINUOUS_TIME, exchange_set_states(instance, continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
+                                             size_t nContinuousStates) {
+    CALL(READABLE, exchange_derivatives(instance, derivatives, nContinuousStates));
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
+                                  size_t nEventIndicators) {
+    (void)eventIndicators;
+    CALL(READABLE, exchange_indicators(instance, nEventIndicators));
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates) {
+    CALL(READABLE, exchange_states(instance, continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
+                                             size_t nContinuousStates) {
+    CALL(READABLE | INSTANTIATED, exchange_nominals(instance, nominals, nContinuousStates));
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators) {
+    CALL(READABLE | INSTANTIATED, given(instance, nEventIndicators, 1) ? (*nEventIndicators = 0, OK) : ERROR);
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
+    CALL(READABLE | INSTANTIATED, given(instance, nContinuousStates, 1) ? (*nContinuousStates = NX, OK) : ERROR);
+}
