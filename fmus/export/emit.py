@@ -92,7 +92,7 @@ def _statements(
             written.add((o[0], o[1]))
             yield f"{outputs[o[0]]}[{o[1]}] = {place[i[0]]};"
         elif operation == ca.OP_CONST:
-            place[o[0]] = _number(function.instruction_constant(k))
+            place[o[0]] = number(function.instruction_constant(k))
         else:
             named = operation == ca.OP_INPUT and inputs[i[0]] in names
             meaning = f" /* {names[inputs[i[0]]][i[1]]} */" if named else ""
@@ -114,7 +114,7 @@ def _expression(operation: int, i: Sequence[int], inputs: list[str], place: Mapp
     raise ModelError(f"operation {operation} of CasADi has no C here, expected elementary functions")
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """A C literal that reads back as the same double; negative ones in parentheses."""
     if value != value or value in (float("inf"), float("-inf")):
         return {"nan": "NAN", "inf": "INFINITY", "-inf": "(-INFINITY)"}[str(float(value))]

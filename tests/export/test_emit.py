@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import ModelError, Quantity
 from fmus.export.build import build
-from fmus.export.emit import Routine, _number, routine
+from fmus.export.emit import Routine, number, routine
 from fmus.parameters import Values
 
 OPERATIONS = {
@@ -75,7 +75,7 @@ def test_operation_without_c_is_refused():
 
 def test_negative_zero_keeps_its_sign_and_its_parentheses():
     """-(-0.0) is C only with parentheses; -0.0 is not 0.0."""
-    assert [_number(value) for value in (-0.0, 0.0, -2.5, 1e300)] == ["(-0.0)", "0.0", "(-2.5)", "1e+300"]
+    assert [number(value) for value in (-0.0, 0.0, -2.5, 1e300)] == ["(-0.0)", "0.0", "(-2.5)", "1e+300"]
 
 
 def test_text_of_a_declaration_ends_no_comment(make_toy, tmp_path):
