@@ -2,8 +2,9 @@
 
        drive LIBRARY TOKEN SCRIPT OUT [THREADS]
 
-   Each thread runs the whole script with instances of its own and writes to OUT.0, OUT.1 and so on. A call that
-   does not return OK ends the program with exit status 1 and the line of the script. Instances have numbers I:
+   Each thread runs the whole script with instances of its own and writes to OUT.0, OUT.1 and so on. A call
+   that does not return OK ends the program with exit status 1 and the line of the script. Instances have
+   numbers I:
 
        make I cs|me               begin I TIME TOLERANCE     end I
        set I REFERENCE VALUE      get I FIRST COUNT          slopes I FIRST COUNT

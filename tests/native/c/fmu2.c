@@ -34,8 +34,8 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2St
 static const fmi2CallbackFunctions CALLBACKS = {logger, calloc, free, NULL, NULL};
 
 void *fmu_make(const char *name, const char *token, int co_simulation) {
-    return Instantiate(name, co_simulation ? fmi2CoSimulation : fmi2ModelExchange, token, "file:///", &CALLBACKS,
-                       fmi2False, fmi2False);
+    return Instantiate(name, co_simulation ? fmi2CoSimulation : fmi2ModelExchange, token, "file:///",
+                       &CALLBACKS, fmi2False, fmi2False);
 }
 
 int fmu_begin(void *c, double start, double tolerance) {

@@ -33,8 +33,7 @@ static void logger(fmi3InstanceEnvironment environment, fmi3Status status, fmi3S
 }
 
 void *fmu_make(const char *name, const char *token, int co_simulation) {
-    if (!co_simulation)
-        return InstantiateModelExchange(name, token, "", fmi3False, fmi3False, NULL, logger);
+    if (!co_simulation) return InstantiateModelExchange(name, token, "", fmi3False, fmi3False, NULL, logger);
     return InstantiateCoSimulation(name, token, "", fmi3False, fmi3False, fmi3False, fmi3False, NULL, 0, NULL,
                                    logger, NULL);
 }
@@ -54,7 +53,9 @@ int fmu_end(void *c, int co_simulation) {
 
 int fmu_reset(void *c) { return (int)Reset(c); }
 void fmu_free(void *c) { FreeInstance(c); }
-int fmu_set(void *c, unsigned reference, double value) { return (int)SetFloat64(c, &reference, 1, &value, 1); }
+int fmu_set(void *c, unsigned reference, double value) {
+    return (int)SetFloat64(c, &reference, 1, &value, 1);
+}
 
 int fmu_get(void *c, const unsigned references[], size_t n, double values[]) {
     return (int)GetFloat64(c, references, n, values, n);

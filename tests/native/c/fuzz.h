@@ -1,11 +1,11 @@
-/* Garbage in: what the fuzz drivers of FMI 2 and FMI 3 share. They are compiled in one piece with an FMU's sources
-   under the address and undefined-behaviour sanitizers:
+/* Garbage in: what the fuzz drivers of FMI 2 and FMI 3 share. They are compiled in one piece with an FMU's
+   sources under the address and undefined-behaviour sanitizers:
 
        fuzz SEED CALLS
 
    A driver makes CALLS random calls. The program ends with exit status 1 when a call returns OK and gives a
-   number that is not finite, when it returns an unknown status, and when it takes more than LIMIT seconds of the
-   processor; a sanitizer that finds something ends it, too. FUZZ_TRACE=1 tells each call. */
+   number that is not finite, when it returns an unknown status, and when it takes more than LIMIT seconds of
+   the processor; a sanitizer that finds something ends it, too. FUZZ_TRACE=1 tells each call. */
 
 #ifndef FUZZ_H
 #define FUZZ_H
@@ -52,8 +52,8 @@ static double any_bits(void) {
 }
 
 static double odd_number(void) {
-    static const double ODD[] = {0.0,   -0.0,      1.0,     -1.0,    1e-300, 4.9e-324, 2.2e-308, 1e300,
-                                 -1e300, INFINITY, -INFINITY, NAN,   1e-12,  1e12,     -1e6,     1.7e308};
+    static const double ODD[] = {0.0,    -0.0,     1.0,       -1.0, 1e-300, 4.9e-324, 2.2e-308, 1e300,
+                                 -1e300, INFINITY, -INFINITY, NAN,  1e-12,  1e12,     -1e6,     1.7e308};
     return one_in(4) ? any_bits() : ODD[below(sizeof ODD / sizeof *ODD)];
 }
 
@@ -70,7 +70,7 @@ static double some_value(unsigned reference) {
 
 /* One of a group of variables, mostly. */
 static unsigned some_reference(unsigned first, unsigned end) {
-    if (one_in(40)) return (unsigned)next_random();
+    if (one_in(40)) return one_in(2) ? ~0u : (unsigned)next_random();
     if (one_in(40) || first == end) return below(NUMBER_OF_VARIABLES + 3);
     return first + below(end - first);
 }
@@ -185,6 +185,12 @@ static int judge(int status, const double values[], size_t n) {
     return status;
 }
 
+/* After a call with value references, of which there are REFERENCES. */
+static void check_known(int status, const Arguments *a) {
+    for (size_t i = 0; i < a->n && status <= 1; i++)
+        if (a->references[i] >= REFERENCES) fail("OK, but a value reference is unknown");
+}
+
 /* ---- instances and saved states ---------------------------------------------------------------- */
 
 typedef struct {
@@ -230,7 +236,7 @@ static void forge(char *bytes) {
     snapshot_seal(bytes);
 }
 
-/* Bytes of a saved state, damaged: other bytes, without or with a check sum, cut short, too long; or not at all. */
+/* Bytes of a saved state, damaged: other bytes, a check sum or none, cut short, too long; or not at all. */
 static Blob damaged(const Blob *blob) {
     const size_t cut = one_in(6) ? below((unsigned)blob->size + 9) : blob->size;
     Blob other = {exactly(cut), cut, 0};
@@ -258,10 +264,13 @@ static void keep_blob(char *bytes, size_t size) {
 }
 
 /* Room for a saved state of `size` bytes, mostly. */
-static size_t some_room(size_t size) { return one_in(8) ? (one_in(2) ? size - below(3) : below(4000)) : size; }
+static size_t some_room(size_t size) {
+    return one_in(8) ? (one_in(2) ? size - below(3) : below(4000)) : size;
+}
 
 static const char *some_category(void) {
-    static const char *const NAMES[] = {"logAll", "logEvents", "logStatusError", "", "nonsense", "%s%n#", NULL};
+    static const char *const NAMES[] = {"logAll", "logEvents", "logStatusError", "", "nonsense",
+                                        "%s%n#",  NULL};
     return NAMES[below(sizeof NAMES / sizeof *NAMES)];
 }
 
@@ -278,10 +287,11 @@ static void check_event(const void *c, int defined, double when) {
     if (defined && !(isfinite(when) && when > now)) fail("an event is announced, but not for a later time");
 }
 
-/* After a step that is OK, the time is somewhere in it; a step begins where the last one ended, or nearly so. */
+/* After a step that is OK, the time is somewhere in it; it begins where the last one ended, or nearly so. */
 static void check_passage(double time, double length, double reached) {
     const double near = 0.02 * length + 1e-9 * fabs(time);
-    if (!(reached >= time - near && reached <= time + length + near)) fail("OK, but the time is out of the step");
+    if (!(reached >= time - near && reached <= time + length + near))
+        fail("OK, but the time is out of the step");
 }
 
 /* ---- the run: each driver has a table of calls --------------------------------------------------- */

@@ -7,6 +7,8 @@
 #undef malloc
 #undef calloc
 
+#define REFERENCES NUMBER_OF_VARIABLES
+
 #include "fuzz.h"
 
 static unsigned long long lines; /* of the log */
@@ -29,8 +31,10 @@ static void try_make(void) {
     const fmi2Type type = one_in(40) ? (fmi2Type)7 : s->co_simulation ? fmi2CoSimulation : fmi2ModelExchange;
     start("fmi2Instantiate");
     s->c = fmi2Instantiate(some_name(), type, some_token(), one_in(2) ? "file:///tmp" : NULL,
-                           one_in(40) ? NULL : one_in(20) ? &NONE_OF_THEM : &ALL_OF_THEM, (int)below(2),
-                           one_in(10));
+                           one_in(40)   ? NULL
+                           : one_in(20) ? &NONE_OF_THEM
+                                        : &ALL_OF_THEM,
+                           (int)below(2), one_in(10));
 }
 
 /* Where a step or the initialisation is OK, so are all states and outputs. */
@@ -41,7 +45,8 @@ static void check_outputs(void *c) {
     for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++) references[n++] = r;
     for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++) references[n++] = r;
     for (size_t i = 0; i < n; i++) values[i] = NAN;
-    if (judge((int)fmi2GetReal(c, references, n, values), values, n)) fail("OK, but a state or output is not");
+    if (judge((int)fmi2GetReal(c, references, n, values), values, n))
+        fail("OK, but a state or output is not");
 }
 
 /* ---- the state machine --------------------------------------------------------------------------- */
@@ -55,10 +60,10 @@ static void try_set_up(void) {
         s->time = at;
 }
 
-#define ENTER(name, function, mask) \
-    static void name(void) { \
-        start(#function); \
-        judged((int)function(instance_of(slot_in(mask)))); \
+#define ENTER(name, function, mask)                                                                          \
+    static void name(void) {                                                                                 \
+        start(#function);                                                                                    \
+        judged((int)function(instance_of(slot_in(mask))));                                                   \
     }
 ENTER(try_enter_initialization, fmi2EnterInitializationMode, INSTANTIATED)
 ENTER(try_terminate, fmi2Terminate, SIMULATING)
@@ -89,7 +94,8 @@ static void try_new_discrete_states(void) {
 static void try_completed_step(void) {
     fmi2Boolean event, end;
     start("fmi2CompletedIntegratorStep");
-    judged((int)fmi2CompletedIntegratorStep(instance_of(slot_in(CONTINUOUS_TIME)), (int)below(2), maybe(&event), maybe(&end)));
+    judged((int)fmi2CompletedIntegratorStep(instance_of(slot_in(CONTINUOUS_TIME)), (int)below(2),
+                                            maybe(&event), maybe(&end)));
 }
 
 static void try_set_log(void) {
@@ -104,25 +110,32 @@ static void try_set_log(void) {
 static void try_get_real(void) {
     Arguments a = arguments(0, NUMBER_OF_VARIABLES);
     start("fmi2GetReal");
-    judge((int)fmi2GetReal(instance_of(slot_in(ANY)), maybe(a.references), a.claimed, maybe(a.results)),
-          a.results, a.n);
+    const int status =
+        judge((int)fmi2GetReal(instance_of(slot_in(ANY)), maybe(a.references), a.claimed, maybe(a.results)),
+              a.results, a.n);
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
 static void try_set_real(void) {
     Arguments a = arguments(0, FIRST_DERIVATIVE);
     start("fmi2SetReal");
-    judged((int)fmi2SetReal(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(a.references), a.claimed, maybe(a.values)));
+    const int status = judged((int)fmi2SetReal(instance_of(slot_in(INITIALIZATION | SIMULATING)),
+                                               maybe(a.references), a.claimed, maybe(a.values)));
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
 static void try_directional(void) {
     Arguments known = arguments(0, FIRST_DERIVATIVE), unknown = arguments(FIRST_STATE, NUMBER_OF_VARIABLES);
     start("fmi2GetDirectionalDerivative");
-    judge((int)fmi2GetDirectionalDerivative(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references),
-                                            unknown.claimed, maybe(known.references), known.claimed,
-                                            maybe(known.seed), maybe(unknown.results)),
-          unknown.results, unknown.n);
+    const int status = judge(
+        (int)fmi2GetDirectionalDerivative(instance_of(slot_in(INITIALIZATION | SIMULATING)),
+                                          maybe(unknown.references), unknown.claimed, maybe(known.references),
+                                          known.claimed, maybe(known.seed), maybe(unknown.results)),
+        unknown.results, unknown.n);
+    check_known(status, &known);
+    check_known(status, &unknown);
     forget_arguments(&known);
     forget_arguments(&unknown);
 }
@@ -130,17 +143,21 @@ static void try_directional(void) {
 static void try_input_derivatives(void) {
     Arguments a = arguments(FIRST_INPUT, FIRST_STATE);
     start("fmi2SetRealInputDerivatives");
-    judged((int)fmi2SetRealInputDerivatives(instance_of(slot_in(CO_SIMULATION | STEP_MODE)), maybe(a.references), a.claimed,
-                                            maybe(a.orders), maybe(a.values)));
+    const int status = judged(
+        (int)fmi2SetRealInputDerivatives(instance_of(slot_in(CO_SIMULATION | STEP_MODE)), maybe(a.references),
+                                         a.claimed, maybe(a.orders), maybe(a.values)));
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
 static void try_output_derivatives(void) {
     Arguments a = arguments(FIRST_OUTPUT, NUMBER_OF_VARIABLES);
     start("fmi2GetRealOutputDerivatives");
-    judge((int)fmi2GetRealOutputDerivatives(instance_of(slot_in(CO_SIMULATION | STEP_MODE)), maybe(a.references), a.claimed,
-                                            maybe(a.orders), maybe(a.results)),
-          a.results, a.n);
+    const int status = judge(
+        (int)fmi2GetRealOutputDerivatives(instance_of(slot_in(CO_SIMULATION | STEP_MODE)),
+                                          maybe(a.references), a.claimed, maybe(a.orders), maybe(a.results)),
+        a.results, a.n);
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
@@ -222,13 +239,13 @@ static void try_set_states(void) {
     free(x);
 }
 
-#define VECTOR(name, function, mask) \
-    static void name(void) { \
-        double *values = exactly(NX * sizeof *values); \
-        for (int i = 0; i < NX; i++) values[i] = NAN; \
-        start(#function); \
-        judge((int)function(instance_of(slot_in(mask)), maybe(values), some_size()), values, NX); \
-        free(values); \
+#define VECTOR(name, function, mask)                                                                         \
+    static void name(void) {                                                                                 \
+        double *values = exactly(NX * sizeof *values);                                                       \
+        for (int i = 0; i < NX; i++) values[i] = NAN;                                                        \
+        start(#function);                                                                                    \
+        judge((int)function(instance_of(slot_in(mask)), maybe(values), some_size()), values, NX);            \
+        free(values);                                                                                        \
     }
 VECTOR(try_get_states, fmi2GetContinuousStates, MODEL_EXCHANGE | SIMULATING)
 VECTOR(try_get_derivatives, fmi2GetDerivatives, MODEL_EXCHANGE | SIMULATING)
@@ -237,7 +254,8 @@ VECTOR(try_get_nominals, fmi2GetNominalsOfContinuousStates, MODEL_EXCHANGE | ANY
 static void try_get_indicators(void) {
     double value = 0.0;
     start("fmi2GetEventIndicators");
-    judged((int)fmi2GetEventIndicators(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&value), one_in(2) ? 0 : below(3)));
+    judged((int)fmi2GetEventIndicators(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&value),
+                                       one_in(2) ? 0 : below(3)));
 }
 
 /* ---- co-simulation ------------------------------------------------------------------------------- */

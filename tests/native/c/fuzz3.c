@@ -1,4 +1,4 @@
-/* Garbage in for FMI 3.0; see fuzz.h. Inside steps, too: the callback for intermediate updates makes random calls. */
+/* Garbage in for FMI 3.0; see fuzz.h. Inside steps, too: there the callback makes random calls. */
 
 #include "scarce.h"
 
@@ -6,6 +6,8 @@
 
 #undef malloc
 #undef calloc
+
+#define REFERENCES (NUMBER_OF_VARIABLES + 1) /* and the time */
 
 #include "fuzz.h"
 
@@ -43,7 +45,8 @@ static void inside(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3Bo
 
 static void try_make(void) {
     Slot *s = &slots[below(SLOTS)];
-    const fmi3ValueReference wanted[] = {some_reference(0, FIRST_DERIVATIVE), some_reference(0, FIRST_DERIVATIVE)};
+    const fmi3ValueReference wanted[] = {some_reference(0, FIRST_DERIVATIVE),
+                                         some_reference(0, FIRST_DERIVATIVE)};
     if (s->c && (s == busy || !one_in(8))) return;
     start("fmi3FreeInstance");
     fmi3FreeInstance(s->c);
@@ -52,7 +55,8 @@ static void try_make(void) {
     const fmi3LogMessageCallback log = one_in(20) ? NULL : logger;
     start("fmi3Instantiate");
     if (one_in(40))
-        s->c = fmi3InstantiateScheduledExecution(some_name(), some_token(), NULL, 0, 0, s, log, NULL, NULL, NULL);
+        s->c = fmi3InstantiateScheduledExecution(some_name(), some_token(), NULL, 0, 0, s, log, NULL, NULL,
+                                                 NULL);
     else if (s->co_simulation)
         s->c = fmi3InstantiateCoSimulation(some_name(), some_token(), one_in(2) ? "/tmp/" : NULL, one_in(2),
                                            one_in(10), one_in(3), one_in(2), one_in(2) ? wanted : NULL,
@@ -75,7 +79,8 @@ static void check_outputs(void *c) {
     for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++) references[n++] = r;
     for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++) references[n++] = r;
     for (size_t i = 0; i < n; i++) values[i] = NAN;
-    if (judge((int)fmi3GetFloat64(c, references, n, values, n), values, n)) fail("OK, but a state or output is not");
+    if (judge((int)fmi3GetFloat64(c, references, n, values, n), values, n))
+        fail("OK, but a state or output is not");
 }
 
 /* ---- the state machine --------------------------------------------------------------------------- */
@@ -84,15 +89,15 @@ static void try_enter_initialization(void) {
     Slot *s = slot_in(INSTANTIATED);
     const double at = one_in(8) ? odd_number() : 0.0, stop = one_in(4) ? odd_number() : 1e3;
     start("fmi3EnterInitializationMode");
-    if (judged((int)fmi3EnterInitializationMode(instance_of(s), one_in(2), one_in(8) ? odd_number() : 1e-5, at,
-                                                one_in(4), stop)) == 0)
+    if (judged((int)fmi3EnterInitializationMode(instance_of(s), one_in(2), one_in(8) ? odd_number() : 1e-5,
+                                                at, one_in(4), stop)) == 0)
         s->time = at;
 }
 
-#define ENTER(name, function, mask) \
-    static void name(void) { \
-        start(#function); \
-        judged((int)function(instance_of(slot_in(mask)))); \
+#define ENTER(name, function, mask)                                                                          \
+    static void name(void) {                                                                                 \
+        start(#function);                                                                                    \
+        judged((int)function(instance_of(slot_in(mask))));                                                   \
     }
 ENTER(try_terminate, fmi3Terminate, SIMULATING)
 ENTER(try_enter_event_mode, fmi3EnterEventMode, CONTINUOUS_TIME | STEP_MODE)
@@ -128,7 +133,8 @@ static void try_update_discrete_states(void) {
 static void try_completed_step(void) {
     fmi3Boolean event, end;
     start("fmi3CompletedIntegratorStep");
-    judged((int)fmi3CompletedIntegratorStep(instance_of(slot_in(CONTINUOUS_TIME)), one_in(2), maybe(&event), maybe(&end)));
+    judged((int)fmi3CompletedIntegratorStep(instance_of(slot_in(CONTINUOUS_TIME)), one_in(2), maybe(&event),
+                                            maybe(&end)));
 }
 
 static void try_set_log(void) {
@@ -146,28 +152,33 @@ static size_t count_of(const Arguments *a) { return one_in(40) ? a->claimed + be
 static void try_get_float(void) {
     Arguments a = arguments(0, NUMBER_OF_VARIABLES);
     start("fmi3GetFloat64");
-    judge((int)fmi3GetFloat64(instance_of(slot_in(ANY)), maybe(a.references), a.claimed, maybe(a.results),
-                              count_of(&a)),
-          a.results, a.n);
+    const int status = judge((int)fmi3GetFloat64(instance_of(slot_in(ANY)), maybe(a.references), a.claimed,
+                                                 maybe(a.results), count_of(&a)),
+                             a.results, a.n);
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
 static void try_set_float(void) {
     Arguments a = arguments(0, FIRST_DERIVATIVE);
     start("fmi3SetFloat64");
-    judged((int)fmi3SetFloat64(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(a.references), a.claimed, maybe(a.values),
-                               count_of(&a)));
+    const int status =
+        judged((int)fmi3SetFloat64(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(a.references),
+                                   a.claimed, maybe(a.values), count_of(&a)));
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
 static void try_directional(void) {
     Arguments known = arguments(0, FIRST_DERIVATIVE), unknown = arguments(FIRST_STATE, NUMBER_OF_VARIABLES);
     start("fmi3GetDirectionalDerivative");
-    judge((int)fmi3GetDirectionalDerivative(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references),
-                                            unknown.claimed, maybe(known.references), known.claimed,
-                                            maybe(known.seed), count_of(&known), maybe(unknown.results),
-                                            count_of(&unknown)),
-          unknown.results, unknown.n);
+    const int status = judge((int)fmi3GetDirectionalDerivative(
+                                 instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references),
+                                 unknown.claimed, maybe(known.references), known.claimed, maybe(known.seed),
+                                 count_of(&known), maybe(unknown.results), count_of(&unknown)),
+                             unknown.results, unknown.n);
+    check_known(status, &known);
+    check_known(status, &unknown);
     forget_arguments(&known);
     forget_arguments(&unknown);
 }
@@ -175,10 +186,13 @@ static void try_directional(void) {
 static void try_adjoint_of(void) {
     Arguments known = arguments(0, FIRST_DERIVATIVE), unknown = arguments(FIRST_STATE, NUMBER_OF_VARIABLES);
     start("fmi3GetAdjointDerivative");
-    judge((int)fmi3GetAdjointDerivative(instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references), unknown.claimed,
-                                        maybe(known.references), known.claimed, maybe(unknown.seed),
-                                        count_of(&unknown), maybe(known.results), count_of(&known)),
-          known.results, known.n);
+    const int status = judge((int)fmi3GetAdjointDerivative(
+                                 instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references),
+                                 unknown.claimed, maybe(known.references), known.claimed, maybe(unknown.seed),
+                                 count_of(&unknown), maybe(known.results), count_of(&known)),
+                             known.results, known.n);
+    check_known(status, &known);
+    check_known(status, &unknown);
     forget_arguments(&known);
     forget_arguments(&unknown);
 }
@@ -186,17 +200,20 @@ static void try_adjoint_of(void) {
 static void try_output_derivatives(void) {
     Arguments a = arguments(FIRST_OUTPUT, NUMBER_OF_VARIABLES);
     start("fmi3GetOutputDerivatives");
-    judge((int)fmi3GetOutputDerivatives(instance_of(slot_in(CO_SIMULATION | EVENT_MODE | STEP_MODE)), maybe(a.references), a.claimed,
-                                        maybe(a.orders), maybe(a.results), count_of(&a)),
-          a.results, a.n);
+    const int status =
+        judge((int)fmi3GetOutputDerivatives(instance_of(slot_in(CO_SIMULATION | EVENT_MODE | STEP_MODE)),
+                                            maybe(a.references), a.claimed, maybe(a.orders), maybe(a.results),
+                                            count_of(&a)),
+              a.results, a.n);
+    check_known(status, &a);
     forget_arguments(&a);
 }
 
-#define OTHER(type) \
-    { \
-        fmi3##type values[MOST] = {0}; \
-        judged((int)fmi3Get##type(c, a.references, a.claimed, values, a.claimed)); \
-        judged((int)fmi3Set##type(c, a.references, a.claimed, values, a.claimed)); \
+#define OTHER(type)                                                                                          \
+    {                                                                                                        \
+        fmi3##type values[MOST] = {0};                                                                       \
+        judged((int)fmi3Get##type(c, a.references, a.claimed, values, a.claimed));                           \
+        judged((int)fmi3Set##type(c, a.references, a.claimed, values, a.claimed));                           \
     }
 
 static void try_other_types(void) {
@@ -206,8 +223,16 @@ static void try_other_types(void) {
     fmi3Binary binaries[MOST] = {0};
     start("fmi3 functions of other types");
     OTHER(Float32)
-    OTHER(Int8) OTHER(UInt8) OTHER(Int16) OTHER(UInt16) OTHER(Int32) OTHER(UInt32) OTHER(Int64) OTHER(UInt64)
-    OTHER(Boolean) OTHER(String)
+    OTHER(Int8)
+    OTHER(UInt8)
+    OTHER(Int16)
+    OTHER(UInt16)
+    OTHER(Int32)
+    OTHER(UInt32)
+    OTHER(Int64)
+    OTHER(UInt64)
+    OTHER(Boolean)
+    OTHER(String)
     judged((int)fmi3GetBinary(c, a.references, a.claimed, sizes, binaries, a.claimed));
     judged((int)fmi3SetBinary(c, a.references, a.claimed, sizes, binaries, a.claimed));
     forget_arguments(&a);
@@ -233,7 +258,8 @@ static void try_clocks(void) {
     judged((int)fmi3SetShiftFraction(c, a.references, a.claimed, counters, resolutions));
     judged((int)fmi3ActivateModelPartition(c, some_reference(0, FIRST_DERIVATIVE), odd_number()));
     judged((int)fmi3GetNumberOfVariableDependencies(c, some_reference(0, FIRST_DERIVATIVE), &n));
-    judged((int)fmi3GetVariableDependencies(c, some_reference(0, FIRST_DERIVATIVE), NULL, a.references, NULL, NULL, a.claimed));
+    judged((int)fmi3GetVariableDependencies(c, some_reference(0, FIRST_DERIVATIVE), NULL, a.references, NULL,
+                                            NULL, a.claimed));
     forget_arguments(&a);
 }
 
@@ -306,13 +332,13 @@ static void try_set_states(void) {
     free(x);
 }
 
-#define VECTOR(name, function, mask) \
-    static void name(void) { \
-        double *values = exactly(NX * sizeof *values); \
-        for (int i = 0; i < NX; i++) values[i] = NAN; \
-        start(#function); \
-        judge((int)function(instance_of(slot_in(mask)), maybe(values), some_size()), values, NX); \
-        free(values); \
+#define VECTOR(name, function, mask)                                                                         \
+    static void name(void) {                                                                                 \
+        double *values = exactly(NX * sizeof *values);                                                       \
+        for (int i = 0; i < NX; i++) values[i] = NAN;                                                        \
+        start(#function);                                                                                    \
+        judge((int)function(instance_of(slot_in(mask)), maybe(values), some_size()), values, NX);            \
+        free(values);                                                                                        \
     }
 VECTOR(try_get_states, fmi3GetContinuousStates, MODEL_EXCHANGE | SIMULATING)
 VECTOR(try_get_derivatives, fmi3GetContinuousStateDerivatives, MODEL_EXCHANGE | SIMULATING)
@@ -322,9 +348,11 @@ static void try_get_numbers(void) {
     double value = 0.0;
     size_t n = 0;
     start("fmi3GetEventIndicators");
-    judged((int)fmi3GetEventIndicators(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&value), one_in(2) ? 0 : below(3)));
+    judged((int)fmi3GetEventIndicators(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&value),
+                                       one_in(2) ? 0 : below(3)));
     judged((int)fmi3GetNumberOfEventIndicators(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&n)));
-    judged((int)fmi3GetNumberOfContinuousStates(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&n)));
+    judged(
+        (int)fmi3GetNumberOfContinuousStates(instance_of(slot_in(MODEL_EXCHANGE | SIMULATING)), maybe(&n)));
 }
 
 /* ---- co-simulation ------------------------------------------------------------------------------- */
