@@ -37,7 +37,7 @@ class Quantity:
     minimum, maximum   bounds that an importer and the FMU check
     tunable      parameters only: may be changed while the simulation runs
     rate         inputs only: name of the input that carries this one's exact time derivative
-    warn_above   outputs only: |value| above which the FMU logs a warning, once per excursion
+    warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     group        parameters only: the heading it stands under; without one, that of the parameter before
     """
 

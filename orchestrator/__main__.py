@@ -143,7 +143,7 @@ def build(
         ),
     ] = None,
 ) -> None:
-    """Build the FMUs of the machine, harvester.fmu, which is all of it in one, and harvester.ssp."""
+    """Build the FMUs of the parts, of the whole, and harvester.ssp."""
     from fmus.build import build_machine
     from fmus.export.platforms import select
     from orchestrator import commands
@@ -178,7 +178,7 @@ def signals(
     system: System = SYSTEM,
     kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only input, output or parameter.")] = None,
 ) -> None:
-    """List inputs, outputs and parameters of a system with unit and description."""
+    """List the variables of a system with unit and meaning."""
     from orchestrator import commands
 
     commands.signals(system, kind)
@@ -207,7 +207,7 @@ def validate(
     cut: Cut = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
 ) -> None:
-    """Co-simulate, compare with a reference, write a report; exit status 1 if a limit is missed."""
+    """Co-simulate and compare with a reference. Writes a report; exit status 1 if a limit is missed."""
     from fmus.build import data
     from orchestrator import commands
 
@@ -249,7 +249,7 @@ def check(
     ] = 10.0,
     rules: Annotated[bool, typer.Option("--rules", help="Print the table of rules.")] = False,
 ) -> None:
-    """Tell what is wrong with an FMU and which tool will refuse it; exit status 1 if there are errors."""
+    """Tell what is wrong with an FMU, and for which tool. Exit status 1 if there are errors."""
     from orchestrator.check import command
 
     if not command.run(fmu, for_, json, rules, static, timeout):

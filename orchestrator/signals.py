@@ -19,8 +19,9 @@ def lines(system: System, kind: str | None = None) -> Iterator[str]:
     """Inputs and outputs of the system, then outputs, inputs and parameters of each FMU; or only one kind."""
     if kind not in (None, *KINDS):
         raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    if kind in (None, "input"):
-        yield from _table(f"{system.name}: inputs of the system", _inlets(system))
+    alone = len(system.components) == 1 and not system.inputs  # its own table says it all
+    if kind in (None, "input") and not alone:
+        yield from _table(f"{system.name}: inputs for --set and scenarios", _inlets(system))
     if kind in (None, "output"):
         yield from _table(f"{system.name}: outputs of the system", _outlets(system))
     for component in system.components.values():

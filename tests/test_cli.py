@@ -113,7 +113,7 @@ def test_signals_are_listed(capsys):
     assert main(["signals"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert max(map(len, printed)) <= 100
-    assert printed[0] == "harvester: inputs of the system"
+    assert printed[0] == "harvester: inputs for --set and scenarios"
     words = {line.split()[0]: line.split()[1:] for line in printed if line.startswith("  ") and line.split()}
     assert words["supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
     assert words["manipulator.boom_angle"][:3] == ["rad", "Boom", "angle"]

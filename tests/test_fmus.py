@@ -307,7 +307,7 @@ def test_rate_outputs_are_the_time_derivatives(fmu_dir, name, signal, rate):
         (
             "manipulator",
             {"initial_boom_angle": -0.8},
-            "boom_angle keeps the boom piston above its closed end",
+            "boom_angle [rad], at the start initial_boom_angle, keeps the boom piston above its closed end",
         ),
         ("swing", {"line_capacitance": 0.0}, "line_capacitance"),
         ("swing", {"valve_full_command": 0.5}, "valve_full_command exceeds valve_dead_band"),
@@ -343,3 +343,14 @@ def test_shipped_work_cycle_is_what_its_moves_give():
     time, commands = work_cycle()
     # ten digits
     assert np.allclose(stored, np.column_stack([time, commands]), rtol=1e-9, atol=1e-9)
+
+
+def test_command_beyond_the_range_is_warned_of(fmu_dir, capsys):
+    """70 V, meant as percent, opens the valve like 10 V and is told once."""
+    with driving(fmu_dir / "swing.fmu") as fmu:
+        fmu.set(swing_command=10.0, swing_command_rate=0.0)
+        assert fmu.step(1e-3, 5).get("swing_flow_a")[0] > 0
+        assert "swing_command" not in capsys.readouterr().out
+        fmu.set(swing_command=70.0)
+        fmu.step(1e-3, 5)
+    assert capsys.readouterr().out.count("swing_command = 70 V at t = 0.006 s is above 10 V") == 1

@@ -84,7 +84,13 @@ class BoomStickInputs:
 
     boom_command: Annotated[
         Scalar,
-        Quantity("V", "Command to the boom valve, positive raises the boom", 10.0, rate="boom_command_rate"),
+        Quantity(
+            "V",
+            "Command to the boom valve, positive raises the boom",
+            10.0,
+            rate="boom_command_rate",
+            warn_above=10.0,
+        ),
     ]
     boom_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: time derivative of boom_command, may stay unconnected", 10.0)
@@ -92,7 +98,9 @@ class BoomStickInputs:
     stick_command: Annotated[
         Scalar,
         Quantity(
-            *("V", "Command to the stick valve, positive folds the stick in", 10.0), rate="stick_command_rate"
+            *("V", "Command to the stick valve, positive folds the stick in", 10.0),
+            rate="stick_command_rate",
+            warn_above=10.0,
         ),
     ]
     stick_command_rate: Annotated[

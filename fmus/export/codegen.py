@@ -143,7 +143,7 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    watch = math.inf if q.warn_above is None or not v.output else q.warn_above
+    watch = math.inf if q.warn_above is None or not (v.output or v.kind == "INPUT") else q.warn_above
     numbers = ", ".join(number(n) for n in (v.start or 0.0, low, high, q.nominal, watch))
     return f"    {{{_string(v.name)}, {_string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
 

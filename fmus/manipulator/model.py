@@ -221,10 +221,9 @@ def require(x: ManipulatorState, u: ManipulatorInputs, p: ManipulatorParameters)
         conditions[f"{name}_closed_length + {name}_stroke is below the longest reach of its pins"] = (
             longest - closed - stroke
         )
-        conditions[f"{name}_angle keeps the {name} piston above its closed end"] = piston.position + margin
-        conditions[f"{name}_angle keeps the {name} piston below its open end"] = (
-            stroke + margin - piston.position
-        )
+        angle = f"{name}_angle [rad], at the start initial_{name}_angle,"
+        conditions[f"{angle} keeps the {name} piston above its closed end"] = piston.position + margin
+        conditions[f"{angle} keeps the {name} piston below its open end"] = stroke + margin - piston.position
     boom, stick = triangles(x, p)
     conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.arm
     conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.arm

@@ -65,7 +65,13 @@ class SwingInputs:
 
     swing_command: Annotated[
         Scalar,
-        Quantity("V", "Command to the swing valve, positive turns left", 10.0, rate="swing_command_rate"),
+        Quantity(
+            "V",
+            "Command to the swing valve, positive turns left",
+            10.0,
+            rate="swing_command_rate",
+            warn_above=10.0,
+        ),
     ]
     swing_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: time derivative of swing_command, may stay unconnected", 10.0)

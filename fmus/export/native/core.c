@@ -197,9 +197,9 @@ static void plan_motion(const State *s, const double *at, double tau, Motion *mo
 
 /* ---- checks and steps ------------------------------------------------------------------------ */
 
-/* One warning per excursion of a watched output. */
+/* One warning per excursion of a watched input or output. */
 static void watch(Core *core) {
-    for (int r = FIRST_STATE; r < NUMBER_OF_VARIABLES; r++) {
+    for (int r = FIRST_INPUT; r < NUMBER_OF_VARIABLES; r++) {
         const Variable *v = &model_variables[r];
         if (isinf(v->warn_above)) continue;
         const double value = value_of(core, r);

@@ -29,7 +29,7 @@ typedef struct {
     double given[ROOM(NU)][3]; /* input derivatives of order 1 to 3 set for the next step */
     int is_given[ROOM(NU)];
     int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
-    int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched output is above its limit */
+    int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched input or output is above its limit */
     int initial;          /* 1 until the initialisation is over: states follow from the start values */
     int phase, type;      /* of the FMI state machine, see instance.h */
 } State;
