@@ -117,10 +117,8 @@ def _leap(late: Player, rows: list[list[float]], begin: list[float], after: list
         usual = max((abs(y[i] - x[i]) for x, y in pairwise(rows)), default=0.0)
         if abs(b - a) > LEAP * usual and abs(b - a) > 1e-3 * max(abs(a), 1e-6) and not math.isinf(b):
             text = f"the first step from t = {late.start:g} s changes {name} by {b - a:.3g}"
-            yield (
-                "error",
-                f"{text}, from the default start by up to {usual:.3g}: the start time is ignored, or outputs are not computed at the start",
-            )
+            cause = "the start time is ignored, or outputs are not computed at the start"
+            yield "error", f"{text}, from the default start by up to {usual:.3g}: {cause}"
             return
 
 
