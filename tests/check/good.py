@@ -147,7 +147,8 @@ def compiled(folder: Path, target: str, *flags: str) -> bytes:
     command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-std=c99", "-O1", "-shared"]
     command += ["-fPIC", "-Wall", "-Wextra", "-Werror"]
     command += ["-Wno-unused-parameter", f"-I{headers}", *flags, str(SOURCE), "-o", str(out)]
-    command += [] if "-g" in flags else ["-s"]
+    root = SOURCE.parents[2]  # debug information without paths of this machine: they are a fault of their own
+    command += [f"-ffile-prefix-map={root}=project"] if "-g" in flags else ["-s"]
     command += ["-Wl,-install_name,@rpath/lag.dylib"] if "macos" in target else []
     subprocess.run(command, check=True, capture_output=True, text=True)
     return out.read_bytes()
