@@ -1,7 +1,7 @@
 """A system of FMUs as an .ssp: valid for the schema, and run by another tool's master."""
 
 import zipfile
-from pathlib import Path
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -167,7 +167,7 @@ def test_version_2_is_valid_against_its_schema(toys, tmp_path):
         bound=("slow",),
         version="2.0",
     )
-    folder = Path(__file__).with_name("ssp2")
+    folder = files("pyssp_standard") / "resources" / "ssp2"
     with zipfile.ZipFile(system) as archive:
         for name in archive.namelist():
             kind = name.rpartition(".")[2]
