@@ -100,6 +100,13 @@ def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
     assert outcome.end == ""
 
 
+def _usual_signals() -> None:
+    """What a terminal gives a command: in the background, or under nohup, some signals are ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
@@ -112,7 +119,7 @@ def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
         env=os.environ | {"TMPDIR": str(there)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        preexec_fn=_usual_signals,
     )
     hangs = until(lambda: any(b"fmi2DoStep" in b.read_bytes() for b in there.glob("probe-*/beacon")))
     check.send_signal(getattr(signal, number))
