@@ -161,7 +161,7 @@ INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
 from orchestrator.recorder import Recorder
-signal.signal(signal.SIGINT, signal.default_int_handler)  # where the tests run in the background it is ignored
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 settle = Recorder.settle
 def interrupt(self):
     settle(self)
