@@ -49,21 +49,25 @@ def digits(value: float) -> str:
     return short if float(short) == value else repr(value)
 
 
+def identity(face: Interface) -> dict[str, str]:
+    """Attributes of the model description, the same in FMI 2 and 3."""
+    return {
+        "modelName": face.name,
+        "description": face.text,
+        "version": package_version(),
+        "generationTool": f"harvester-cosim {package_version()}",
+        "author": "the harvester-cosim authors",
+        "copyright": COPYRIGHT,
+        "license": "MIT",
+        "variableNamingConvention": "flat",
+    }
+
+
 def model_description(face: Interface, guid: str, sources: Sequence[str], step: float, stop: float) -> bytes:
     """The XML file; `sources` are the C files to compile, step and stop the default experiment [s]."""
     root = etree.Element(
         "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=face.name,
-        guid=guid,
-        description=face.text,
-        version=package_version(),
-        generationTool=f"harvester-cosim {package_version()}",
-        author="the harvester-cosim authors",
-        copyright=COPYRIGHT,
-        license="MIT",
-        variableNamingConvention="flat",
-        numberOfEventIndicators="0",
+        identity(face) | {"fmiVersion": "2.0", "guid": guid, "numberOfEventIndicators": "0"},
     )
     for element, flags in (("ModelExchange", _FLAGS), ("CoSimulation", _COSIMULATION | _FLAGS)):
         kind = etree.SubElement(root, element, modelIdentifier=face.name, **flags)

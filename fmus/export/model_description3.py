@@ -8,13 +8,12 @@ from lxml import etree
 
 from fmus.export.interface import Interface
 from fmus.export.model_description import (
-    COPYRIGHT,
     causality,
     default_experiment,
     dependency_lists,
+    identity,
     log_categories,
     numbers,
-    package_version,
     units,
     unknowns,
 )
@@ -48,16 +47,7 @@ def model_description3(face: Interface, token: str, step: float, stop: float) ->
     """The XML file; `token` is the instantiation token, step and stop the default experiment [s]."""
     root = etree.Element(
         "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=face.name,
-        instantiationToken=token,
-        description=face.text,
-        version=package_version(),
-        generationTool=f"harvester-cosim {package_version()}",
-        author="the harvester-cosim authors",
-        copyright=COPYRIGHT,
-        license="MIT",
-        variableNamingConvention="flat",
+        identity(face) | {"fmiVersion": "3.0", "instantiationToken": token},
     )
     for element, flags in (("ModelExchange", _FLAGS | _EXCHANGE), ("CoSimulation", _FLAGS | _COSIMULATION)):
         etree.SubElement(root, element, modelIdentifier=face.name, **flags)
