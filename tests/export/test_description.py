@@ -131,7 +131,7 @@ def test_binary_needs_only_the_c_library(unpacked):
     assert set(_needed(library)) <= {"libc.so.6", "libm.so.6"}
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there to try another compiler")
 @pytest.mark.parametrize("name", ["path", "gain", "blowup"])
 def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
     """Without parameters, states or inputs arrays have length zero in theory; another compiler than ours."""

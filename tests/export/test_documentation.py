@@ -158,7 +158,7 @@ def test_numbers_travel_with_the_fmu(content):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(1.6e9, "1.6e9"), (-4e-05, "−4e−5"), (20684000.0, "2.0684e7"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001
+    [(1.6e9, "1.6e9"), (-4e-05, "−4e−5"), (20684000.0, "2.0684e7"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001 (the page shows a minus sign)
 )
 def test_numbers_read_as_in_a_data_sheet(value, text):
     """No padded exponent, and a true minus."""
