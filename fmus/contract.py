@@ -100,6 +100,9 @@ class Subsystem:
                a time event in model exchange, so that no solver steps over it
     terminals  its ports
     numbers    what would stand in that file (`parameters.read`), for a subsystem that has none
+    part, variant   the component that it stands for and which fidelity of it (`family`)
+    validity   where it holds, in one line
+    elsewhere  names in the file that only other variants of the part declare
     """
 
     name: str
@@ -116,6 +119,49 @@ class Subsystem:
     corner: Callable[[Any, Any, Any], Scalar] = never
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
+    part: str = ""
+    variant: str = ""
+    validity: str = ""
+    elsewhere: frozenset[str] = frozenset()
+
+    @property
+    def component(self) -> str:
+        """The name that it has in a system."""
+        return self.part or self.name
+
+
+def family(part: str, **variants: Subsystem) -> dict[str, Subsystem]:
+    """Variants of one part by name, the usual one first; completes what makes them a family.
+
+    The usual one is named like the part, another one `part_variant`. All have the same inputs, and at least
+    the outputs of the usual one: whichever stands in a system, the wires and the signals fit.
+    """
+    names = {v: _startable(sub) for v, sub in variants.items()}
+    usual = next(iter(variants.values()))
+    for sub in variants.values():
+        for group in ("inputs", "outputs"):
+            declared, wanted = quantities(getattr(sub, group)), quantities(getattr(usual, group))
+            differ = [n for n, q in wanted.items() if declared.get(n) != q]
+            differ += [n for n in declared if n not in wanted and group == "inputs"]
+            if differ:
+                raise ModelError(
+                    f"{sub.name}: {group} differ from those of {usual.name}: {', '.join(differ)}"
+                )
+    return {
+        v: replace(
+            sub,
+            name=part if sub is usual else f"{part}_{v}",
+            part=part,
+            variant=v,
+            elsewhere=frozenset().union(*names.values()) - names[v],
+        )
+        for v, sub in variants.items()
+    }
+
+
+def _startable(sub: Subsystem) -> frozenset[str]:
+    """The names that may stand in the file of numbers."""
+    return frozenset(n for g in (sub.parameters, sub.inputs, sub.states) for n in quantities(g))
 
 
 _DECLARED: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve

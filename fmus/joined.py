@@ -71,7 +71,7 @@ def joined(
         "inputs": _fed(name, declared(subsystems, "inputs"), inputs, start),
         "outputs": visible,
     }
-    types = {group: _type(f"{name}_{group}", members) for group, members in groups.items()}
+    types: dict[str, Any] = {group: _type(f"{name}_{group}", members) for group, members in groups.items()}
     return Subsystem(
         name=name,
         text=text,

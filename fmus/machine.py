@@ -57,6 +57,7 @@ COMMAND_WIRES: tuple[tuple[str, str], ...] = tuple(
 INPUTS: Mapping[str, tuple[str, ...]] = {
     **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
+    "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
 }
 

@@ -95,7 +95,10 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
 
 
 def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
-    """The numbers of a subsystem, checked against its declaration: no name, unit or bound may differ."""
+    """The numbers of a subsystem, checked against its declaration: no name, unit or bound may differ.
+
+    Its file may hold numbers of other variants of the same part.
+    """
     given: Tables | None = sub.numbers if path is None else None
     path = path or sub.values
     found = read(path) if given is None else given
@@ -104,12 +107,16 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
     missing = set(parameters) - set(found["parameters"])
     if missing:
         raise ModelError(f"{path}: parameter {min(missing)} of {sub.name} is missing")
+    own: dict[str, dict[str, Number]] = {}
     for section, declared in (("parameters", parameters), ("start", startable)):
+        own[section] = {}
         for name, number in found[section].items():
-            if name not in declared:
+            if name in declared:
+                _check(path, f"[{section}.{name}]", declared[name], number)
+                own[section][name] = number
+            elif name not in sub.elsewhere:
                 raise ModelError(f"{path}: [{section}.{name}] is not declared by {sub.name}")
-            _check(path, f"[{section}.{name}]", declared[name], number)
-    return found
+    return own
 
 
 def _check(path: Path, where: str, quantity: Quantity, number: Number) -> None:

@@ -1,5 +1,9 @@
 """Hydraulics of the boom and stick cylinders."""
 
-from fmus.boom_stick.model import BOOM_STICK
+from fmus.boom_stick import lumped
+from fmus.contract import family
 
-__all__ = ["BOOM_STICK"]
+VARIANTS = family("boom_stick", lumped=lumped.BOOM_STICK)
+BOOM_STICK = VARIANTS["lumped"]
+
+__all__ = ["BOOM_STICK", "VARIANTS"]

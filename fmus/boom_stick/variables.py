@@ -10,10 +10,10 @@ from fmus.contract import Quantity, Scalar
 
 
 @dataclass(frozen=True)
-class BoomStickParameters(ValveParameters):
-    """Constants; their numbers and sources are in parameters.toml."""
+class CylinderParameters:
+    """What every variant knows of oil, cylinders and hoses."""
 
-    bulk_modulus: Annotated[Scalar, Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)]
+    bulk_modulus: Annotated[Scalar, Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil")]
     initial_preload: Annotated[
         Scalar,
         Quantity(
@@ -28,14 +28,13 @@ class BoomStickParameters(ValveParameters):
     boom_dead_volume: Annotated[
         Scalar, Quantity("m3", "Dead volume of each chamber of the boom cylinder", 1e-4, minimum=1e-9)
     ]
-    boom_hose_inertance: Annotated[
-        Scalar, Quantity("kg/m4", "Inertance of each boom hose", 1e7, minimum=1.0, group="Boom hoses")
-    ]
-    boom_hose_capacitance: Annotated[
-        Scalar, Quantity("m3/Pa", "Capacitance of each boom hose", 1e-12, minimum=0.0)
-    ]
     boom_hose_resistance: Annotated[
-        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each boom hose", 1e10, minimum=0.0)
+        Scalar,
+        Quantity(
+            *("Pa.s2/m6", "Turbulent resistance C_R of each boom hose", 1e10),
+            minimum=0.0,
+            group="Boom hoses",
+        ),
     ]
     stick_bore: Annotated[
         Scalar, Quantity("m", "Bore of the stick cylinder", 0.1, minimum=1e-3, group="Stick cylinder")
@@ -45,20 +44,47 @@ class BoomStickParameters(ValveParameters):
     stick_dead_volume: Annotated[
         Scalar, Quantity("m3", "Dead volume of each chamber of the stick cylinder", 1e-4, minimum=1e-9)
     ]
-    stick_hose_inertance: Annotated[
-        Scalar, Quantity("kg/m4", "Inertance of each stick hose", 1e7, minimum=1.0, group="Stick hoses")
+    stick_hose_resistance: Annotated[
+        Scalar,
+        Quantity(
+            *("Pa.s2/m6", "Turbulent resistance C_R of each stick hose", 1e10),
+            minimum=0.0,
+            group="Stick hoses",
+        ),
+    ]
+
+
+@dataclass(frozen=True)
+class VolumeParameters:
+    """The hoses as volumes."""
+
+    boom_hose_capacitance: Annotated[
+        Scalar,
+        Quantity("m3/Pa", "Capacitance of each boom hose", 1e-12, minimum=0.0, group="Boom hoses"),
     ]
     stick_hose_capacitance: Annotated[
-        Scalar, Quantity("m3/Pa", "Capacitance of each stick hose", 1e-12, minimum=0.0)
+        Scalar,
+        Quantity("m3/Pa", "Capacitance of each stick hose", 1e-12, minimum=0.0, group="Stick hoses"),
     ]
-    stick_hose_resistance: Annotated[
-        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each stick hose", 1e10, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class BoomStickParameters(VolumeParameters, CylinderParameters, ValveParameters):
+    """Constants of the lumped drives; their numbers and sources are in parameters.toml."""
+
+    boom_hose_inertance: Annotated[
+        Scalar,
+        Quantity("kg/m4", "Inertance of each boom hose", 1e7, minimum=1.0, group="Boom hoses"),
+    ]
+    stick_hose_inertance: Annotated[
+        Scalar,
+        Quantity("kg/m4", "Inertance of each stick hose", 1e7, minimum=1.0, group="Stick hoses"),
     ]
 
 
 @dataclass(frozen=True)
 class BoomStickState:
-    """Pressures and line flows of both drives."""
+    """State of the lumped drives: pressures and line flows, which every variant shows."""
 
     boom_head_pressure: Annotated[
         Scalar, Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
@@ -106,7 +132,12 @@ class BoomStickInputs:
     stick_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: time derivative of stick_command, may stay unconnected", 10.0)
     ]
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
+    supply_pressure: Annotated[
+        Scalar, Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
+    ]
+    supply_pressure_rate: Annotated[
+        Scalar, Quantity("Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8)
+    ]
     tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
     boom_position: Annotated[
         Scalar,
@@ -160,3 +191,11 @@ class BoomStickOutputs(BoomStickState):
         Scalar, Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
     ]
     dissipated_power: Annotated[Scalar, Quantity("W", "Heat of metering edges and hoses", 1e4)]
+    convected_power: Annotated[
+        Scalar,
+        Quantity(
+            "W",
+            "Compression energy that oil brings along into volumes that grow, less what leaves others",
+            1e3,
+        ),
+    ]

@@ -99,6 +99,15 @@ def stored_energy(d: Drive, x: Oil, position: Scalar) -> Scalar:
     return compression + d.hose_inertance * (x.head_flow**2 + x.rod_flow**2) / 2
 
 
+def convected_power(d: Drive, x: Oil, velocity: Scalar) -> Scalar:
+    """Compression energy P^2 / (2 beta) of oil that fills a growing chamber, less that of a shrinking one [W].
+
+    Volume flows do not show it; with it the energy balance closes (docs/equations.md, section 7).
+    """
+    head, rod = cylinder.areas(d.bore, d.rod)
+    return (head * x.head_pressure**2 - rod * x.rod_pressure**2) * velocity / (2 * d.bulk_modulus)
+
+
 def dissipated_power(d: Drive, x: Oil, u: Surroundings) -> Scalar:
     """Heat of the metering edges and hoses [W]; never negative."""
     edges = sum(

@@ -54,7 +54,11 @@ def lever(axis: str) -> Terminal:
 
 def supply_line() -> Terminal:
     """The line that feeds the valves of a drive."""
-    members = (Member("pressure", "supply_pressure"), Member("flow", "supply_flow", "in"))
+    members = (
+        Member("pressure", "supply_pressure"),
+        Member("pressure_rate", "supply_pressure_rate"),
+        Member("flow", "supply_flow", "in"),
+    )
     return Terminal("supply_line", "line", "Supply line: its pressure, the flow taken from it", members)
 
 

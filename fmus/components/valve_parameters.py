@@ -10,8 +10,8 @@ from fmus.contract import Quantity, Scalar
 
 
 @dataclass(frozen=True)
-class ValveParameters:
-    """The numbers of one valve and the density of the oil, to inherit from."""
+class EdgeParameters:
+    """The numbers of the metering edges and the density of the oil, to inherit from."""
 
     valve_area: Annotated[
         Scalar,
@@ -21,9 +21,6 @@ class ValveParameters:
     ]
     valve_discharge_coefficient: Annotated[
         Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
-    ]
-    valve_dead_band: Annotated[
-        Scalar, Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0)
     ]
     valve_full_command: Annotated[
         Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
@@ -38,6 +35,16 @@ class ValveParameters:
         Scalar, Quantity("m3/s", "Flow below which edges, hoses and lines are laminar", 1e-5, minimum=1e-8)
     ]
     density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")]
+
+
+@dataclass(frozen=True)
+class ValveParameters(EdgeParameters):
+    """With the dead band of a spool without dynamics."""
+
+    valve_dead_band: Annotated[
+        Scalar,
+        Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0, group="Valve"),
+    ]
 
     @property
     def valve(self) -> Valve:

@@ -19,6 +19,7 @@ from fmus.export.proof import proof
 from fmus.export.terminals import terminals
 from fmus.files import shipped
 from fmus.parameters import Values, document, values
+from fmus.parameters import numbers as numbers_of
 
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
 VERSIONS = (2, 3)  # of FMI
@@ -84,7 +85,7 @@ def _shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) 
     if sub.numbers is not None:
         content["resources/parameters.toml"] = document(sub.numbers).encode()
     elif sub.values.is_file():
-        content["resources/parameters.toml"] = sub.values.read_bytes()
+        content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
     return content
 
 

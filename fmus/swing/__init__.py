@@ -1,5 +1,9 @@
 """Hydraulics of the swing motor."""
 
-from fmus.swing.model import SWING
+from fmus.contract import family
+from fmus.swing import lumped
 
-__all__ = ["SWING"]
+VARIANTS = family("swing", lumped=lumped.SWING)
+SWING = VARIANTS["lumped"]
+
+__all__ = ["SWING", "VARIANTS"]

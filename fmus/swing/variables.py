@@ -10,24 +10,40 @@ from fmus.contract import Quantity, Scalar
 
 
 @dataclass(frozen=True)
-class SwingParameters(ValveParameters):
-    """Constants; their numbers and sources are in parameters.toml."""
+class LineParameters:
+    """What every variant knows of the lines."""
 
     initial_preload: Annotated[
         Scalar, Quantity("Pa", "Pressure of both swing lines at the start", 1e6, minimum=1e3, group="Start")
     ]
-    line_inertance: Annotated[
-        Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0, group="Swing lines")
-    ]
-    line_capacitance: Annotated[
-        Scalar, Quantity("m3/Pa", "Capacitance C of each line with its motor side", 1e-12, minimum=1e-18)
-    ]
-    line_resistance: Annotated[
-        Scalar, Quantity("Pa.s/m3", "Laminar resistance R_1 = R_2 of each swing line", 1e6, minimum=1.0)
-    ]
     line_turbulent_resistance: Annotated[
-        Scalar, Quantity("Pa.s2/m6", "Turbulent resistance C_R of each swing line", 1e10, minimum=0.0)
+        Scalar,
+        Quantity(
+            *("Pa.s2/m6", "Turbulent resistance C_R of each swing line", 1e10),
+            minimum=0.0,
+            group="Swing lines",
+        ),
     ]
+
+
+@dataclass(frozen=True)
+class VolumeParameters:
+    """The lines as volumes."""
+
+    line_capacitance: Annotated[
+        Scalar,
+        Quantity(
+            *("m3/Pa", "Capacitance C of each line with its motor side", 1e-12),
+            minimum=1e-18,
+            group="Swing lines",
+        ),
+    ]
+
+
+@dataclass(frozen=True)
+class MotorParameters:
+    """The motor and its gear."""
+
     motor_displacement: Annotated[
         Scalar,
         Quantity(
@@ -50,8 +66,20 @@ class SwingParameters(ValveParameters):
 
 
 @dataclass(frozen=True)
+class SwingParameters(MotorParameters, VolumeParameters, LineParameters, ValveParameters):
+    """Constants of the lumped drive; their numbers and sources are in parameters.toml."""
+
+    line_inertance: Annotated[
+        Scalar, Quantity("kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0, group="Swing lines")
+    ]
+    line_resistance: Annotated[
+        Scalar, Quantity("Pa.s/m3", "Laminar resistance R_1 = R_2 of each swing line", 1e6, minimum=1.0)
+    ]
+
+
+@dataclass(frozen=True)
 class SwingState:
-    """Pressures and flows of both lines."""
+    """State of the lumped drive: pressures and flows of both lines, which every variant shows."""
 
     swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of swing line A", 1e7)]
     swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of swing line B", 1e7)]
@@ -76,7 +104,12 @@ class SwingInputs:
     swing_command_rate: Annotated[
         Scalar, Quantity("V/s", "Rate port: time derivative of swing_command, may stay unconnected", 10.0)
     ]
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
+    supply_pressure: Annotated[
+        Scalar, Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
+    ]
+    supply_pressure_rate: Annotated[
+        Scalar, Quantity("Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8)
+    ]
     tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
     swing_speed: Annotated[Scalar, Quantity("rad/s", "Swing speed", 1.0, rate="swing_acceleration")]
     swing_acceleration: Annotated[

@@ -1,4 +1,4 @@
-"""Boom and stick drives: a valve, two hoses and a single-ended cylinder each.
+"""Boom and stick drives at the paper's fidelity: a valve, two hoses and a single-ended cylinder each.
 
 The equations are those of `fmus.components.cylinder_drive`, once for the boom, once for the stick;
 the two share the supply and the oil and are otherwise independent.
@@ -76,6 +76,8 @@ def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Bo
         + cylinder_drive.stored_energy(stick, oil_s, u.stick_position),
         dissipated_power=cylinder_drive.dissipated_power(boom, oil_b, at_b)
         + cylinder_drive.dissipated_power(stick, oil_s, at_s),
+        convected_power=cylinder_drive.convected_power(boom, oil_b, u.boom_velocity)
+        + cylinder_drive.convected_power(stick, oil_s, u.stick_velocity),
         **vars(x),
     )
 
@@ -119,6 +121,7 @@ BOOM_STICK = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
+    validity="below the first mode of the longest hose, 60 to 80 Hz; spool faster than the motion",
     terminals=(
         *(ports.rod(axis, drives=True) for axis in ("boom", "stick")),
         *(ports.lever(axis) for axis in ("boom", "stick")),

@@ -1,4 +1,4 @@
-"""Swing drive: a spool valve, two short lines and a hydraulic motor with gear.
+"""Swing drive at the paper's fidelity: a spool valve, two short lines and a hydraulic motor with gear.
 
     I dQ_a/dt = P_port,a - P_a - C_R,line Q_a|Q_a|      I dQ_b/dt = P_port,b - P_b - C_R,line Q_b|Q_b|
     C dP_a/dt = Q_a - (P_a - P_1) / R_line              C dP_b/dt = Q_b - (P_b - P_2) / R_line
@@ -114,6 +114,7 @@ SWING = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
+    validity="lines laminar and short beside the wavelength, below 200 Hz; spool faster than the motion",
     terminals=(
         ports.shaft("swing", drives=True),
         ports.lever("swing"),
