@@ -100,7 +100,7 @@ def stored_energy(d: Drive, x: Oil, position: Scalar) -> Scalar:
 
 
 def convected_power(d: Drive, x: Oil, velocity: Scalar) -> Scalar:
-    """Compression energy P^2 / (2 beta) of oil that fills a growing chamber, less that of a shrinking one [W].
+    """Compression energy [W], P^2 / (2 beta) per volume of a growing chamber, less that of a shrinking one.
 
     Volume flows do not show it; with it the energy balance closes (docs/equations.md, section 7).
     """
