@@ -69,7 +69,12 @@ class VolumeParameters:
 
 
 @dataclass(frozen=True)
-class BoomStickParameters(VolumeParameters, CylinderParameters, ValveParameters):
+class QuasistaticParameters(VolumeParameters, CylinderParameters, ValveParameters):
+    """Constants of the quasistatic drives; their numbers and sources are in parameters.toml."""
+
+
+@dataclass(frozen=True)
+class BoomStickParameters(QuasistaticParameters):
     """Constants of the lumped drives; their numbers and sources are in parameters.toml."""
 
     boom_hose_inertance: Annotated[

@@ -66,15 +66,22 @@ def valve_ports(d: Drive, x: Oil, u: Surroundings) -> tuple[PortFlow, PortFlow]:
     )
 
 
+def pressure_rates(d: Drive, x: Oil, u: Surroundings) -> tuple[Scalar, Scalar]:
+    """Time derivatives of the pressures [Pa/s]."""
+    head, rod = cylinder.areas(d.bore, d.rod)
+    c_head, c_rod = _capacitances(d, u.position)
+    return (
+        chamber.pressure_rate(x.head_pressure, x.head_flow - head * u.velocity, c_head),
+        chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * u.velocity, c_rod),
+    )
+
+
 def rates(d: Drive, x: Oil, u: Surroundings) -> Oil:
     """Time derivative of the oil's state."""
     port_a, port_b = valve_ports(d, x, u)
     line = (d.hose_inertance, d.hose_resistance, d.valve.transition_flow)
-    head, rod = cylinder.areas(d.bore, d.rod)
-    c_head, c_rod = _capacitances(d, u.position)
     return Oil(
-        head_pressure=chamber.pressure_rate(x.head_pressure, x.head_flow - head * u.velocity, c_head),
-        rod_pressure=chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * u.velocity, c_rod),
+        *pressure_rates(d, x, u),
         head_flow=hose.flow_rate(port_a.pressure, x.head_pressure, x.head_flow, *line),
         rod_flow=hose.flow_rate(port_b.pressure, x.rod_pressure, x.rod_flow, *line),
     )

@@ -49,6 +49,32 @@ def nodes(
     p1 = (d * b1 + g_in * b2) / determinant
     p2 = (a * b2 + g_in * b1) / determinant
     # line flows by the node balance: (P_c1 - P1)/R_1 is the difference of nearly equal numbers
-    cross, drain_1, drain_2 = g_in * (p1 - p2), g_ex * (p1 - tank), g_ex * (p2 - tank)
+    return at_ports(p1, p2, tank, displaced_flow, internal_resistance, external_resistance)
+
+
+def at_ports(
+    pressure_1: Scalar,
+    pressure_2: Scalar,
+    tank: Scalar,
+    displaced_flow: Scalar,
+    internal_resistance: Scalar,
+    external_resistance: Scalar,
+) -> MotorNodes:
+    """The flows at known port pressures, eqs. (11), (12): no line resistance in between."""
+    g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
+    cross, drain_1, drain_2 = (
+        g_in * (pressure_1 - pressure_2),
+        g_ex * (pressure_1 - tank),
+        g_ex * (pressure_2 - tank),
+    )
     flow_1, flow_2 = displaced_flow + cross + drain_1, -displaced_flow - cross + drain_2
-    return MotorNodes(p1, p2, flow_1, flow_2, drain_1 + drain_2)
+    return MotorNodes(pressure_1, pressure_2, flow_1, flow_2, drain_1 + drain_2)
+
+
+def leakage_loss(
+    node: MotorNodes, tank: Scalar, internal_resistance: Scalar, external_resistance: Scalar
+) -> Scalar:
+    """Power [W] turned into heat by both leakages; never negative."""
+    p1, p2 = node.pressure_1, node.pressure_2
+    drain = ((p1 - tank) ** 2 + (p2 - tank) ** 2) / external_resistance
+    return drain + (p1 - p2) ** 2 / internal_resistance

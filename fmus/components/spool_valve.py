@@ -50,6 +50,19 @@ def turbulent_drop(flow: Scalar, resistance: Scalar, transition_flow: Scalar) ->
     return resistance * flow * ca.sqrt(flow**2 + transition_flow**2)
 
 
+def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
+    """Q / y [s/m3] of the inverse of `turbulent_drop`, for y = dp / C_R = K^2 dp [m6/s2].
+
+    y = Q sqrt(Q^2 + Q_t^2) is solved by
+
+        Q = (y / Q_t) sqrt(2 / (1 + sqrt(1 + (2 y / Q_t^2)^2)))
+
+    odd and increasing in y; its slope at y = 0 is 1 / Q_t, so that of an edge is K^2 / Q_t. No difference of
+    nearly equal numbers occurs, and a closed edge (K = 0) passes exactly nothing.
+    """
+    return ca.sqrt(2 / (1 + ca.sqrt(1 + (2 * drop / transition_flow**2) ** 2))) / transition_flow
+
+
 def port(
     line_flow: Scalar,
     gain_supply: Scalar,
@@ -77,6 +90,29 @@ def port(
     return PortFlow(pressure, g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure))
 
 
+def direct_port(
+    pressure: Scalar,
+    square_supply: Scalar,
+    square_tank: Scalar,
+    leakage: Scalar,
+    transition_flow: Scalar,
+    supply_pressure: Scalar,
+    tank_pressure: Scalar,
+) -> PortFlow:
+    """Port whose edges lead directly into a chamber at this pressure P: flows from pressures.
+
+    Each edge passes G_leak dp + Q(K^2 dp) with Q the inverse of eq. (1), see `turbulent_factor`; `square_*`
+    are K^2 [m6/(s2.Pa)]. At most one of the two is open, so that one factor serves both.
+    """
+    from_supply, to_tank = supply_pressure - pressure, pressure - tank_pressure
+    factor = turbulent_factor(square_supply * from_supply - square_tank * to_tank, transition_flow)
+    return PortFlow(
+        pressure,
+        (leakage + square_supply * factor) * from_supply,
+        (leakage + square_tank * factor) * to_tank,
+    )
+
+
 @dataclass(frozen=True)
 class Valve:
     """A symmetrical spool valve: its numbers, named as in parameters.toml."""
@@ -90,6 +126,13 @@ class Valve:
     transition_flow: Scalar
 
 
+def gains(valve: Valve, command: Scalar, density: Scalar) -> tuple[Scalar, Scalar]:
+    """K [m3/s/Pa^(1/2)] at a command [V]: of the edges P-A and B-T, and of P-B and A-T."""
+    full = flow_gain(valve.area, valve.discharge_coefficient, density)
+    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
+    return full * opening(command, *shape), full * opening(-command, *shape)
+
+
 def ports(
     valve: Valve,
     command: Scalar,
@@ -100,11 +143,30 @@ def ports(
     density: Scalar,
 ) -> tuple[PortFlow, PortFlow]:
     """Both port nodes at a command [V] and the line flows [m3/s] out of A and B."""
-    full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
-    forward, backward = full * opening(command, *shape), full * opening(-command, *shape)
+    forward, backward = gains(valve, command, density)
     rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
     return port(flow_a, forward, backward, *rest), port(flow_b, backward, forward, *rest)
+
+
+def direct_ports(
+    valve: Valve,
+    command: Scalar,
+    pressure_a: Scalar,
+    pressure_b: Scalar,
+    supply_pressure: Scalar,
+    tank_pressure: Scalar,
+    density: Scalar,
+    line_resistance: Scalar,
+) -> tuple[PortFlow, PortFlow]:
+    """Both ports at a command [V], lines without inertia to chambers at these pressures [Pa].
+
+    The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
+    """
+    forward, backward = (k**2 / (1 + line_resistance * k**2) for k in gains(valve, command, density))
+    rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    return direct_port(pressure_a, forward, backward, *rest), direct_port(
+        pressure_b, backward, forward, *rest
+    )
 
 
 def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:

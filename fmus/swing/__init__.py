@@ -1,9 +1,9 @@
 """Hydraulics of the swing motor."""
 
 from fmus.contract import family
-from fmus.swing import lumped
+from fmus.swing import lumped, quasistatic
 
-VARIANTS = family("swing", lumped=lumped.SWING)
+VARIANTS = family("swing", lumped=lumped.SWING, quasistatic=quasistatic.SWING)
 SWING = VARIANTS["lumped"]
 
 __all__ = ["SWING", "VARIANTS"]

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmus.components import chamber, hose, motor, ports, spool_valve
+from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow
 from fmus.contract import Scalar, Subsystem
+from fmus.swing.drive import TERMINALS, require
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
 
@@ -61,9 +62,8 @@ def _dissipated_power(x: SwingState, u: SwingInputs, p: SwingParameters, nodes: 
         q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow)
         for q in (x.swing_flow_a, x.swing_flow_b)
     )
-    p1, p2 = nodes.pressure_1, nodes.pressure_2
-    drain = ((p1 - u.tank_pressure) ** 2 + (p2 - u.tank_pressure) ** 2) / p.external_leakage_resistance
-    return edges + lines + drain + (p1 - p2) ** 2 / p.internal_leakage_resistance
+    leakage = (p.internal_leakage_resistance, p.external_leakage_resistance)
+    return edges + lines + motor.leakage_loss(nodes, u.tank_pressure, *leakage)
 
 
 def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
@@ -97,11 +97,6 @@ def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scal
     return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
 
 
-def require(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
-    """What must hold beyond the bounds of single parameters."""
-    return {"valve_full_command exceeds valve_dead_band": p.valve_full_command - p.valve_dead_band}
-
-
 SWING = Subsystem(
     name="swing",
     text="Hydraulic swing drive: spool valve, lines, motor and gear",
@@ -115,10 +110,5 @@ SWING = Subsystem(
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
     validity="lines laminar and short beside the wavelength, below 200 Hz; spool faster than the motion",
-    terminals=(
-        ports.shaft("swing", drives=True),
-        ports.lever("swing"),
-        ports.supply_line(),
-        ports.return_line(),
-    ),
+    terminals=TERMINALS,
 )

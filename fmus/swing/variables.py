@@ -66,7 +66,12 @@ class MotorParameters:
 
 
 @dataclass(frozen=True)
-class SwingParameters(MotorParameters, VolumeParameters, LineParameters, ValveParameters):
+class QuasistaticParameters(MotorParameters, VolumeParameters, LineParameters, ValveParameters):
+    """Constants of the quasistatic drive; their numbers and sources are in parameters.toml."""
+
+
+@dataclass(frozen=True)
+class SwingParameters(QuasistaticParameters):
     """Constants of the lumped drive; their numbers and sources are in parameters.toml."""
 
     line_inertance: Annotated[
