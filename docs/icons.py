@@ -113,6 +113,17 @@ def manipulator(axes: Axes) -> None:
         disc(axes, joint, 6.2, ORANGE, 2.6)
 
 
+def supply(axes: Axes) -> None:
+    """The symbol of a pump that can be adjusted, its line and its tank."""
+    line(axes, [(24, 14), (24, 8), (76, 8), (76, 14)], DARK, 6)
+    line(axes, [(50, 8), (50, 22)], DARK, 6)
+    axes.add_patch(Circle((50, 45), 23, fill=False, ec=DARK, lw=6.5))
+    area(axes, [(50, 65), (40, 50), (60, 50)])
+    line(axes, [(50, 70), (50, 90), (82, 90)], ORANGE, 7)
+    line(axes, [(22, 20), (72, 70)], ORANGE, 5.5)
+    area(axes, [(84, 82), (66, 76), (78, 64)], ORANGE)
+
+
 def levers(axes: Axes) -> None:
     """A joystick and the two ways it goes."""
     area(axes, [(22, 12), (78, 12), (70, 28), (30, 28)])
@@ -136,7 +147,7 @@ def harvester(axes: Axes) -> None:
 
 
 ICONS: Mapping[str, Callable[[Axes], None]] = {
-    f.__name__: f for f in (swing, boom_stick, manipulator, levers, harvester)
+    f.__name__: f for f in (swing, boom_stick, manipulator, supply, levers, harvester)
 }
 
 

@@ -66,3 +66,19 @@ def return_line() -> Terminal:
     """The line from the valves of a drive to the tank."""
     members = (Member("pressure", "tank_pressure"), Member("flow", "return_flow", "out"))
     return Terminal("return_line", "line", "Return line: its pressure, the flow given to it", members)
+
+
+def supply_line_to(drive: str) -> Terminal:
+    """The end of the supply line at the pumps, for one of the drives; it fits `supply_line`."""
+    members = (
+        Member("pressure", "supply_pressure"),
+        Member("pressure_rate", "supply_pressure_rate"),
+        Member("flow", f"supply_flow_{drive}", "out"),
+    )
+    return Terminal(f"supply_line_{drive}", "line", f"Supply line to {drive}", members)
+
+
+def return_line_from(drive: str) -> Terminal:
+    """The end of the return line at the tank, for one of the drives; it fits `return_line`."""
+    members = (Member("pressure", "tank_pressure"), Member("flow", f"return_flow_{drive}", "in"))
+    return Terminal(f"return_line_{drive}", "line", f"Return line from {drive}", members)

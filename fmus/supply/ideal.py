@@ -1,0 +1,75 @@
+"""Supply at the paper's fidelity: an ideal pressure source, section 3(a).
+
+    supply_pressure = pressure_setting        tank_pressure = reservoir_pressure
+
+for every flow. No state; the outputs that show power do so for any flow of the drives.
+
+Signs: supply flows are positive out of the supply line, return flows into the tank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.supply.variables import (
+    TERMINALS,
+    ReservoirParameters,
+    SupplyInputs,
+    SupplyOutputs,
+    return_flow,
+    supply_flow,
+)
+
+
+@dataclass(frozen=True)
+class IdealParameters(ReservoirParameters):
+    """The two pressures; their numbers and sources are in parameters.toml."""
+
+    pressure_setting: Annotated[
+        Scalar, Quantity("Pa", "Pressure of the supply line, whatever is taken", 1e7, group="Source")
+    ]
+
+
+@dataclass(frozen=True)
+class IdealState:
+    """None."""
+
+
+def dynamics(x: IdealState, u: SupplyInputs, p: IdealParameters) -> IdealState:
+    """No state, no derivative."""
+    return IdealState()
+
+
+def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs:
+    """Outputs."""
+    taken, given = supply_flow(u), return_flow(u)
+    power = p.pressure_setting * taken - p.reservoir_pressure * given
+    return SupplyOutputs(
+        supply_pressure=p.pressure_setting,
+        supply_pressure_rate=0,
+        tank_pressure=p.reservoir_pressure,
+        supply_flow=taken,
+        return_flow=given,
+        hydraulic_power=power,
+        engine_power=power,
+        stored_energy=0,
+        dissipated_power=0,
+    )
+
+
+IDEAL = Subsystem(
+    name="supply",
+    text="Hydraulic supply: an ideal pressure source",
+    parameters=IdealParameters,
+    states=IdealState,
+    inputs=SupplyInputs,
+    outputs=SupplyOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
+    validity="while pumps and engine have flow and power to spare; no pressure ripple, no sag",
+)
