@@ -12,7 +12,8 @@ from scipy.special import ellipk
 
 from fmus.contract import quantities, symbolic, symbols
 from fmus.manipulator import MANIPULATOR
-from fmus.manipulator.model import mechanics
+from fmus.manipulator.arm import mechanics
+from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import values
 
 NUMBERS = dict(values(MANIPULATOR).p)
@@ -22,7 +23,7 @@ CYLINDERS = ("boom", "stick")
 def _mechanics():
     """(q, w, p) -> (M, V, G, T, U)."""
     x, p = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
-    motion = mechanics(x, p)
+    motion = mechanics(x, p, POINT_MASS)
     terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
     columns = [ca.vertcat(*vars(group).values()) for group in (x, p)]
     return ca.Function("mechanics", [columns[0][:3], columns[0][3:], columns[1]], terms)

@@ -1,5 +1,14 @@
 """Mechanics of the manipulator: swing column, boom, stick and processing head."""
 
-from fmus.manipulator.model import MANIPULATOR
+from fmus.contract import family
+from fmus.manipulator.friction import FRICTION
+from fmus.manipulator.pendulum import PENDULUM
+from fmus.manipulator.pendulum_friction import PENDULUM_FRICTION
+from fmus.manipulator.rigid import RIGID
 
-__all__ = ["MANIPULATOR"]
+VARIANTS = family(
+    "manipulator", rigid=RIGID, pendulum=PENDULUM, friction=FRICTION, pendulum_friction=PENDULUM_FRICTION
+)
+MANIPULATOR = VARIANTS["rigid"]
+
+__all__ = ["MANIPULATOR", "VARIANTS"]

@@ -1,0 +1,158 @@
+"""The arm: geometry, energies and pistons of swing column, boom and stick.
+
+Signs: the boom angle counts from the horizontal, up positive; the stick angle from the boom, up
+positive (a folded stick is negative); the swing angle counter-clockwise seen from above. Extending
+the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from fmus.components import cylinder, linkage
+from fmus.components.linkage import Point, Triangle
+from fmus.components.rigid_body import EquationsOfMotion, equations_of_motion
+from fmus.contract import Scalar, column
+from fmus.manipulator.design import Head, Tip
+from fmus.manipulator.variables import ManipulatorParameters, ManipulatorState
+
+
+def points(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Point, Point]:
+    """Stick pivot (elbow) and stick end (tip) as (radius, height) [m]."""
+    pitch = x.boom_angle + x.stick_angle
+    elbow = _add((p.boom_pivot_x, p.boom_pivot_z), _turn(x.boom_angle, (p.stick_pivot_x, p.stick_pivot_z)))
+    return elbow, _add(elbow, _turn(pitch, (p.stick_length, 0)))
+
+
+def tip_velocity(x: ManipulatorState, p: ManipulatorParameters) -> Point:
+    """Velocity of the stick end in the plane of the arm, outwards and upwards [m/s]."""
+    elbow, tip = points(x, p)
+    upper = _add(elbow, (p.boom_pivot_x, p.boom_pivot_z), -1)
+    return _end_velocity(upper, _add(tip, elbow, -1), x.boom_speed, x.boom_speed + x.stick_speed)
+
+
+def _end_velocity(upper: Point, lower: Point, boom_speed: Scalar, turn: Scalar) -> Point:
+    """Velocity of the end of two links `upper` and `lower` that turn at these rates."""
+    return -boom_speed * upper[1] - turn * lower[1], boom_speed * upper[0] + turn * lower[0]
+
+
+def _turn(angle: Scalar, point: Point) -> Point:
+    return linkage.rotate(ca.cos(angle), ca.sin(angle), point)
+
+
+def _add(a: Point, b: Point, weight: Scalar = 1) -> Point:
+    return a[0] + weight * b[0], a[1] + weight * b[1]
+
+
+def _dot(a: Point, b: Point) -> Scalar:
+    return a[0] * b[0] + a[1] * b[1]
+
+
+def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> EquationsOfMotion:
+    """M, V, G of eq. (4) from the energies of boom, stick and head, q = (swing, boom, stick, head angles).
+
+    In the plane of the arm the stick and the head, a point mass at the stick end and what `head` adds,
+    count by their first moment about the elbow and their inertia; everything outboard of the elbow moves
+    with it. The links are slender: no inertia about their own axis, so about the vertical a link at pitch
+    f has m r^2 + I cos(f)^2.
+    """
+    pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
+    boom, stick, end = (
+        (p.boom_centre_x, p.boom_centre_z),
+        (p.stick_centre_x, p.stick_centre_z),
+        (p.stick_length, 0),
+    )
+    outboard = p.stick_mass + p.head_mass
+    moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick_mass)  # about the elbow [kg.m]
+    inertia_boom = p.boom_inertia + p.boom_mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)
+    inertia_stick = p.stick_inertia + p.stick_mass * _dot(stick, stick) + p.head_mass * p.stick_length**2
+
+    def kinetic(q: ca.SX, w: ca.SX) -> Scalar:
+        pitch = q[1] + q[2]
+        at_elbow = _add(pivot, _turn(q[1], elbow))
+        at_tip = _add(at_elbow, _turn(pitch, end))
+        radii = [(p.boom_mass, _add(pivot, _turn(q[1], boom))[0])]
+        radii += [(p.stick_mass, _add(at_elbow, _turn(pitch, stick))[0])]
+        radii += [(p.head_mass, at_tip[0])]
+        yaw = p.column_inertia + p.boom_inertia * ca.cos(q[1]) ** 2 + p.stick_inertia * ca.cos(pitch) ** 2
+        yaw += sum(m * r**2 for m, r in radii)
+        coupling = _dot(elbow, _turn(q[2], moment))
+        turn = w[1] + w[2]
+        planar = inertia_boom * w[1] ** 2 + inertia_stick * turn**2 + 2 * coupling * w[1] * turn
+        out, up = _end_velocity(_add(at_elbow, pivot, -1), _add(at_tip, at_elbow, -1), w[1], turn)
+        tip = Tip(velocity=(out, at_tip[0] * w[0], up), yaw_rate=w[0])
+        return (yaw * w[0] ** 2 + planar) / 2 + head.kinetic(tip, q[3:], w[3:], p)
+
+    def potential(q: ca.SX) -> Scalar:
+        first = _turn(q[1], _add((p.boom_mass * boom[0], p.boom_mass * boom[1]), elbow, outboard))
+        second = _turn(q[1] + q[2], moment)
+        arm = p.gravity * ((p.boom_mass + outboard) * pivot[1] + first[1] + second[1])
+        return arm + head.potential(q[3:], p)
+
+    angles = (x.swing_angle, x.boom_angle, x.stick_angle, *(getattr(x, n) for n in head.angles))
+    speeds = (x.swing_speed, x.boom_speed, x.stick_speed, *(getattr(x, n) for n in head.speeds))
+    return equations_of_motion(kinetic, potential, column(*angles), column(*speeds))
+
+
+def triangles(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Triangle, Triangle]:
+    """Cylinder triangles of boom and stick."""
+    return (
+        linkage.triangle(x.boom_angle, (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)),
+        linkage.triangle(x.stick_angle, (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)),
+    )
+
+
+@dataclass(frozen=True)
+class Piston:
+    """One cylinder seen from the mechanics: geometry, motion and stop force."""
+
+    triangle: Triangle
+    position: Scalar
+    velocity: Scalar
+    stop: Scalar
+
+
+def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Piston]:
+    """Boom and stick pistons."""
+    boom, stick = triangles(x, p)
+    stops = (p.stop_stiffness, p.stop_damping, p.stop_rounding)
+
+    def piston(t: Triangle, speed: Scalar, closed: Scalar, stroke: Scalar) -> Piston:
+        position, velocity = t.length - closed, t.arm * speed
+        return Piston(t, position, velocity, cylinder.stop_force(position, velocity, stroke, *stops))
+
+    return (
+        piston(boom, x.boom_speed, p.boom_closed_length, p.boom_stroke),
+        piston(stick, x.stick_speed, p.stick_closed_length, p.stick_stroke),
+    )
+
+
+def require(x: ManipulatorState, p: ManipulatorParameters) -> dict[str, Scalar]:
+    """Cylinder triangles must close over the whole stroke, and the pistons stay near their strokes."""
+    conditions: dict[str, Scalar] = {}
+    boom, stick = pistons(x, p)
+    base, rod = (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)
+    conditions |= _reach("boom", boom, linkage.reach(base, rod), p.boom_closed_length, p.boom_stroke)
+    base, rod = (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)
+    conditions |= _reach("stick", stick, linkage.reach(base, rod), p.stick_closed_length, p.stick_stroke)
+    conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.triangle.arm
+    conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.triangle.arm
+    return conditions
+
+
+def _reach(
+    name: str, piston: Piston, reach: tuple[Scalar, Scalar], closed: Scalar, stroke: Scalar
+) -> dict[str, Scalar]:
+    shortest, longest = reach
+    margin = 0.05 * stroke  # a piston this far beyond its stop has left the range of the stop model
+    angle = f"{name}_angle [rad], at the start initial_{name}_angle,"
+    return {
+        f"{name}_closed_length is above the shortest reach of its pins": closed - shortest,
+        f"{name}_closed_length + {name}_stroke is below the longest reach of its pins": longest
+        - closed
+        - stroke,
+        f"{angle} keeps the {name} piston above its closed end": piston.position + margin,
+        f"{angle} keeps the {name} piston below its open end": stroke + margin - piston.position,
+    }

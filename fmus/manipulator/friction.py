@@ -1,0 +1,165 @@
+"""Dry friction with break-away and Stribeck effect in swing gear, joints and pistons, beside the viscous one.
+
+    R = s0 z + s1(v) z' + b v        z' = v - s0 a(v) z / g(v)        for each contact, v its speed
+
+(LuGre; all of it in `fmus.components.friction`). The numbers do not depend on pressures or loads, unlike the
+friction of real seals and pins. The bristles start relaxed: a machine in balance stands still.
+
+Validity: friction independent of load; the viscous coefficients are those of `rigid`, where they stand for
+all losses, so both together are on the high side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fmus.components.friction import Bristles, Resistance, lugre
+from fmus.contract import Quantity, Scalar
+from fmus.manipulator.design import CONTACTS, Friction
+from fmus.manipulator.model import manipulator
+from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
+
+
+@dataclass(frozen=True)
+class FrictionParameters(ManipulatorParameters):
+    """Those of the arm, and of dry friction."""
+
+    swing_coulomb: Annotated[
+        Scalar,
+        Quantity(
+            "N.m", "Coulomb friction of the swing gear", 100, minimum=0.0, tunable=True, group="Dry friction"
+        ),
+    ]
+    boom_joint_coulomb: Annotated[
+        Scalar, Quantity("N.m", "Coulomb friction of the boom joint", 100, minimum=0.0, tunable=True)
+    ]
+    stick_joint_coulomb: Annotated[
+        Scalar, Quantity("N.m", "Coulomb friction of the stick joint", 100, minimum=0.0, tunable=True)
+    ]
+    boom_piston_coulomb: Annotated[
+        Scalar,
+        Quantity("N", "Coulomb friction of the boom cylinder's piston", 1000, minimum=0.0, tunable=True),
+    ]
+    stick_piston_coulomb: Annotated[
+        Scalar,
+        Quantity("N", "Coulomb friction of the stick cylinder's piston", 1000, minimum=0.0, tunable=True),
+    ]
+    joint_static_ratio: Annotated[
+        Scalar,
+        Quantity(
+            "1",
+            "Break-away over Coulomb friction of joints and swing gear",
+            minimum=0.5,
+            maximum=5.0,
+            tunable=True,
+        ),
+    ]
+    joint_stribeck_speed: Annotated[
+        Scalar, Quantity("rad/s", "Stribeck speed of joints and swing gear", 1e-2, minimum=1e-6)
+    ]
+    joint_presliding: Annotated[
+        Scalar,
+        Quantity(
+            "rad", "Deflection of joints and swing gear that carries the Coulomb friction", 1e-4, minimum=1e-9
+        ),
+    ]
+    piston_static_ratio: Annotated[
+        Scalar,
+        Quantity("1", "Break-away over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True),
+    ]
+    piston_stribeck_speed: Annotated[Scalar, Quantity("m/s", "Stribeck speed of pistons", 1e-2, minimum=1e-6)]
+    piston_presliding: Annotated[
+        Scalar, Quantity("m", "Deflection of pistons that carries the Coulomb friction", 1e-4, minimum=1e-9)
+    ]
+    bristle_damping_time: Annotated[
+        Scalar, Quantity("s", "Damping of the deflections over their stiffness", 1e-2, minimum=0.0)
+    ]
+
+
+@dataclass(frozen=True)
+class FrictionState(ManipulatorState):
+    """Those of the arm, and the deflections."""
+
+    swing_bristle: Annotated[
+        Scalar, Quantity("rad", "Elastic deflection in the friction of the swing gear", 1e-4)
+    ]
+    boom_joint_bristle: Annotated[
+        Scalar, Quantity("rad", "Elastic deflection in the friction of the boom joint", 1e-4)
+    ]
+    stick_joint_bristle: Annotated[
+        Scalar, Quantity("rad", "Elastic deflection in the friction of the stick joint", 1e-4)
+    ]
+    boom_piston_bristle: Annotated[
+        Scalar, Quantity("m", "Elastic deflection in the friction of the boom cylinder's piston", 1e-4)
+    ]
+    stick_piston_bristle: Annotated[
+        Scalar, Quantity("m", "Elastic deflection in the friction of the stick cylinder's piston", 1e-4)
+    ]
+
+
+@dataclass(frozen=True)
+class FrictionOutputs(ManipulatorOutputs):
+    """Those of the arm, and what the friction does."""
+
+    swing_friction_torque: Annotated[
+        Scalar, Quantity("N.m", "Friction of the swing gear, against its motion", 100)
+    ]
+    boom_friction_torque: Annotated[
+        Scalar, Quantity("N.m", "Friction of the boom joint, against its motion", 100)
+    ]
+    stick_friction_torque: Annotated[
+        Scalar, Quantity("N.m", "Friction of the stick joint, against its motion", 100)
+    ]
+    boom_friction_force: Annotated[
+        Scalar, Quantity("N", "Friction of the boom cylinder's piston, against its motion", 1000)
+    ]
+    stick_friction_force: Annotated[
+        Scalar, Quantity("N", "Friction of the stick cylinder's piston, against its motion", 1000)
+    ]
+    stored_energy: Annotated[Scalar, Quantity("J", "Elastic energy in the friction of joints and pistons")]
+
+
+SHOWN = {
+    "swing": "swing_friction_torque",
+    "boom_joint": "boom_friction_torque",
+    "stick_joint": "stick_friction_torque",
+    "boom_piston": "boom_friction_force",
+    "stick_piston": "stick_friction_force",
+}
+
+
+def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters) -> Resistance:
+    """Resistance of one contact."""
+    kind = "piston" if contact.endswith("piston") else "joint"
+    dry = Bristles(
+        coulomb=getattr(p, f"{contact}_coulomb"),
+        static_ratio=getattr(p, f"{kind}_static_ratio"),
+        stribeck_speed=getattr(p, f"{kind}_stribeck_speed"),
+        deflection=getattr(p, f"{kind}_presliding"),
+        damping_time=p.bristle_damping_time,
+    )
+    return lugre(speed, getattr(x, f"{contact}_bristle"), dry, getattr(p, f"{contact}_damping"))
+
+
+def outputs(resistances: Mapping[str, Resistance]) -> dict[str, Scalar]:
+    """Friction forces and the energy in the bristles."""
+    values: dict[str, Any] = {SHOWN[contact]: r.force for contact, r in resistances.items()}
+    return values | {"stored_energy": sum(r.stored for r in resistances.values())}
+
+
+BRISTLES = Friction(
+    resist=resist,
+    deflections=tuple(f"{contact}_bristle" for contact in CONTACTS),
+    outputs=outputs,
+)
+
+FRICTION = manipulator(
+    text="Swing column, boom, stick and processing head with dry and viscous friction",
+    validity="rigid slender links, the head does not swing; friction independent of load and pressure",
+    parameters=FrictionParameters,
+    states=FrictionState,
+    outputs=FrictionOutputs,
+    friction=BRISTLES,
+)

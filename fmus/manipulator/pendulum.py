@@ -1,0 +1,162 @@
+"""The head hangs from the stick end in a Hooke joint and swings, instead of a point mass there.
+
+It is a slender body: centre of mass the length L from the joint in the direction n, inertia J about its
+centre across its axis, none about the axis. With the angle a in the plane of the arm, from the vertical,
+outwards positive, and the angle b out of that plane, to the left positive:
+
+    n = (sin a cos b, sin b, -cos a cos b)                 outwards, to the left, upwards
+    T = m |v + L n'|^2 / 2 + J |n'|^2 / 2                  v of the stick end; n' with the swing of the arm
+    U = m g (z + L n_z)                                    z height of the stick end
+
+The joint's first axis is the pin through the stick end, across the plane of the arm; the second one sits in
+the yoke below. Angles from the vertical instead of those of the joint keep gravity of the arm what it is with
+a point mass: G_boom and G_stick do not depend on a and b, so the forces that hold the arm with the head at
+rest are those of `rigid`. The joint itself turns by a - f about its pin, f = boom + stick angle. Its damping
+
+    d (a' - f')  on the pin, opposite on boom and stick;       d b'  in the yoke
+
+turns the head with the stick. Singular at b = +-90 degrees, where the head lies along the pin: there a is
+nothing. (Goldstein, Poole and Safko, Classical Mechanics, chapters 1 and 2, for T, U and dissipation.)
+
+Validity: |b| below 1.4 rad (80 degrees); no end stops of the joint, no slewing of the rotator below it, no
+load that swings by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import casadi as ca
+
+from fmus.contract import Quantity, Scalar
+from fmus.manipulator import arm
+from fmus.manipulator.design import Head, Joint, Tip
+from fmus.manipulator.model import manipulator
+from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
+
+SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
+
+
+@dataclass(frozen=True)
+class PendulumParameters(ManipulatorParameters):
+    """Those of the arm, and of the joint of the head."""
+
+    head_length: Annotated[
+        Scalar,
+        Quantity("m", "Centre of mass of the head below its joint", minimum=1e-3, group="Swinging head"),
+    ]
+    head_inertia: Annotated[
+        Scalar,
+        Quantity("kg.m2", "Inertia of the head about its centre of mass, across its axis", minimum=0.0),
+    ]
+    head_joint_damping: Annotated[
+        Scalar,
+        Quantity("N.m.s/rad", "Viscous friction of each axis of the head's joint", minimum=0.0, tunable=True),
+    ]
+    initial_head_angle: Annotated[
+        Scalar, Quantity("rad", "Head angle at the start, from the vertical, outwards positive")
+    ]
+    initial_head_side_angle: Annotated[
+        Scalar, Quantity("rad", "Side angle of the head at the start, to the left positive")
+    ]
+
+
+@dataclass(frozen=True)
+class PendulumState(ManipulatorState):
+    """Those of the arm, and the head's."""
+
+    head_angle: Annotated[
+        Scalar, Quantity("rad", "Angle of the head from the vertical in the plane of the arm, outwards")
+    ]
+    head_side_angle: Annotated[
+        Scalar, Quantity("rad", "Angle of the head out of the plane of the arm, to the left")
+    ]
+    head_speed: Annotated[Scalar, Quantity("rad/s", "Rate of the head angle")]
+    head_side_speed: Annotated[Scalar, Quantity("rad/s", "Rate of the side angle of the head")]
+
+
+@dataclass(frozen=True)
+class PendulumOutputs(ManipulatorOutputs, PendulumState):
+    """Those of the arm, and where the head is."""
+
+    head_x: Annotated[Scalar, Quantity("m", "Centre of mass of the head, forward at swing angle zero")]
+    head_y: Annotated[Scalar, Quantity("m", "Centre of mass of the head, to the left at swing angle zero")]
+    head_height: Annotated[
+        Scalar, Quantity("m", "Centre of mass of the head, height above the foot of the column")
+    ]
+
+
+def direction(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """n, from the joint to the centre of mass."""
+    return ca.sin(a) * ca.cos(b), ca.sin(b), -ca.cos(a) * ca.cos(b)
+
+
+def kinetic(tip: Tip, angles: Any, speeds: Any, p: PendulumParameters) -> Scalar:
+    """T less that of the point mass: m L v n' + (J + m L^2) |n'|^2 / 2."""
+    n = direction(angles[0], angles[1])
+    turning = [
+        ca.jtimes(c, angles, speeds) + carried
+        for c, carried in zip(n, (-tip.yaw_rate * n[1], tip.yaw_rate * n[0], 0), strict=True)
+    ]
+    along = sum(v * d for v, d in zip(tip.velocity, turning, strict=True))
+    square = sum(d**2 for d in turning)
+    about_joint = p.head_inertia + p.head_mass * p.head_length**2
+    return p.head_mass * p.head_length * along + about_joint * square / 2
+
+
+def potential(angles: Any, p: PendulumParameters) -> Scalar:
+    """U less that of the point mass."""
+    return p.head_mass * p.gravity * p.head_length * direction(angles[0], angles[1])[2]
+
+
+def joint(x: PendulumState, p: PendulumParameters) -> Joint:
+    """The damping of the joint."""
+    turn = x.head_speed - x.boom_speed - x.stick_speed
+    pin, yoke = p.head_joint_damping * turn, p.head_joint_damping * x.head_side_speed
+    return Joint(on_stick=pin, own=(-pin, -yoke), heat=pin * turn + yoke * x.head_side_speed)
+
+
+def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
+    """Where the head is."""
+    n = direction(x.head_angle, x.head_side_angle)
+    _, tip = arm.points(x, p)
+    out, left = tip[0] + p.head_length * n[0], p.head_length * n[1]
+    cos, sin = ca.cos(x.swing_angle), ca.sin(x.swing_angle)
+    return {
+        "head_x": out * cos - left * sin,
+        "head_y": out * sin + left * cos,
+        "head_height": tip[1] + p.head_length * n[2],
+    }
+
+
+def initial(p: PendulumParameters) -> dict[str, Scalar]:
+    """The angles to start from."""
+    return {"head_angle": p.initial_head_angle, "head_side_angle": p.initial_head_side_angle}
+
+
+def require(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
+    """The side angle stays away from the singular position."""
+    statement = f"head_side_angle [rad] stays between -{SIDE_LIMIT} and {SIDE_LIMIT}, clear of the pin's line"
+    return {statement: SIDE_LIMIT - ca.fabs(x.head_side_angle)}
+
+
+HANGING = Head(
+    angles=("head_angle", "head_side_angle"),
+    speeds=("head_speed", "head_side_speed"),
+    kinetic=kinetic,
+    potential=potential,
+    joint=joint,
+    outputs=outputs,
+    initial=initial,
+    require=require,
+)
+
+PENDULUM = manipulator(
+    text="Swing column, boom, stick and a processing head that swings in a Hooke joint",
+    validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane, no stops",
+    parameters=PendulumParameters,
+    states=PendulumState,
+    outputs=PendulumOutputs,
+    head=HANGING,
+)

@@ -1,0 +1,35 @@
+"""A swinging head and dry friction together: the equations of `pendulum` and of `friction`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fmus.manipulator.friction import BRISTLES, FrictionOutputs, FrictionParameters, FrictionState
+from fmus.manipulator.model import manipulator
+from fmus.manipulator.pendulum import HANGING, PendulumOutputs, PendulumParameters, PendulumState
+
+
+@dataclass(frozen=True)
+class PendulumFrictionParameters(PendulumParameters, FrictionParameters):
+    """Those of both."""
+
+
+@dataclass(frozen=True)
+class PendulumFrictionState(PendulumState, FrictionState):
+    """Those of both."""
+
+
+@dataclass(frozen=True)
+class PendulumFrictionOutputs(PendulumOutputs, FrictionOutputs):
+    """Those of both."""
+
+
+PENDULUM_FRICTION = manipulator(
+    text="Swing column, boom, stick with dry friction and a processing head that swings in a Hooke joint",
+    validity="rigid slender links; head within 80 degrees of the arm's plane; friction independent of load",
+    parameters=PendulumFrictionParameters,
+    states=PendulumFrictionState,
+    outputs=PendulumFrictionOutputs,
+    head=HANGING,
+    friction=BRISTLES,
+)
