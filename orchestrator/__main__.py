@@ -74,6 +74,14 @@ Parameters = Annotated[
         help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
     ),
 ]
+Swap = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="COMPONENT=FMU",
+        help="Another FMU in the place of a component: the name of a variant, such as boom_stick=detailed,"
+        " or a path, boom_stick=FILE.fmu; repeatable.",
+    ),
+]
 Cut = Annotated[
     list[str] | None,
     typer.Option(
@@ -97,6 +105,7 @@ def run(
     record_step: RecordStep = None,
     start: Start = None,
     stop: Stop = None,
+    swap: Swap = None,
     parameters: Parameters = None,
     set_: Set = None,
     cut: Cut = None,
@@ -122,6 +131,7 @@ def run(
         record_step=record_step,
         start=start,
         stop=stop,
+        swap=commands.swaps(swap or []),
         parameters=parameters or (),
         set=commands.assignments(set_ or []),
         cut=cut or (),
@@ -202,6 +212,7 @@ def validate(
     record_step: RecordStep = None,
     start: Start = None,
     stop: Stop = None,
+    swap: Swap = None,
     parameters: Parameters = None,
     set_: Set = None,
     cut: Cut = None,
@@ -223,6 +234,7 @@ def validate(
         record_step=record_step,
         start=start,
         stop=stop,
+        swap=commands.swaps(swap or []),
         parameters=parameters or (),
         set=commands.assignments(set_ or []),
         cut=cut or (),

@@ -66,7 +66,7 @@ def connection(system: System, source: Port, target: Port, linear: Linear) -> Co
     result, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{result}: expected an output and an input, got {y.causality} and {u.causality}")
-    if _family(y) != _family(u) or y.kind == "String":
+    if family(y) != family(u) or y.kind == "String":
         raise Problem(f"{result}: variables of type {y.kind} and {u.kind} cannot be connected")
     return result
 
@@ -81,6 +81,6 @@ def check_single(connections: Iterable[Connection]) -> tuple[Connection, ...]:
     return tuple(seen.values())
 
 
-def _family(variable: Variable) -> str:
-    """Integers and enumerations may be connected with each other."""
+def family(variable: Variable) -> str:
+    """The types that may be connected: alike, and integers with enumerations."""
     return "Integer" if variable.kind == "Enumeration" else variable.kind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -86,6 +86,7 @@ def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **op
     }
     for name in ("parameters", "cut"):
         facts |= {name: ", ".join(options[name])} if options.get(name) else {}
+    facts |= {f"swap {name}": chosen for name, chosen in (options.get("swap") or {}).items()}
     return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
 
 
@@ -96,15 +97,17 @@ def simulated(
     step: float | None = None,
     record_step: float | None = None,
     cut: Sequence[str] = (),
+    swap: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Result:
     """Co-simulate with a progress bar; a run that ends early is saved to the file `out`.
 
     record_step   [s]; default: 5 ms or as near below it as the step allows, at least one step
-    cut           patterns of the inputs whose connections are left out
+    cut           patterns of the inputs whose connections are left out, before anything else
+    swap          other FMUs: component -> name of a variant, or path
     """
     check_suffix(out)
-    loaded = load(_there(system)).without(*cut)
+    loaded = load(_there(system)).without(*cut).swapped(swap or {})
     step = communication_step(loaded, step)
     interval = thinned(step) if record_step is None else record_step
     folder(out.parent)
@@ -155,12 +158,19 @@ def signals(system: Path, kind: str | None = None) -> None:
     print("\n".join(lines(load(_there(system)), kind)))
 
 
-def assignments(texts: Iterable[str]) -> dict[str, str]:
-    """{name: value} from the texts 'name=value'."""
+def swaps(texts: Iterable[str]) -> dict[str, str]:
+    """{component: variant or path} from the texts 'component=variant'."""
+    return assignments(texts, "--swap", "component=variant or component=file.fmu")
+
+
+def assignments(
+    texts: Iterable[str], option: str = "--set", expected: str = "component.variable=value or input=value"
+) -> dict[str, str]:
+    """{name: value} from the texts 'name=value' of an option."""
     values = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
-            raise Problem(f"--set {text}: expected component.variable=value or input=value")
+            raise Problem(f"{option} {text}: expected {expected}")
         values[name.strip()] = value.strip()
     return values

@@ -19,13 +19,29 @@ FOLDER, SUFFIX = "resources", ".ssv"
 def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     """The system with start values from parameter sets, later ones over earlier ones.
 
-    A set may name connected inputs: what it says of them holds until the run has initialised.
+    A set may name connected inputs: what it says of them holds until the run has initialised. What it says of
+    a variable that was lost in a swap is left out.
     """
     for chosen in sets:
         file = _file(system, chosen)
+        lost = _lost(system)
         for entry in entries(file, parse(file, "ParameterSet"), {}):
-            system = _with_entry(system, file, entry)
+            if entry.name in lost:
+                note = f"{file}: {entry.name} is left out: {lost[entry.name]} has no such variable"
+                system = replace(system, notes=(*system.notes, note))
+            else:
+                system = _with_entry(system, file, entry)
     return system
+
+
+def _lost(system: System) -> Mapping[str, Location | None]:
+    """Names that only a swapped FMU knew -> the file of the new one."""
+    return {
+        f"{c.name}.{variable}": c.source
+        for c in system.components.values()
+        for variable in (c.replaced.variables if c.replaced else ())
+        if variable not in c.interface.variables
+    }
 
 
 def _with_entry(system: System, file: Location, entry: Entry) -> System:
@@ -39,7 +55,7 @@ def _with_entry(system: System, file: Location, entry: Entry) -> System:
     for port, linear in targets:
         variable = system.variable(port)
         settable(port, system.components[port.component].interface)
-        own = system.inputs[entry.name].unit if entry.name in system.inputs else variable.unit
+        own = system.inputs[entry.name].unit if entry.name in system.inputs else system.unit(port)
         first, note = conversion(entry.unit, own, where)
         notes += [note] if note else []
         fresh[port.component][port.variable] = coerce(where, variable, entry.text, first.then(linear))

@@ -79,6 +79,7 @@ def run(
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,
+    swap: Mapping[str, str | Path] | None = None,
     parameters: Sequence[str | Path] = (),
     set: Mapping[str, Value | str] | None = None,
     record: Sequence[str] | None = None,
@@ -98,6 +99,7 @@ def run(
     master          "jacobi" or "gauss-seidel"
     step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
+    swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
     parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
     set             start values {name: value}, in the FMU's units, named like the columns of a scenario
     record          names of the signals to record; default: all outputs, all inputs that are fed and all that
@@ -115,8 +117,8 @@ def run(
     """
     from orchestrator.ssp import load
 
-    whole = with_sets(system if isinstance(system, System) else load(system), parameters)
-    whole = whole.with_start(set or {})
+    whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
+    whole = with_sets(whole, parameters).with_start(set or {})
     driven = _scenario(whole, scenario)
     if driven:
         whole = driven[0].released(whole)

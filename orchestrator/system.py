@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.archive import Location
 from orchestrator.errors import Problem, suggest
 from orchestrator.interface import Interface, Value, Variable
-from orchestrator.units import IDENTITY, Linear, Unit
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 FEW = 4  # names that fit into a message
 
@@ -27,12 +28,17 @@ class Port(NamedTuple):
 
 @dataclass(frozen=True)
 class Component:
-    """One FMU in the system; `start` holds values set before initialisation."""
+    """One FMU in the system.
+
+    start      values set before initialisation
+    replaced   the FMU that was here before a swap
+    """
 
     name: str
     interface: Interface
     source: Location | None = None
     start: Mapping[str, Value] = field(default_factory=dict)
+    replaced: Interface | None = None
 
 
 @dataclass(frozen=True)
@@ -106,11 +112,11 @@ class System:
         if name in self.inputs:
             return self.inputs[name].targets
         same = [] if self._find(name) else [p for p in self.ports("input") if p.variable == name]
-        units = {self.variable(p).unit for p in same}
+        units = {self.unit(p) for p in same}
         if len(units) > 1:
-            each = ", ".join(f"{p} {self.variable(p).unit or '[-]'}" for p in same)
+            each = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in same)
             raise Problem(f"{name} names inputs in different units: {each}")
-        return tuple((port, IDENTITY) for port in same or [self.port(name)])
+        return tuple((port, self._given(port)) for port in same or [self.port(name)])
 
     def names(self) -> list[str]:
         """All `component.variable` names."""
@@ -129,7 +135,7 @@ class System:
             if port not in taken and self.variable(port).kind != "String":
                 found.setdefault(port.variable, []).append(port)
         return {
-            name: Inlet(name, self.variable(ports[0]).unit, tuple((p, IDENTITY) for p in ports))
+            name: Inlet(name, self.unit(ports[0]), tuple((p, self._given(p)) for p in ports))
             for name, ports in found.items()
         }
 
@@ -143,6 +149,17 @@ class System:
     def variable(self, port: Port) -> Variable:
         """The declaration of a port."""
         return self.components[port.component].interface.variables[port.variable]
+
+    def unit(self, port: Port) -> Unit | None:
+        """The unit of values that are given for a port: of a swapped FMU, that of the one before it."""
+        before = self.components[port.component].replaced
+        known, own = before.variables.get(port.variable) if before else None, self.variable(port).unit
+        same = known and known.unit and (own is None or known.unit.dimension == own.dimension)
+        return known.unit if known and same else own
+
+    def _given(self, port: Port) -> Linear:
+        """From the unit of given values to that of the FMU."""
+        return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
 
     def with_start(self, values: Mapping[str, Value | str]) -> System:
         """The same system with other start values, given by names as `targets` knows them."""
@@ -172,6 +189,15 @@ class System:
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (f"cut, so these inputs keep their start values: {', '.join(cut)}",) if cut else ()
         return replace(self, connections=kept, notes=self.notes + notes)
+
+    def swapped(self, swaps: Mapping[str, str | Path]) -> System:
+        """The same system with other FMUs: component -> the name of a variant, or the path of an .fmu file.
+
+        Variants lie in `variants/` beside the system's file. The new FMU must have the ports that are used.
+        """
+        from orchestrator.swap import swapped
+
+        return swapped(self, swaps)
 
 
 def settable(port: Port, interface: Interface) -> None:

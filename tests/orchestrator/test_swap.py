@@ -1,0 +1,299 @@
+"""Another FMU in the place of a component: which one, whether it fits, and what the system then does."""
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, assemble, load, run
+from orchestrator.__main__ import main
+
+SSD = """<SystemStructureDescription version="1.0" name="bench"
+ xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"><System name="bench">
+<Connectors><Connector name="command" kind="input"/><Connector name="result" kind="output"/></Connectors>
+<ParameterBindings><ParameterBinding><ParameterValues>
+<ssv:ParameterSet version="1.0" name="p" xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues">
+<ssv:Parameters><ssv:Parameter name="g.factor"><ssv:Real value="3"/></ssv:Parameter>
+<ssv:Parameter name="g.offset"><ssv:Real value="2"/></ssv:Parameter></ssv:Parameters></ssv:ParameterSet>
+</ParameterValues></ParameterBinding></ParameterBindings>
+<Elements><Component name="g" source="resources/gain.fmu"><Connectors>
+<Connector name="u" kind="input"/><Connector name="y" kind="output"/></Connectors></Component></Elements>
+<Connections><Connection startConnector="command" endElement="g" endConnector="u"/>
+<Connection startElement="g" startConnector="y" endConnector="result"/></Connections></System>
+</SystemStructureDescription>"""
+SSV = """<ParameterSet version="1.0" name="p"><Parameters>
+<Parameter name="g.offset"><Real value="5"/></Parameter></Parameters></ParameterSet>"""
+
+
+def edited(fmu, name, *changes):
+    """A copy of an FMU beside it, with (pattern, replacement) in its model description."""
+    path = fmu.with_name(f"{name}.fmu")
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(path, "w") as new:
+        for member in old.namelist():
+            content = old.read(member)
+            if member == "modelDescription.xml":
+                text = content.decode()
+                for pattern, replacement in changes:
+                    text, count = re.subn(pattern, replacement, text, flags=re.DOTALL)
+                    assert count, pattern
+                content = text.encode()
+            new.writestr(member, content)
+    return path
+
+
+def renamed(port, name="other"):
+    """A change that takes a port away by giving it another name."""
+    return f'name="{port}" valueReference', f'name="{name}" valueReference'
+
+
+def caused(port, causality):
+    """A change of the causality of a port."""
+    variability = "fixed" if causality == "parameter" else "continuous"
+    pattern = rf'(name="{port}" valueReference="\d+" causality=)"\w+" variability="\w+"'
+    return pattern, rf'\1"{causality}" variability="{variability}"'
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch, fmus, zip_ssp):
+    """A working directory with build/harvester.ssp around gain.fmu and two variants of it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "build/variants").mkdir(parents=True)
+    files = {"resources/gain.fmu": fmus["gain"], "resources/high.ssv": SSV}
+    zip_ssp(SSD, files, "build/harvester.ssp")
+    for name in ("fine", "coarse"):
+        (tmp_path / f"build/variants/g_{name}.fmu").write_bytes(fmus["gain"].read_bytes())
+    return load("build/harvester.ssp")
+
+
+def test_a_swapped_twin_gives_the_same_numbers(fmus, fmus3, oscillator):
+    """Bit for bit, also with an FMI 3.0 FMU in a system of FMI 2.0; the card names model and file."""
+    usual = run(oscillator, step=1e-3, stop=0.1).trace
+    for workshop in (fmus, fmus3):
+        result = run(oscillator, step=1e-3, stop=0.1, swap={"b": str(workshop["mass_b"])})
+        for name, values in usual.signals.items():
+            np.testing.assert_array_equal(result.trace[name], values)
+        assert result.card.notes == (f"b is swapped: mass_b ({workshop['mass_b']})",)
+        assert list(result.system.components) == ["a", "b"]
+    assert oscillator.components["b"].replaced is None  # the given system is as it was
+
+
+def test_variants_lie_beside_the_system(bench):
+    """By name; a name that ends in .fmu is a path."""
+    for chosen in ("fine", "build/variants/g_coarse.fmu", Path("build/variants/g_coarse.fmu")):
+        result = run(bench, step=0.5, stop=1.0, swap={"g": chosen})
+        np.testing.assert_array_equal(result.trace["result"], 2.0)
+        assert "build/variants/g_" in result.card.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("swaps", "message"),
+    [
+        ({"g": "rough"}, "g_rough.fmu; there are coarse, fine; harvester build makes the variants"),
+        ({"h": "fine"}, "swap h=fine: no component 'h'; there are g"),
+        ({"g": "none.fmu"}, "swap g=none.fmu: no such file"),
+        ({"g": "build/harvester.ssp"}, "swap g=build/harvester.ssp: no file "),
+    ],
+)
+def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
+    """With what is there."""
+    with pytest.raises(Problem, match=re.escape(message)):
+        bench.swapped(swaps)
+
+
+def test_a_system_without_a_file_has_no_variants(oscillator):
+    """Assembled in Python."""
+    with pytest.raises(Problem, match=r"swap a=fine: the system has no file to look for variants beside"):
+        oscillator.swapped({"a": "fine"})
+
+
+def test_convertible_units_are_converted(fmus):
+    """On wires in and out, also on those with a map of their own; the other components see no difference."""
+    pascal = fmus.make("gain", "gain_pa", units={"u": "Pa", "y": "Pa", "offset": "Pa"})
+    bar = fmus.make("gain", "gain_bar", units={"u": "bar", "y": "bar", "offset": "bar"})
+    source = fmus.make("source", "source_pa", units={"y": "Pa", "offset": "Pa"})
+    wires = [("s.y", "g.u", 2.0, 1e5), "g.y -> end.u"]
+    start = {"s.offset": 3e5, "s.amplitude": 0.0, "g.offset": 4e5}
+    system = assemble({"s": source, "g": pascal, "end": pascal}, wires, start)
+    result = run(system, step=0.5, stop=1.0, swap={"g": bar})
+    # 2 * 3 bar + 1 bar, plus 4 bar; a few roundings
+    np.testing.assert_allclose(result.trace["g.u"], 7.0, rtol=1e-14)
+    np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
+    assert f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa]: converted" in result.card.notes
+    back = system.swapped({"g": bar}).swapped({"g": pascal})
+    for c, usual in zip(back.connections, system.connections, strict=True):
+        assert c.map(1e5) == pytest.approx(usual.map(1e5), rel=1e-14)
+
+
+def test_given_values_stay_in_the_units_of_the_replaced_fmu(fmus):
+    """Start values by name, also by the bare name of an input that others have too."""
+    pascal = fmus.make("gain", "gain_pa", units={"u": "Pa"})
+    bar = fmus.make("gain", "gain_bar", units={"u": "bar"})
+    system = assemble({"g": pascal, "h": pascal})
+    for name in ("u", "g.u"):
+        trace = run(system, step=0.5, stop=1.0, swap={"g": bar}, set={name: 3e5}).trace
+        np.testing.assert_allclose(trace["g.y"], 3.0, rtol=1e-15)  # one product, rounding only
+
+
+def test_units_that_the_fmu_does_not_state_are_assumed(fmus, oscillator):
+    """Those of the replaced FMU, with a note; the signals keep them."""
+    bare = edited(fmus["mass_b"], "bare", (r' unit="[^"]*"', ""), ("<UnitDef.*UnitDefinitions>", ""))
+    result = run(oscillator, step=1e-3, stop=0.1, swap={"b": bare})
+    assert result.card.notes[1] == (
+        f"{bare} states no unit of force, x: taken as that of the FMU it replaces"
+    )
+    assert result.trace.units["b.force"] == "N"
+
+
+FAULTS = {
+    "missing": ([renamed("force")], "expected input force [N], got none"),
+    "misspelt": ([renamed("force", "forces")], "expected input force [N], got none (it has forces)"),
+    "unit": ([('unit="m"', 'unit="N"')], "expected output x [m], got [N]"),
+    "undefined": (
+        [('unit="m"', 'unit="cm"')],
+        "expected output x [m], got [cm], a unit without definition",
+    ),
+    "causality": ([caused("x", "local")], "expected output x [m], got a local variable"),
+    "fixed": ([caused("force", "parameter")], "expected input force [N], got a parameter"),
+    "turned": ([caused("x", "input")], "expected output x [m], got an input"),
+    "type": (
+        [(r'(name="x" [^>]*)"continuous"><Real unit="m"', r'\1"discrete"><Integer')],
+        "expected output x of type Real, got type Integer",
+    ),
+    "two": (
+        [renamed("force"), ('unit="m"', 'unit="N"')],
+        "expected input force [N], got none; expected output x [m], got [N]",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), FAULTS.values(), ids=FAULTS)
+def test_what_does_not_fit_is_told_in_one_line(fmus, oscillator, changes, message):
+    """Component, file, port, expected, got; all faults together."""
+    faulty = edited(fmus["mass_b"], "faulty", *changes)
+    with pytest.raises(Problem) as caught:
+        oscillator.swapped({"b": faulty})
+    told = str(caught.value).partition("; to do without: ")[0]
+    assert told == f"swap b: {faulty} does not fit: {message}"
+
+
+def test_many_faults_are_counted(fmus3):
+    """The first ones are told, the others counted."""
+    ports = ("float32", "int8", "uint8", "int16", "uint16", "uint32")
+    wires = [f"p.{port}_out -> q.{port}_in" for port in ports]
+    system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, wires)
+    with pytest.raises(
+        Problem, match=r"input uint8_in, got none; expected .*, got none; and 2 more; to do w"
+    ):
+        system.swapped({"q": fmus3["source"]})
+
+
+def test_an_input_may_be_missing_if_its_wire_is_cut(fmus, oscillator):
+    """The message says so where nothing else is wrong and the wire carries no power."""
+    faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
+    with pytest.raises(Problem, match=r"got none; to do without: --cut b.force$"):
+        oscillator.swapped({"b": faulty})
+    result = run(oscillator.without("b.force"), step=1e-3, stop=0.1, swap={"b": faulty})
+    assert np.ptp(result.trace["b.x"]) > 0  # m: it swings by its own spring
+
+
+def test_no_cut_is_suggested_where_power_would_be_lost(fmus):
+    """A bond without one of its two wires is no bond."""
+    wires = ["b.v -> k.v", "k.force -> b.force"]
+    system = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, wires)
+    faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
+    with pytest.raises(Problem, match=r"expected input force \[N\], got none$"):
+        system.swapped({"b": faulty})
+
+
+def test_rate_ports_may_be_missing(fmus):
+    """An input or an output: the wire is left out, and a note says what that costs."""
+    files = {"x": fmus["source"], "v": fmus.make("source", "speed", units={"y": "m/s"}), "d": fmus["drift"]}
+    system = assemble(files, ["x.y -> d.u", "v.y -> d.u_rate"], {"x.amplitude": 0.0, "x.offset": 1.0})
+    plain = edited(fmus["drift"], "plain", (' derivative="1"', ""), renamed("u_rate"))
+    silent = edited(files["v"], "silent", renamed("y"))
+    for name, fmu, port in (("d", plain, "u_rate"), ("v", silent, "y")):
+        result = run(system, step=0.5, stop=1.0, swap={name: fmu})
+        assert [str(c) for c in result.system.connections] == ["x.y -> d.u"]
+        assert f"{fmu} has no {port}: without these rates inputs are held during a step" in str(
+            result.card.notes
+        )
+
+
+def test_a_rate_is_known_by_its_name_only_beside_what_it_changes(fmus):
+    """`u_rate` beside `u`; a `flow_rate` alone is a signal like any other."""
+    undeclared = edited(fmus["drift"], "undeclared", (' derivative="1"', ""))
+    plain = edited(undeclared, "plain", renamed("u_rate"))
+    files = {"v": fmus.make("source", "speed", units={"y": "m/s"}), "d": undeclared}
+    assert assemble(files, ["v.y -> d.u_rate"]).swapped({"d": plain}).connections == ()
+    flow = edited(undeclared, "flow", renamed("u", "level"), renamed("u_rate", "flow_rate"))
+    alone = assemble({**files, "d": flow}, ["v.y -> d.flow_rate"])
+    with pytest.raises(Problem, match=r"expected input flow_rate \[m/s\], got none"):
+        alone.swapped({"d": plain})
+
+
+def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
+    """Position, velocity, acceleration: only the last one may be missing."""
+    speed = fmus.make("source", "speed", units={"y": "m/s"})
+    system = assemble({"v": speed, "g": fmus["glide"]}, ["v.y -> g.velocity"])
+    with pytest.raises(Problem, match=r"expected input velocity \[m/s\], got none"):
+        system.swapped({"g": edited(fmus["glide"], "plain", renamed("velocity"))})
+
+
+def test_start_values_go_over_where_there_is_a_place(bench, fmus):
+    """From the system and from a chosen parameter set; what is lost is noted."""
+    plain = edited(fmus["gain"], "plain", renamed("offset"))
+    result = run(bench, step=0.5, stop=1.0, swap={"g": plain}, parameters=["high"], set={"command": 1.0})
+    np.testing.assert_array_equal(result.trace["result"], 3.0)
+    assert f"{plain} has no offset: what the system sets there is left out" in result.card.notes
+    note = "build/harvester.ssp/resources/high.ssv: g.offset is left out: "
+    assert any(n.startswith(note) for n in result.card.notes)
+    with pytest.raises(Problem, match=r"unknown variable 'g.offset'"):
+        run(bench, step=0.5, stop=1.0, swap={"g": plain}, set={"g.offset": 1.0})
+
+
+def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
+    """An input and an output of the outermost system."""
+    bare = edited(fmus["gain"], "bare", renamed("y"))
+    with pytest.raises(Problem, match=r"expected output y \[m\], got none$"):
+        bench.swapped({"g": bare})
+    units = ('unit="m"', 'unit="mm"'), ('name="m"><BaseUnit m="1"', 'name="mm"><BaseUnit m="1" factor="1e-3"')
+    small = edited(fmus["gain"], "small", *units)
+    trace = run(bench, step=0.5, stop=1.0, swap={"g": small}, set={"command": 4.0}).trace
+    # 4 m = 4000 mm, times 3 plus 2 m; a few roundings
+    np.testing.assert_allclose(trace["g.u"], 4000.0, rtol=1e-14)
+    np.testing.assert_allclose(trace["result"], 14.0, rtol=1e-14)
+
+
+@pytest.mark.usefixtures("bench")
+def test_the_command_line_swaps(capsys):
+    """By name; the card tells."""
+    assert main(["run", "--stop", "1", "--swap", "g=fine"]) == 0
+    assert "note: g is swapped: gain (build/variants/g_fine.fmu)" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize(
+    ("swap", "message"),
+    [
+        ("g", "harvester: --swap g: expected component=variant or component=file.fmu"),
+        ("g=rough", "harvester: swap g=rough: no file build/variants/g_rough.fmu; there are coarse, fine; "),
+        ("g=cycle.fmu", "harvester: swap g=cycle.fmu: no such file"),
+        ("g=text.fmu", "harvester: swap g: text.fmu: expected a zip archive, got something else"),
+        (
+            "g=x.fmu",
+            "harvester: swap g: x.fmu does not fit: expected input u [m], got none; expected output y ",
+        ),
+    ],
+)
+def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):
+    """No traceback, exit status 2, for `run` and `validate`."""
+    Path("text.fmu").write_text("no zip", encoding="utf-8")
+    Path("x.fmu").write_bytes(fmus["mass_a"].read_bytes())
+    for command in ("run", "validate"):
+        assert main([command, "--swap", swap]) == 2
+        told = capsys.readouterr().err
+        assert message in told
+        assert told.count("\n") == 1
