@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from shutil import copyfile
 
 from fmus.contract import ModelError
 from fmus.export.build import build_all
 from fmus.files import shipped
 from fmus.harvester import HARVESTER
-from fmus.machine import ALL
+from fmus.machine import ALL, FAMILIES
 from fmus.scenarios import WORK_CYCLE_STOP
 from fmus.system import write_system
 
 STEP = 1e-3  # default communication step [s]
 SUBFOLDERS = {2: "", 3: "fmi3"}  # of the files by version of FMI
+VARIANTS = "variants"  # the folder in it with every variant of every part, as part_variant.fmu
 
 
 def data(name: str) -> Path:
@@ -28,15 +30,21 @@ def data(name: str) -> Path:
 def build_machine(
     folder: Path, versions: Sequence[int] = (2,), platforms: Sequence[str] | None = None
 ) -> list[Path]:
-    """Write the FMUs of the machine, its levers and the whole, and harvester.ssp; their paths.
+    """Write the FMUs of the machine, its levers and the whole, harvester.ssp, and all variants; their paths.
 
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.platforms`; by default the one this runs on
     """
     subs = [*ALL.values(), HARVESTER]
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
+    others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
+    built = build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms)
+    more = build_all(others, {f: d / VARIANTS for f, d in folders.items()}, STEP, WORK_CYCLE_STOP, platforms)
     paths: list[Path] = []
-    for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms).items():
-        fmus = dict(zip((sub.name for sub in subs), built, strict=True))
-        paths += [*built, write_system(folders[fmi], fmus, STEP, fmi)]
+    for fmi, place in folders.items():
+        fmus = dict(zip((sub.name for sub in subs), built[fmi], strict=True))
+        paths += [*built[fmi], write_system(place, fmus, STEP, fmi), *more[fmi]]
+        for part, variants in FAMILIES.items():
+            paths.append(place / VARIANTS / f"{part}_{next(iter(variants))}.fmu")
+            copyfile(fmus[part], paths[-1])
     return paths

@@ -25,7 +25,7 @@ from fmus.export.interface import interface
 from fmus.export.proof import STEP, data_file, parameter_set
 from fmus.harvester import HARVESTER
 from fmus.levers import LEVERS
-from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine import COMMAND_WIRES, CONNECTIONS, FAMILIES, INPUTS, SUBSYSTEMS, SUPPLY_WIRES
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 from fmus.tables import write_csv
@@ -54,7 +54,7 @@ def machine() -> dict[str, Array]:
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=TOLERANCE)
     known |= dict(zip(model.output_names, outputs.T, strict=True))
     known |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
-    known |= {target: known[source] for source, target in CONNECTIONS}
+    known |= {target: known[source] for source, target in (*CONNECTIONS, *SUPPLY_WIRES) if source in known}
     return {name: samples[::2] for name, samples in (known | driven).items()}
 
 
@@ -64,7 +64,7 @@ def stimuli(sub: Subsystem, known: Mapping[str, Array]) -> dict[str, Array]:
     equations, rates = column(model.dx, model.y), {q.rate for q in declared.values()}
     found = {}
     for i, name in enumerate(declared):
-        samples = known.get(f"{sub.name}.{name}", known.get(name))
+        samples = known.get(f"{sub.component}.{name}", known.get(name))
         used = name in rates or ca.depends_on(equations, model.u[i])  # else it only initialises
         if used and samples is not None and np.ptp(samples) > 0:
             found[name] = np.array([float(f"{x:.{INPUT_DIGITS}g}") for x in samples])
@@ -137,23 +137,25 @@ def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Arr
 
 
 def main() -> None:
-    """Write the experiments of all subsystems and of the whole."""
+    """Write the experiments of all variants, of the levers and of the whole."""
     known = machine()
-    for sub in (*ALL.values(), HARVESTER):
+    for sub in (*(v for variants in FAMILIES.values() for v in variants.values()), LEVERS, HARVESTER):
         write_reference(sub, known)
 
 
 def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
-    """Write the files of the experiment beside the subsystem."""
+    """Write the files of the experiment beside the subsystem; its variants have the inputs in common."""
     moving = stimuli(sub, known)
     v = start_values(sub, moving)
     count = round(STOP / STEP)
     found = solve(sub, v, moving, count)
-    time = np.arange(count + 1) * STEP
     shown = signals(sub, moving, found)
+    if not shown:
+        return
+    time = np.arange(count + 1) * STEP
     rows = np.column_stack([time, *(found[n] for n in shown)])[::EVERY]
     write_csv(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
-    if moving:
+    if moving and sub.name == sub.component:
         rows = np.column_stack([time, *moving.values()])
         write_csv(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
     face = interface(sub, v)

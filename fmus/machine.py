@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TypeAlias
 
 import numpy as np
 
+from fmus import boom_stick, manipulator, supply, swing
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem
+from fmus.contract import ModelError, Subsystem
 from fmus.levers import LEVERS
 from fmus.manipulator import MANIPULATOR
+from fmus.supply import SUPPLY
 from fmus.swing import SWING
 
-# the machine; and what is built: the machine and its levers
+# all there is of each part, the usual variant first
+FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
+    "swing": swing.VARIANTS,
+    "boom_stick": boom_stick.VARIANTS,
+    "manipulator": manipulator.VARIANTS,
+    "supply": supply.VARIANTS,
+}
+# the machine; and what is built: the machine, its supply and its levers
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
-ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, LEVERS.name: LEVERS}
+ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, LEVERS.name: LEVERS}
+Wires: TypeAlias = tuple[tuple[str, str], ...]
 
 # power ports: what flows over each port and back
-SIGNALS: tuple[tuple[str, str], ...] = (
+SIGNALS: Wires = (
     ("swing.swing_torque", "manipulator.swing_torque"),
     ("manipulator.swing_speed", "swing.swing_speed"),
     ("boom_stick.boom_force", "manipulator.boom_force"),
@@ -29,7 +40,7 @@ SIGNALS: tuple[tuple[str, str], ...] = (
 )
 
 # rate ports: the exact time derivatives of those signals, optional
-RATES: tuple[tuple[str, str], ...] = (
+RATES: Wires = (
     ("swing.swing_torque_rate", "manipulator.swing_torque_rate"),
     ("manipulator.swing_acceleration", "swing.swing_acceleration"),
     ("boom_stick.boom_force_rate", "manipulator.boom_force_rate"),
@@ -39,7 +50,7 @@ RATES: tuple[tuple[str, str], ...] = (
 )
 
 # used only to initialise: pressures that hold the pose
-HOLDING: tuple[tuple[str, str], ...] = (
+HOLDING: Wires = (
     ("manipulator.boom_holding_force", "boom_stick.boom_holding_force"),
     ("manipulator.stick_holding_force", "boom_stick.stick_holding_force"),
 )
@@ -47,10 +58,21 @@ HOLDING: tuple[tuple[str, str], ...] = (
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
 # from the levers, each with its rate
-COMMAND_WIRES: tuple[tuple[str, str], ...] = tuple(
+COMMAND_WIRES: Wires = tuple(
     (f"levers.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
+)
+
+# from and to the supply; without them the drives see an ideal source
+DRIVES = ("swing", "boom_stick")
+SUPPLY_WIRES: Wires = (
+    *(
+        (f"supply.{v}", f"{d}.{v}")
+        for d in DRIVES
+        for v in ("supply_pressure", "supply_pressure_rate", "tank_pressure")
+    ),
+    *((f"{d}.{v}", f"supply.{v}_{d}") for d in DRIVES for v in ("supply_flow", "return_flow")),
 )
 
 # inputs of the machine without levers and the component inputs they feed
@@ -60,6 +82,30 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
     "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
 }
+
+
+def parts(**variants: str) -> dict[str, Subsystem]:
+    """The parts of the machine by name: the usual ones, or of a part named here the variant of that name.
+
+    parts(boom_stick="detailed", supply="engine_pump"); the supply is among them only if it is named.
+    """
+    for part, variant in variants.items():
+        known = FAMILIES.get(part)
+        if known is None or variant not in known:
+            expected = (
+                f"a variant of {part}: {', '.join(known)}" if known else f"a part: {', '.join(FAMILIES)}"
+            )
+            raise ModelError(f"{part}={variant}: expected {expected}")
+    return {**SUBSYSTEMS} | {part: FAMILIES[part][variant] for part, variant in variants.items()}
+
+
+def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Wires, Mapping[str, tuple[str, ...]]]:
+    """Connections and inputs of a machine of these parts; the supply, if there, stands for its inputs."""
+    if SUPPLY.name not in chosen:
+        return CONNECTIONS, INPUTS
+    fed = {target for _, target in SUPPLY_WIRES}
+    return CONNECTIONS + SUPPLY_WIRES, {n: ends for n, ends in INPUTS.items() if not fed & set(ends)}
+
 
 # joint angles [rad] between which the arm works; the strokes reach a little further
 WORK_SPACE: Mapping[str, tuple[float, float]] = {"boom_angle": (-0.45, 1.0), "stick_angle": (-2.15, -0.6)}

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from fmus.contract import ModelError, Subsystem, quantities
-from fmus.machine import ALL, SUBSYSTEMS
+from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
 
 LEGEND = "\n".join(f"{word:<11} {meaning}" for word, meaning in SOURCES.items())
@@ -55,11 +55,12 @@ def show(name: str | None = None, source: str | None = None) -> None:
 
     The levers' program is no number of the machine; it has a table of its own.
     """
-    if name is not None and name not in ALL:
-        raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(ALL)}")
+    known = {**ALL, **{sub.name: sub for variants in FAMILIES.values() for sub in variants.values()}}
+    if name is not None and name not in known:
+        raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(known)}")
     if source is not None and source not in SOURCES:
         raise ModelError(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
-    subs = [ALL[name]] if name else list(SUBSYSTEMS.values())
+    subs = [known[name]] if name else list(SUBSYSTEMS.values())
     for table in filter(None, ("\n".join(lines(sub, source)) for sub in subs)):
         print(f"{table}\n")
     print(f"{LEGEND}\n\n{count(subs, source)}")

@@ -1,4 +1,4 @@
-"""harvester.ssp: the FMUs of the machine and its levers, connected, with poses and programs to choose."""
+"""harvester.ssp: the machine, its supply and its levers as connected FMUs, with poses and programs."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from fmus.export.ssp import write_ssp
 from fmus.levers import LEVERS
-from fmus.machine import COMMAND_WIRES, CONNECTIONS
+from fmus.machine import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES
 from fmus.poses import NOMINAL, POSES, pose_set
 from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 
 NAME = "harvester"
-# some tools initialise in the order of the file: the manipulator's holding forces come first
-ORDER = ("manipulator", "boom_stick", "swing", "levers")
-COLUMNS = (("levers",), ("boom_stick", "swing"), ("manipulator",))
+# some tools initialise in the order of the file: holding forces and supply pressure come first
+ORDER = ("manipulator", "supply", "boom_stick", "swing", "levers")
+COLUMNS = (("levers", "supply"), ("boom_stick", "swing"), ("manipulator",))
 VERSIONS = {2: "1.0", 3: "2.0"}  # of SSP, by the version of FMI
 
 
@@ -27,7 +27,7 @@ def write_system(folder: Path, fmus: Mapping[str, Path], step: float, fmi: int =
         Path(folder) / f"{NAME}.ssp",
         NAME,
         {name: fmus[name] for name in ORDER},
-        CONNECTIONS + COMMAND_WIRES,
+        CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES,
         stop=WORK_CYCLE_STOP,
         step=step,
         sets=parameter_sets(),

@@ -23,7 +23,7 @@ def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, ic
     environment = Environment(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    text, sections = prose(sub.values.parent / "README.md")
+    text, sections = prose(sub.values.parent / "README.md", sub.variant)
     groups = tables.parameters(sub, face)
     start = tables.start_values(sub, face)
     used = {row.number.source for group in (*groups, *start) for row in group.rows if row.number}

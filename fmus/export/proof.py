@@ -40,8 +40,10 @@ _RELATED = {
 
 
 def data_file(sub: Subsystem, name: str) -> Path:
-    """Where a file of the experiment is kept."""
-    return sub.values.parent / f"reference_{name}"
+    """Where a file of the experiment is kept; all variants of a part get the same inputs."""
+    own = sub.name.removeprefix(sub.component).strip("_")
+    which = f"reference_{own}" if own and name != "input.csv" else "reference"
+    return sub.values.parent / f"{which}_{name}"
 
 
 def proof(sub: Subsystem) -> dict[str, bytes]:

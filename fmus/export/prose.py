@@ -12,6 +12,7 @@ from markupsafe import Markup
 from fmus.files import shipped
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+_VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
 
 
@@ -29,11 +30,15 @@ class Section:
         return re.sub(r"^[\d.]+ ", "", self.title).partition(",")[0]
 
 
-def prose(readme: Path) -> tuple[Markup, list[Section]]:
-    """A README without its title as HTML, and the sections of other documents that it links to."""
+def prose(readme: Path, variant: str = "") -> tuple[Markup, list[Section]]:
+    """A README without its title as HTML, and the sections of other documents that it links to.
+
+    Of the sections about variants, whose headings are plain lower-case names, only that of `variant` stays.
+    """
     if not readme.is_file():
         return Markup(), []
     text = re.sub(r"\A# .*\n", "", readme.read_text(encoding="utf-8"))
+    text = _VARIANT.sub(lambda section: section[0] if section[1] == variant else "", text)
     sections: dict[str, str] = {}
     for _, target in _LINK.findall(text):
         file, _, anchor = target.partition("#")

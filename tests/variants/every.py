@@ -1,0 +1,61 @@
+"""Every variant of every part as FMUs of both back ends, driven by the inputs of the machine at work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from driver import Driver, driving
+
+from fmus.contract import Subsystem, quantities
+from fmus.export.proof import STEP, data_file
+from fmus.levers import LEVERS
+from fmus.machine import FAMILIES
+
+EVERY: dict[str, Subsystem] = {
+    f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()
+} | {LEVERS.name: LEVERS}
+
+
+@cache
+def work(sub: Subsystem) -> dict[str, np.ndarray]:
+    """Inputs over time, a value every 10 ms, as the machine at work gives them to this part."""
+    path = data_file(sub, "input.csv")
+    if not path.is_file():
+        return {}
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: table[name] for name in table.dtype.names if name in quantities(sub.inputs)}
+
+
+def row(sub: Subsystem, k: int) -> dict[str, float]:
+    """The inputs at one instant."""
+    return {name: float(samples[k]) for name, samples in work(sub).items()}
+
+
+@contextmanager
+def at_work(path, sub: Subsystem, until: float, kind: str = "cs") -> Iterator[Driver]:
+    """The FMU after `until` seconds of work."""
+    with driving(path, kind, **row(sub, 0)) as fmu:
+        for k in range(round(until / STEP)):
+            fmu.set(**row(sub, k))
+            fmu.step(STEP)
+        yield fmu
+
+
+def outputs(sub: Subsystem) -> list[str]:
+    """Names of all outputs."""
+    return list(quantities(sub.outputs))
+
+
+def native(name: str, folder: Path) -> Path:
+    """The native FMU in a folder that `build_machine` filled."""
+    return folder / f"{name}.fmu" if name == LEVERS.name else folder / "variants" / f"{name}.fmu"
+
+
+def python(name: str, folder: Path) -> Path:
+    """The Python FMU, built into a folder when it is first asked for."""
+    path = folder / f"{EVERY[name].name}.fmu"
+    return path if path.is_file() else build_python(EVERY[name], folder)

@@ -1,0 +1,125 @@
+"""Every variant of every part, in a machine at work: power in is power out, stored, or heat."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from fmus.contract import quantities
+from fmus.machine import FAMILIES, parts, wiring
+from fmus.monolith import breakpoints, join
+from fmus.scenarios import COMMANDS, PROGRAMS, sample
+
+# machines that hold every variant of every part at least once
+MACHINES = (
+    {},
+    {"swing": "quasistatic", "boom_stick": "quasistatic", "manipulator": "friction", "supply": "ideal"},
+    {"swing": "detailed", "manipulator": "pendulum", "supply": "engine_pump"},
+    {"boom_stick": "detailed", "manipulator": "pendulum_friction"},
+)
+STOP = 5.0  # s: boom, swing and stick move and are braked
+TOLERANCE = 1e-9  # of CVODES, quadratures included
+BAR = 1e-6  # of the energy that went through
+
+
+def test_machines_hold_every_variant():
+    """The machines of this file leave no variant out."""
+    met = {(part, m.get(part, next(iter(variants)))) for m in MACHINES for part, variants in FAMILIES.items()}
+    assert met == {(part, v) for part, variants in FAMILIES.items() for v in variants}
+
+
+def powers(part, signal):
+    """What flows into a part over its ports [W], one expression for each port; `signal` gives any variable."""
+    if part == "supply":
+        into = [signal("supply.engine_power")] if signal("supply.engine_power") is not None else []
+        taken = (signal(f"supply.supply_flow_{d}") for d in ("swing", "boom_stick"))
+        given = (signal(f"supply.return_flow_{d}") for d in ("swing", "boom_stick"))
+        into += [-signal("supply.supply_pressure") * q for q in taken]
+        return into + [signal("supply.tank_pressure") * q for q in given]
+    if part == "manipulator":
+        into = [signal("manipulator.swing_torque") * signal("manipulator.swing_speed")]
+        for a in ("boom", "stick"):
+            force = signal(f"manipulator.{a}_force") + signal(f"manipulator.{a}_stop_force")
+            into.append(force * signal(f"manipulator.{a}_velocity"))
+        return into
+    into = [
+        signal(f"{part}.supply_pressure") * signal(f"{part}.supply_flow"),
+        -signal(f"{part}.tank_pressure") * signal(f"{part}.return_flow"),
+    ]
+    if part == "swing":
+        return [*into, -signal("swing.swing_torque") * signal("swing.swing_speed")]
+    into += [-signal(f"{part}.{a}_force") * signal(f"{part}.{a}_velocity") for a in ("boom", "stick")]
+    return [*into, signal("boom_stick.convected_power")]
+
+
+def stored(part, signal):
+    """Energy of a part [J]."""
+    kinds = ("stored_energy", "kinetic_energy", "potential_energy")
+    return sum(e for kind in kinds if (e := signal(f"{part}.{kind}")) is not None)
+
+
+@cache
+def audit(index):
+    """Part -> energy in, its gross turnover, heat and change of the stored energy [J] over the run."""
+    chosen = parts(**MACHINES[index])
+    connections, inputs = wiring(chosen)
+    model = join(chosen, connections, inputs)
+    x, u, p = (ca.SX.sym(n, k) for n, k in (("x", len(model.x)), ("u", len(model.u)), ("p", len(model.p))))
+    shown = dict(zip(model.output_names, ca.vertsplit(model.outputs(x, u, p)), strict=True))
+    constant = {f"{n}.{v}": 0.0 for n, s in chosen.items() for v in quantities(s.inputs)}
+    fed = {end: u[model.inputs.index(n)] for n, ends in inputs.items() for end in ends}
+    fed |= {target: shown[source] for source, target in connections}
+
+    def signal(name):
+        return shown.get(name, fed.get(name, constant.get(name)))
+
+    audited = [name for name in chosen if (name, chosen[name].variant) != ("supply", "ideal")]
+    rates = []
+    for part in audited:
+        into = powers(part, signal)
+        heat = signal(f"{part}.dissipated_power")
+        rates += [sum(into), sum(ca.fabs(w) for w in into), heat]
+    energies = ca.Function("e", [x, u, p], [ca.vertcat(*(stored(part, signal) for part in audited))])
+    x_end, quad, x_start, u_end = _integrate(model, x, u, p, ca.vertcat(*rates))
+    change = (energies(x_end, u_end, model.p) - energies(*x_start, model.p)).full()[:, 0]
+    return {part: (*quad[3 * i : 3 * i + 3], change[i]) for i, part in enumerate(audited)}
+
+
+def _integrate(model, x, u, p, rates):
+    """Final state, integrals of `rates`, start, final inputs: CVODES between the corners of the program."""
+    time, commands = sample(PROGRAMS["work_cycle"], STOP)
+    inputs = np.tile(model.u, (time.size, 1))
+    inputs[:, [model.inputs.index(n) for n in COMMANDS]] = commands
+    scale = ca.DM(model.nominal)
+    t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.x))
+    at, slope = ca.SX.sym("at", len(model.u)), ca.SX.sym("slope", len(model.u))
+    f = ca.Function("f", [x, u, p], [model.right_hand_side(x, u, p), rates])
+    dx, q = f(z * scale, at + slope * t, ca.DM(model.p))
+    ode = {"t": t, "x": z, "p": ca.vertcat(at, slope), "ode": dx / scale, "quad": q / 1e3}
+    options = {"reltol": TOLERANCE, "abstol": TOLERANCE, "quad_err_con": True, "max_num_steps": 10**6}
+    state = model.start(model.x, inputs[0], model.p).full()[:, 0]
+    start, total = (state, inputs[0]), np.zeros(q.numel())
+    for first, last in pairwise(breakpoints(time, inputs)):
+        length = time[last] - time[first]
+        solver = ca.integrator("leg", "cvodes", ode, 0.0, length, options)
+        slopes = (inputs[last] - inputs[first]) / length
+        found = solver(x0=state / model.nominal, p=np.concatenate([inputs[first], slopes]))
+        state = found["xf"].full()[:, 0] * model.nominal
+        total += found["qf"].full()[:, 0] * 1e3
+    return state, total, start, inputs[-1]
+
+
+CASES = [(i, part) for i, m in enumerate(MACHINES) for part in parts(**m) if m.get(part) != "ideal"]
+
+
+@pytest.mark.parametrize(("index", "part"), CASES)
+def test_energy_balance_closes_over_the_work_cycle(index, part):
+    """Energy in less heat and change of the stored energy: below 1e-6 of what went through, heat positive."""
+    taken, turnover, heat, change = audit(index)[part]
+    assert turnover > 1e3  # J: the part did work
+    assert heat > 0
+    assert abs(taken - heat - change) < BAR * turnover  # the bar; CVODES leaves some 1e-8
