@@ -12,7 +12,7 @@ from pathlib import Path
 from fmus.build import build_machine, data
 from fmus.machine import SUBSYSTEMS
 from orchestrator import System, load, run
-from orchestrator.cost import empty_call, inside
+from orchestrator.variety.cost import empty_call, inside
 
 REPEATS = 5
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))

@@ -168,9 +168,38 @@ def build(
 
 
 @app.command()
+def variants(
+    system: Annotated[
+        Path, typer.Argument(metavar="SYSTEM", help="The built system, to measure costs in.")
+    ] = SYSTEM,
+    combinations: Annotated[
+        bool, typer.Option("--combinations", help="Run the work cycle with every combination of variants.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Where the table of combinations goes (.csv).")
+    ] = BUILD / "combinations.csv",
+) -> None:
+    """List the variants of each part with states, inputs, validity, and what they cost here."""
+    from fmus.variants import FAMILIES, lines, names
+    from orchestrator.variety import command
+
+    if combinations:
+        joints = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
+        if not command.table(system, {part: list(family) for part, family in FAMILIES.items()}, joints, out):
+            raise typer.Exit(1)
+        return
+    print("\n".join(lines(command.costs(system, names()) if system.exists() else {})))
+    if not system.exists():
+        print(f"{system} is not built: no costs measured; make it with: harvester build")
+
+
+@app.command()
 def parameters(
     subsystem: Annotated[
-        str | None, typer.Argument(help="swing, boom_stick, manipulator or levers; default: the machine")
+        str | None,
+        typer.Argument(
+            help="A part or a variant of it, such as swing or swing_detailed; default: the machine"
+        ),
     ] = None,
     source: Annotated[
         str | None,

@@ -1,0 +1,1 @@
+"""What the variants of a system's components cost, alone and in every combination."""
