@@ -1,9 +1,11 @@
 """Hydraulics of the boom and stick cylinders."""
 
-from fmus.boom_stick import lumped, quasistatic
+from fmus.boom_stick import detailed, lumped, quasistatic
 from fmus.contract import family
 
-VARIANTS = family("boom_stick", lumped=lumped.BOOM_STICK, quasistatic=quasistatic.BOOM_STICK)
+VARIANTS = family(
+    "boom_stick", lumped=lumped.BOOM_STICK, quasistatic=quasistatic.BOOM_STICK, detailed=detailed.BOOM_STICK
+)
 BOOM_STICK = VARIANTS["lumped"]
 
 __all__ = ["BOOM_STICK", "VARIANTS"]
