@@ -8,26 +8,20 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from every import MACHINES
 
 from fmus.contract import quantities
 from fmus.machine import FAMILIES, parts, wiring
 from fmus.monolith import breakpoints, join
 from fmus.scenarios import COMMANDS, PROGRAMS, sample
 
-# machines that hold every variant of every part at least once
-MACHINES = (
-    {},
-    {"swing": "quasistatic", "boom_stick": "quasistatic", "manipulator": "friction", "supply": "ideal"},
-    {"swing": "detailed", "manipulator": "pendulum", "supply": "engine_pump"},
-    {"boom_stick": "detailed", "manipulator": "pendulum_friction"},
-)
 STOP = 5.0  # s: boom, swing and stick move and are braked
 TOLERANCE = 1e-9  # of CVODES, quadratures included
 BAR = 1e-6  # of the energy that went through
 
 
 def test_machines_hold_every_variant():
-    """The machines of this file leave no variant out."""
+    """The machines of the suite leave no variant out."""
     met = {(part, m.get(part, next(iter(variants)))) for m in MACHINES for part, variants in FAMILIES.items()}
     assert met == {(part, v) for part, variants in FAMILIES.items() for v in variants}
 

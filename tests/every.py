@@ -19,6 +19,14 @@ EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()
 } | {LEVERS.name: LEVERS}
 
+# machines that hold every variant of every part at least once
+MACHINES: tuple[dict[str, str], ...] = (
+    {},
+    {"swing": "quasistatic", "boom_stick": "quasistatic", "manipulator": "friction", "supply": "ideal"},
+    {"swing": "detailed", "manipulator": "pendulum", "supply": "engine_pump"},
+    {"boom_stick": "detailed", "manipulator": "pendulum_friction"},
+)
+
 
 @cache
 def work(sub: Subsystem) -> dict[str, np.ndarray]:
