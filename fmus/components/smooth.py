@@ -24,3 +24,26 @@ def positive(z: Scalar, width: Scalar) -> Scalar:
     positive(z) - positive(-z) = z exactly.
     """
     return (z + ca.sqrt(z**2 + width**2)) / 2
+
+
+def capped(z: Scalar, width: Scalar) -> Scalar:
+    """min(z, 1) rounded within width/2 of 1, twice continuously differentiable, exact outside of that."""
+    return z - ramp(z - 1 + width / 2, width)
+
+
+def share(z: Scalar, width: Scalar) -> Scalar:
+    """z limited to 0 ... 1, smooth: never zero, and 1 from 1 + width/2 on.
+
+    Up to 1 - width/2 it is `positive`, above z by less than width^2 / (4 z), and `unlimited` is its inverse.
+    """
+    return capped(positive(z, width), width)
+
+
+def unlimited(s: Scalar, width: Scalar) -> Scalar:
+    """The z whose `share` is s, for 0 < s <= 1 - width."""
+    return s - width**2 / (4 * s)
+
+
+def direction(speed: Scalar, width: Scalar) -> Scalar:
+    """Sign of a speed, rounded: speed / sqrt(speed^2 + width^2)."""
+    return speed / ca.sqrt(speed**2 + width**2)

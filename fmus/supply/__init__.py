@@ -1,9 +1,9 @@
 """Pumps and engine that feed the supply line."""
 
 from fmus.contract import family
-from fmus.supply import ideal
+from fmus.supply import engine_pump, ideal
 
-VARIANTS = family("supply", ideal=ideal.IDEAL)
+VARIANTS = family("supply", ideal=ideal.IDEAL, engine_pump=engine_pump.ENGINE_PUMP)
 SUPPLY = VARIANTS["ideal"]
 
 __all__ = ["SUPPLY", "VARIANTS"]

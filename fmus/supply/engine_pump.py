@@ -1,0 +1,177 @@
+"""Two pressure-compensated pumps side by side on a diesel engine, feeding one supply line.
+
+    C_p p_i' = x_i - k (p_i - P_t) - q_i         outlet line of pump i = 1, 2
+    q_i      = r(p_i - P) / R_c                  its check valve: pumps never take oil back
+    C_s P'   = q_1 + q_2 - Q - Q_r               supply line: what the drives take, main relief valve
+    J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
+    V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
+
+with x, T_i and the strokes from `fmus.components.pump`, T from `fmus.components.engine`, Q_r from
+`fmus.components.relief`, r the `ramp` of `fmus.components.smooth`. Voids in the lines as in
+`fmus.components.chamber`.
+
+    engine_power + P_t return_flow = P supply_flow + dE/dt + heat
+
+engine_power is the work of the combustion, T w; the heat is that of the engine's own friction, friction and
+leakage of the pumps, check valves and relief valve; E is compression, rotation, and P_t V of the tank.
+
+Signs: supply flows are positive out of the supply line, return flows into the tank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+
+from fmus.components import chamber, engine, pump, relief
+from fmus.components.pump import Pump
+from fmus.contract import Scalar, Subsystem
+from fmus.supply.engine_pump_variables import EnginePumpOutputs, EnginePumpParameters, EnginePumpState
+from fmus.supply.variables import TERMINALS, SupplyInputs, return_flow, supply_flow
+
+_SWEEPS = 12  # of the search for the speed at rest; each gains two digits
+
+
+@dataclass(frozen=True)
+class _Working:
+    """One pump at work: outlet pressure over the tank [Pa], its flows [m3/s] and torque [N.m]."""
+
+    pump: Pump
+    rise: Scalar
+    drawn: Scalar
+    leakage: Scalar
+    delivered: Scalar
+    torque: Scalar
+
+
+def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Working]:
+    def work(d: Pump, pressure: Scalar, stroke: Scalar) -> _Working:
+        rise = pressure - p.reservoir_pressure
+        return _Working(
+            d,
+            rise,
+            pump.drawn(d, stroke, x.engine_speed),
+            d.leakage * rise,
+            pump.check_flow(pressure, x.supply_pressure, p.check_resistance, p.check_opening),
+            pump.torque(d, stroke, x.engine_speed, rise),
+        )
+
+    first, second = p.pumps
+    return work(first, x.pump_1_pressure, x.pump_1_stroke), work(second, x.pump_2_pressure, x.pump_2_stroke)
+
+
+def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
+    return relief.flow(p.relief, x.supply_pressure - p.reservoir_pressure)
+
+
+def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
+    """Time derivative of the state, field by field."""
+    a, b = _pumps(x, p)
+    spilled, motor = _relief_flow(x, p), p.engine
+    accelerating = x.engine_torque - engine.friction(motor, x.engine_speed) - a.torque - b.torque
+    net = a.delivered + b.delivered - supply_flow(u) - spilled
+    return EnginePumpState(
+        supply_pressure=chamber.pressure_rate(x.supply_pressure, net, p.rail_capacitance),
+        pump_1_pressure=_outlet_rate(a, x.pump_1_pressure, p),
+        pump_2_pressure=_outlet_rate(b, x.pump_2_pressure, p),
+        pump_1_stroke=pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
+        pump_2_stroke=pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
+        engine_speed=accelerating / motor.inertia,
+        engine_torque=(engine.asked_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
+        reservoir_volume=return_flow(u) + a.leakage + b.leakage + spilled - a.drawn - b.drawn,
+    )
+
+
+def _outlet_rate(w: _Working, pressure: Scalar, p: EnginePumpParameters) -> Scalar:
+    return chamber.pressure_rate(pressure, w.drawn - w.leakage - w.delivered, p.pump_line_capacitance)
+
+
+def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
+    """Outputs."""
+    a, b = _pumps(x, p)
+    taken, given = supply_flow(u), return_flow(u)
+    return EnginePumpOutputs(
+        **vars(x),
+        supply_pressure_rate=dynamics(x, u, p).supply_pressure,
+        tank_pressure=p.reservoir_pressure,
+        supply_flow=taken,
+        return_flow=given,
+        hydraulic_power=x.supply_pressure * taken - p.reservoir_pressure * given,
+        engine_power=x.engine_torque * x.engine_speed,
+        stored_energy=_stored_energy(x, p),
+        dissipated_power=_dissipated_power(x, p),
+        pump_1_flow=a.delivered,
+        pump_2_flow=b.delivered,
+        relief_flow=_relief_flow(x, p),
+        engine_load=a.torque + b.torque,
+    )
+
+
+def _stored_energy(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
+    lines = chamber.stored_energy(x.supply_pressure, p.rail_capacitance) + sum(
+        chamber.stored_energy(pressure, p.pump_line_capacitance)
+        for pressure in (x.pump_1_pressure, x.pump_2_pressure)
+    )
+    return lines + p.engine_inertia * x.engine_speed**2 / 2 + p.reservoir_pressure * x.reservoir_volume
+
+
+def _dissipated_power(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
+    rail = x.supply_pressure - p.reservoir_pressure
+    pumps = sum(
+        pump.loss(w.pump, x.engine_speed, w.rise) + w.delivered * (w.rise - rail) for w in _pumps(x, p)
+    )
+    return pumps + _relief_flow(x, p) * rail + engine.friction(p.engine, x.engine_speed) * x.engine_speed
+
+
+def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
+    """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
+    tank, motor, speed = p.reservoir_pressure, p.engine, p.engine_no_load_speed
+    for _ in range(_SWEEPS):
+        speed = engine.governed_speed(motor, _idle_load(p, speed), speed)
+    (stroke_1, pressure_1), (stroke_2, pressure_2) = (pump.dead_head(d, speed, tank) for d in p.pumps)
+    return {
+        "supply_pressure": ca.fmax(pressure_1, pressure_2),
+        "pump_1_pressure": pressure_1,
+        "pump_2_pressure": pressure_2,
+        "pump_1_stroke": stroke_1,
+        "pump_2_stroke": stroke_2,
+        "engine_speed": speed,
+        "engine_torque": engine.asked_torque(motor, speed),
+        "reservoir_volume": p.reservoir_volume_start,
+    }
+
+
+def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
+    """Torque [N.m] of both pumps that deliver nothing."""
+    load: Scalar = 0
+    for d in p.pumps:
+        stroke, pressure = pump.dead_head(d, speed, p.reservoir_pressure)
+        load = load + pump.torque(d, stroke, speed, pressure - p.reservoir_pressure)
+    return load
+
+
+def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
+    """What must hold beyond the bounds of single parameters."""
+    return {
+        "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,
+        "engine_rated_speed exceeds engine_peak_speed": p.engine_rated_speed - p.engine_peak_speed,
+    }
+
+
+ENGINE_PUMP = Subsystem(
+    name="supply",
+    text="Hydraulic supply: two pressure-compensated pumps on a diesel engine",
+    parameters=EnginePumpParameters,
+    states=EnginePumpState,
+    inputs=SupplyInputs,
+    outputs=EnginePumpOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
+    validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the supply line",
+)
