@@ -29,15 +29,13 @@ from fmus.boom_stick.drives import TERMINALS, holding_pressures, room, surroundi
 from fmus.boom_stick.variables import BoomStickInputs
 from fmus.components import hose_drive, oil, spool_dynamics
 from fmus.components.cylinder_drive import Surroundings
-from fmus.components.detailed_parameters import fluid
+from fmus.components.detailed_parameters import BANDWIDTH, ERROR, fluid
 from fmus.components.hose_drive import DriveState, HoseDrive
 from fmus.components.line import Line, lumps_needed
 from fmus.components.spool_dynamics import SpoolState
 from fmus.contract import Scalar, Subsystem, family
 from fmus.parameters import read
 
-BANDWIDTH = 50.0  # Hz: modes of the hoses up to here ...
-ERROR = 0.05  # ... have frequencies within this share, by default
 NUMBERS = Path(__file__).with_name("parameters.toml")
 
 Names = Mapping[str, DriveState]
@@ -155,7 +153,7 @@ def advised_lumps() -> dict[str, int]:
 def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bool = False) -> Subsystem:
     """The detailed drives.
 
-    lumps               T-lumps per hose, or by axis; by default what `lumps_needed` advises up to 50 Hz
+    lumps               T-lumps per hose, or by axis; by default what `lumps_needed` advises up to 100 Hz
     unsteady_friction   with the frequency-dependent friction of the hoses: three more states for each flow
     """
     count = advised_lumps() if lumps is None else lumps
@@ -185,7 +183,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         initial=lambda x, u, p: _initial(names, x, u, p),
         require=_require,
         values=NUMBERS,
-        validity="modes of the hoses up to 50 Hz within 5 %; no flow forces on spools, one temperature",
+        validity="modes of the hoses up to 100 Hz within 5 %; no flow forces on spools, one temperature",
         terminals=TERMINALS,
     )
     return family("boom_stick", lumped=lumped.BOOM_STICK, detailed=sub)["detailed"]

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.components import chamber, line, motor, oil, relief, spool_dynamics, spool_valve
-from fmus.components.detailed_parameters import fluid
+from fmus.components.detailed_parameters import BANDWIDTH, ERROR, fluid
 from fmus.components.line import Line, LineState, lumps_needed
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_dynamics import SpoolState
@@ -33,8 +33,6 @@ from fmus.swing.detailed_variables import SIDES, DetailedOutputs, DetailedParame
 from fmus.swing.drive import TERMINALS
 from fmus.swing.variables import SwingInputs
 
-BANDWIDTH = 50.0  # Hz: modes of the lines up to here ...
-ERROR = 0.05  # ... have frequencies within this share, by default
 NUMBERS = Path(__file__).with_name("parameters.toml")
 
 Names = tuple[LineState, LineState]
@@ -173,7 +171,7 @@ def advised_lumps() -> int:
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
     """The detailed drive.
 
-    lumps               T-lumps per line; by default what `lumps_needed` advises up to 50 Hz
+    lumps               T-lumps per line; by default what `lumps_needed` advises up to 100 Hz
     unsteady_friction   with the frequency-dependent friction of the lines: three more states for each flow
     """
     names = line_names(advised_lumps() if lumps is None else lumps, unsteady_friction)
@@ -189,7 +187,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
         values=NUMBERS,
-        validity="modes of the lines up to 50 Hz within 5 %; no flow forces on the spool, one temperature",
+        validity="modes of the lines up to 100 Hz within 5 %; no flow forces on the spool, one temperature",
         terminals=TERMINALS,
     )
     return family("swing", lumped=lumped.SWING, detailed=sub)["detailed"]
