@@ -1,4 +1,4 @@
-"""The manipulator's mechanics against Pinocchio, pendulums, conservation laws and plane geometry."""
+"""The mechanics of the manipulator's variants against Pinocchio, pendulums, conservation laws, geometry."""
 
 from __future__ import annotations
 
@@ -11,44 +11,66 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
 from fmus.contract import quantities, symbolic, symbols
-from fmus.manipulator import MANIPULATOR
+from fmus.manipulator import VARIANTS
 from fmus.manipulator.arm import mechanics
-from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import values
 
-NUMBERS = dict(values(MANIPULATOR).p)
+NUMBERS = {variant: dict(values(sub).p) for variant, sub in VARIANTS.items()}
+P = NUMBERS["rigid"]
 CYLINDERS = ("boom", "stick")
 
 
-def _mechanics():
-    """(q, w, p) -> (M, V, G, T, U)."""
-    x, p = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
-    motion = mechanics(x, p, POINT_MASS)
+def _mechanics(sub):
+    """(x, p) -> (M, V, G, T, U) of a variant."""
+    x, p = symbols(sub.states), symbols(sub.parameters)
+    motion = mechanics(x, p, sub.dynamics.args[0].head)
     terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
-    columns = [ca.vertcat(*vars(group).values()) for group in (x, p)]
-    return ca.Function("mechanics", [columns[0][:3], columns[0][3:], columns[1]], terms)
+    return ca.Function("mechanics", [ca.vertcat(*vars(group).values()) for group in (x, p)], terms)
 
 
-MECHANICS = _mechanics()
-MODEL = symbolic(MANIPULATOR).function()
+MECHANICS = {variant: _mechanics(sub) for variant, sub in VARIANTS.items()}
+MODEL = {variant: symbolic(sub).function() for variant, sub in VARIANTS.items()}
+COORDINATES = ("swing", "boom", "stick", "head", "head_side")
 
 
-def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=NUMBERS):
-    """Rates (6,) and outputs by name at states x (6,), forces: swing torque, boom force, stick force."""
-    u = dict.fromkeys(quantities(MANIPULATOR.inputs), 0.0)
+def indices(variant):
+    """Where the angles, the speeds and the other states stand among the states of a variant."""
+    names = list(quantities(VARIANTS[variant].states))
+    angles, speeds = (
+        [names.index(n) for n in (f"{c}_{kind}" for c in COORDINATES) if n in names]
+        for kind in ("angle", "speed")
+    )
+    return angles, speeds, [i for i in range(len(names)) if i not in (*angles, *speeds)]
+
+
+def state(variant, q, w, z=0.0):
+    """States of a variant from angles, speeds and deflections [m or rad]."""
+    angles, speeds, others = indices(variant)
+    x = np.zeros(len(angles) + len(speeds) + len(others))
+    x[angles], x[speeds], x[others] = q, w, z
+    return x
+
+
+def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=P, variant="rigid"):
+    """Rates and outputs by name at states x, forces: swing torque, boom force, stick force."""
+    sub = VARIANTS[variant]
+    u = dict.fromkeys(quantities(sub.inputs), 0.0)
     u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
-    dx, y = MODEL(x, list(u.values()), list(numbers.values()))
-    return np.array(dx).ravel(), dict(zip(quantities(MANIPULATOR.outputs), np.array(y).ravel(), strict=True))
+    dx, y = MODEL[variant](x, list(u.values()), list(numbers.values()))
+    return np.array(dx).ravel(), dict(zip(quantities(sub.outputs), np.array(y).ravel(), strict=True))
 
 
-def random_numbers(rng):
+def random_numbers(rng, variant):
     """All parameters, each moved by up to 20 %; zeros become 0.1, so that a wrong term with them shows."""
-    return {name: value * rng.uniform(0.8, 1.2) if value else 0.1 for name, value in NUMBERS.items()}
+    return {name: value * rng.uniform(0.8, 1.2) if value else 0.1 for name, value in NUMBERS[variant].items()}
 
 
-def random_states(rng):
-    """Angles [rad] around the whole circle and speeds [rad/s] up to 1."""
-    return rng.uniform(-math.pi, math.pi, 3), rng.uniform(-1.0, 1.0, 3)
+def random_state(rng, variant):
+    """Angles [rad] around the whole circle, the side angle as far as allowed, and speeds [rad/s] up to 1."""
+    count = len(indices(variant)[0])
+    q = rng.uniform(-math.pi, math.pi, count)
+    q[4:] *= 1.4 / math.pi
+    return q, rng.uniform(-1.0, 1.0, count)
 
 
 @pytest.fixture(scope="module")
@@ -73,70 +95,107 @@ def arm(pin, p):
     along = [(0.0, p[f"{name}_inertia"], p[f"{name}_inertia"]) for name in CYLINDERS]  # slender links
     centres = [(p[f"{name}_centre_x"], 0.0, p[f"{name}_centre_z"]) for name in CYLINDERS]
     pivots = [np.array([p[f"{name}_pivot_x"], 0.0, p[f"{name}_pivot_z"]]) for name in CYLINDERS]
-    head = (p["head_mass"], (p["stick_length"], 0.0, 0.0), (0.0, 0.0, 0.0))
+    point = (p["head_mass"], (p["stick_length"], 0.0, 0.0), (0.0, 0.0, 0.0))
     boom = link(
         column, pin.JointModelRevoluteUnaligned(up), pivots[0], (p["boom_mass"], centres[0], along[0])
     )
-    link(boom, pin.JointModelRevoluteUnaligned(up), pivots[1], (p["stick_mass"], centres[1], along[1]), head)
+    hangs = "head_length" in p
+    parts = [(p["stick_mass"], centres[1], along[1])] + ([] if hangs else [point])
+    stick = link(boom, pin.JointModelRevoluteUnaligned(up), pivots[1], *parts)
+    if hangs:
+        end, inertia = np.array([p["stick_length"], 0.0, 0.0]), (p["head_inertia"], p["head_inertia"], 0.0)
+        yoke = link(stick, pin.JointModelRevoluteUnaligned(up), end)
+        link(yoke, pin.JointModelRX(), nowhere, (p["head_mass"], (0.0, 0.0, -p["head_length"]), inertia))
     return model, model.createData()
 
 
-def test_mass_matrix_coriolis_gravity_and_energies_are_pinocchio_s(pin):
+def joint_angles(variant):
+    """(n, n) from our angles to those of the tree: its pin turns relative to the stick."""
+    turn = np.eye(len(indices(variant)[0]))
+    turn[3:4, 1:3] = -1.0
+    return turn
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_mass_matrix_coriolis_gravity_and_energies_are_pinocchio_s(pin, variant):
     """M by composite bodies, V and G by Newton-Euler and both energies: the same at any state and numbers."""
-    rng = np.random.default_rng(4)
+    rng, turn = np.random.default_rng(4), joint_angles(variant)
     for _ in range(100):
-        numbers, (q, w) = random_numbers(rng), random_states(rng)
+        numbers, (q, w) = random_numbers(rng, variant), random_state(rng, variant)
         model, data = arm(pin, numbers)
-        upper = np.triu(pin.crba(model, data, q))
-        gravity = pin.computeGeneralizedGravity(model, data, q).copy()
-        coriolis = pin.rnea(model, data, q, w, np.zeros(3)) - gravity
-        theirs = [upper + np.triu(upper, 1).T, coriolis, gravity]
-        theirs += [pin.computeKineticEnergy(model, data, q, w), pin.computePotentialEnergy(model, data, q)]
-        for ours, expected in zip(MECHANICS(q, w, [*numbers.values()]), theirs, strict=True):
+        upper = np.triu(pin.crba(model, data, turn @ q))
+        gravity = pin.computeGeneralizedGravity(model, data, turn @ q).copy()
+        coriolis = pin.rnea(model, data, turn @ q, turn @ w, np.zeros(len(q))) - gravity
+        theirs = [turn.T @ (upper + np.triu(upper, 1).T) @ turn, turn.T @ coriolis, turn.T @ gravity]
+        theirs += [pin.computeKineticEnergy(model, data, turn @ q, turn @ w)]
+        theirs += [pin.computePotentialEnergy(model, data, turn @ q)]
+        ours = MECHANICS[variant](state(variant, q, w), [*numbers.values()])
+        for own, expected in zip(ours, theirs, strict=True):
             # exact identity; 1e-9 is 1e2 rounding errors of terms up to 7e4 that cancel
-            np.testing.assert_allclose(np.array(ours).squeeze(), expected, rtol=1e-11, atol=1e-9)
+            np.testing.assert_allclose(np.array(own).squeeze(), expected, rtol=1e-11, atol=1e-9)
 
 
-def test_acceleration_is_pinocchio_s(pin):
+def friction(variant, numbers, x, y):
+    """Friction torques of the joints and forces of the pistons; those of the head's joint."""
+    w = x[indices(variant)[1]]
+    if "friction" in variant:
+        joints = [y[f"{joint}_friction_torque"] for joint in ("swing", *CYLINDERS)]
+        pistons = [y[f"{name}_friction_force"] for name in CYLINDERS]
+    else:
+        damping = [numbers[f"{n}_damping"] for n in ("swing", "boom_joint", "stick_joint")]
+        joints = [b * v for b, v in zip(damping, w, strict=False)]
+        pistons = [numbers[f"{name}_piston_damping"] * y[f"{name}_velocity"] for name in CYLINDERS]
+    return joints, pistons, [numbers["head_joint_damping"] * v for v in (joint_angles(variant) @ w)[3:]]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_acceleration_is_pinocchio_s(pin, variant):
     """Under hydraulic forces and friction the joints accelerate as articulated bodies do."""
-    rng = np.random.default_rng(5)
+    rng, turn = np.random.default_rng(5), joint_angles(variant)
     for _ in range(100):
-        numbers, (q, w) = random_numbers(rng) | {"stop_stiffness": 0.0}, random_states(rng)
+        numbers = random_numbers(rng, variant) | {"stop_stiffness": 0.0}
+        (q, w), z = random_state(rng, variant), rng.uniform(-1e-4, 1e-4)
         model, data = arm(pin, numbers)
         forces = rng.uniform(-1.0, 1.0, 3) * (3e4, 1e5, 1e5)
-        dx, y = evaluate([*q, *w], forces, numbers)
-        torque = [forces[0] - numbers["swing_damping"] * w[0], y["boom_torque"], y["stick_torque"]]
+        x = state(variant, q, w, z)
+        dx, y = evaluate(x, forces, numbers, variant)
+        joints, pistons, head = friction(variant, numbers, x, y)
+        torque = [forces[0] - joints[0], y["boom_torque"] - joints[1], y["stick_torque"] - joints[2]]
         for i, name in enumerate(CYLINDERS, start=1):
-            lever = y[f"{name}_velocity"] / w[i]
-            torque[i] -= lever * numbers[f"{name}_piston_damping"] * y[f"{name}_velocity"]
-            torque[i] -= numbers[f"{name}_joint_damping"] * w[i]
-        # exact identity; rounding times the condition of M, which is below 1e3
-        np.testing.assert_allclose(dx[3:], pin.aba(model, data, q, w, np.array(torque)), rtol=1e-9, atol=1e-9)
+            torque[i] -= y[f"{name}_velocity"] / w[i] * pistons[i - 1]
+        torque += [-h for h in head]
+        theirs = np.linalg.solve(turn, pin.aba(model, data, turn @ q, turn @ w, np.array(torque)))
+        # exact identity; rounding times the condition of M, below 1e3, with the head beside its pin 1e4
+        np.testing.assert_allclose(dx[indices(variant)[1]], theirs, rtol=1e-9, atol=1e-9)
 
 
-def test_elbow_and_tip_are_where_pinocchio_s_kinematics_put_them(pin):
-    """Stick pivot and stick end by chained frames, and the end's velocity in the plane of the arm."""
-    rng = np.random.default_rng(6)
+@pytest.mark.parametrize("variant", ["rigid", "pendulum"])
+def test_elbow_tip_and_head_are_where_pinocchio_s_kinematics_put_them(pin, variant):
+    """Stick pivot, stick end and head by chained frames, and the end's velocity in the plane of the arm."""
+    rng, turn = np.random.default_rng(6), joint_angles(variant)
     for _ in range(50):
-        numbers, (q, w) = random_numbers(rng), random_states(rng)
+        numbers, (q, w) = random_numbers(rng, variant), random_state(rng, variant)
         model, data = arm(pin, numbers)
-        pin.forwardKinematics(model, data, q, w)
+        pin.forwardKinematics(model, data, turn @ q, turn @ w)
         offset = pin.SE3(np.eye(3), np.array([numbers["stick_length"], 0.0, 0.0]))
         tip = data.oMi[3].act(offset).translation
         velocity = data.oMi[3].rotation @ offset.actInv(data.v[3]).linear
-        _, y = evaluate([*q, *w], numbers=numbers)
+        _, y = evaluate(state(variant, q, w), numbers=numbers, variant=variant)
         forward = np.array([math.cos(q[0]), math.sin(q[0]), 0.0])
         elbow = data.oMi[3].translation
         ours = ["elbow_radius", "elbow_height", "tip_x", "tip_y", "tip_height", "tip_radius"]
         ours += ["tip_radial_velocity", "tip_vertical_velocity"]
         theirs = [forward @ elbow, elbow[2], *tip, forward @ tip, forward @ velocity, velocity[2]]
+        if variant == "pendulum":
+            ours += ["head_x", "head_y", "head_height"]
+            theirs += [*data.oMi[5].act(np.array([0.0, 0.0, -numbers["head_length"]]))]
         # exact identity, rounding only
         np.testing.assert_allclose([y[name] for name in ours], theirs, rtol=1e-12, atol=1e-12)
 
 
 def first_moment_and_inertia(joint):
     """Sum of m r [kg.m] and inertia [kg.m2] about a joint, the others locked, the stick at -1.4 rad."""
-    p, fold = NUMBERS, -1.4
+    p, fold = P, -1.4
     stick = [
         (p["stick_mass"], complex(p["stick_centre_x"], p["stick_centre_z"])),
         (p["head_mass"], p["stick_length"]),
@@ -156,14 +215,14 @@ def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitud
     """T = 4 sqrt(I / (g |m r|)) K(sin^2(A/2)) about boom and stick pivot, all other joints locked."""
     moment, inertia = first_moment_and_inertia(joint)
     swing, i = math.radians(amplitude), 1 if joint == "boom" else 2
-    weight = NUMBERS["gravity"] * abs(moment)
+    weight = P["gravity"] * abs(moment)
     period = 4 * math.sqrt(inertia / weight) * ellipk(math.sin(swing / 2) ** 2)
     rest = -math.pi / 2 - np.angle(moment)  # the centre of mass hangs below the pivot
 
     def rates(_, y):
         q, w = np.array([0.0, 0.0, -1.4]), np.zeros(3)
         q[i], w[i] = y[0] + rest, y[1]
-        mass, coriolis, gravity, _, _ = MECHANICS(q, w, [*NUMBERS.values()])
+        mass, coriolis, gravity, _, _ = MECHANICS["rigid"]([*q, *w], [*P.values()])
         return [y[1], -(float(coriolis[i]) + float(gravity[i])) / float(mass[i, i])]
 
     def crossing(_, y):
@@ -174,18 +233,26 @@ def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitud
     assert 4 * run.t_events[0][0] == pytest.approx(period, rel=1e-9)
 
 
-def test_free_arm_keeps_its_energy_and_its_angular_momentum():
+@pytest.mark.parametrize("variant", ["rigid", "pendulum"])
+def test_free_arm_keeps_its_energy_and_its_angular_momentum(variant):
     """Without forces and friction the falling, turning arm keeps T + U and its momentum about the column."""
-    friction = [name for name in NUMBERS if name.endswith("damping")]
-    free = NUMBERS | dict.fromkeys([*friction, "stop_stiffness"], 0.0)
-    start = [0.0, 0.4, -1.2, 0.7, 0.0, 0.0]
+    own = NUMBERS[variant]
+    damping = [name for name in own if name.endswith("damping")]
+    free = own | dict.fromkeys([*damping, "stop_stiffness"], 0.0)
+    angles, speeds, _ = indices(variant)
+    start = state(variant, [0.0, 0.4, -1.2, 0.3, -0.2][: len(angles)], [0.7, 0, 0, 0, 0][: len(angles)])
 
     def kept(x):
-        mass, _, _, kinetic, potential = MECHANICS(x[:3], x[3:], [*free.values()])
-        return float(kinetic), float(kinetic + potential), float(mass[0, 0] * x[3])
+        mass, _, _, kinetic, potential = MECHANICS[variant](x, [*free.values()])
+        return float(kinetic), float(kinetic + potential), float(mass[0, :] @ x[speeds])
 
     run = solve_ivp(
-        lambda _, x: evaluate(x, numbers=free)[0], (0, 3), start, "DOP853", rtol=1e-11, atol=1e-11
+        lambda _, x: evaluate(x, numbers=free, variant=variant)[0],
+        (0, 3),
+        start,
+        "DOP853",
+        rtol=1e-11,
+        atol=1e-11,
     )
     rows = np.array([kept(x) for x in run.y.T])
     exchanged = np.ptp(rows[:, 0])
@@ -206,7 +273,7 @@ def poses(name, count=25):
 
 def pins(name, angle):
     """Base and rod pin [m] of a cylinder as complex numbers (along, across) from the joint."""
-    base, pin = (complex(NUMBERS[f"{name}_{n}_x"], NUMBERS[f"{name}_{n}_z"]) for n in ("base", "pin"))
+    base, pin = (complex(P[f"{name}_{n}_x"], P[f"{name}_{n}_z"]) for n in ("base", "pin"))
     return base, pin * complex(math.cos(angle), math.sin(angle))
 
 
@@ -219,8 +286,8 @@ def test_cylinder_length_is_the_third_side_of_its_triangle(name):
         length = math.sqrt(abs(base) ** 2 + abs(rod) ** 2 - 2 * abs(base) * abs(rod) * math.cos(corner))
         position = evaluate(x)[1][f"{name}_position"]
         # exact identity, rounding only
-        assert position == pytest.approx(length - NUMBERS[f"{name}_closed_length"], abs=1e-13)
-        assert 0 < position < NUMBERS[f"{name}_stroke"]
+        assert position == pytest.approx(length - P[f"{name}_closed_length"], abs=1e-13)
+        assert 0 < position < P[f"{name}_stroke"]
 
 
 @pytest.mark.parametrize("name", CYLINDERS)

@@ -1,0 +1,466 @@
+"""Variants of the manipulator: swinging head, dry friction, and what all of them keep."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from fmus.components.friction import CREEP, Bristles, lugre, viscous
+from fmus.contract import quantities, symbolic
+from fmus.machine import poses
+from fmus.manipulator import MANIPULATOR, VARIANTS
+from fmus.parameters import values
+
+HEADS = ("pendulum", "pendulum_friction")
+DRY = ("friction", "pendulum_friction")
+HELD = {
+    "column_inertia": 1e12,
+    "boom_inertia": 1e12,
+    "stick_inertia": 1e12,
+}  # kg.m2: the arm stays where it is
+P = dict(values(VARIANTS["pendulum_friction"]).p)
+
+
+class Variant:
+    """A variant's equations in numbers, by name; changed parameters as given."""
+
+    def __init__(self, name, **changed):
+        self.sub, own = VARIANTS[name], values(VARIANTS[name])
+        self.model = symbolic(self.sub)
+        self.function, self.u = self.model.function(), dict(own.u)
+        self.p = {**own.p, **{n: v for n, v in changed.items() if n in own.p}}
+        self.states, self.shown = list(quantities(self.sub.states)), list(quantities(self.sub.outputs))
+
+    def start(self, **states):
+        """The states at the start, those named here as given."""
+        zero = [0.0] * len(self.states)
+        x = self.model.initial()(zero, list(self.u.values()), list(self.p.values())).full()[:, 0]
+        for n, v in states.items():
+            x[self.states.index(n)] = v
+        return x
+
+    def __call__(self, x, **inputs):
+        """Rates as an array and outputs by name."""
+        dx, y = self.function(x, list((self.u | inputs).values()), list(self.p.values()))
+        return dx.full()[:, 0], dict(zip(self.shown, y.full()[:, 0], strict=True))
+
+
+@cache
+def variant(name):
+    """A variant with its own numbers."""
+    return Variant(name)
+
+
+def random_state(v, rng):
+    """Any pose inside the strokes, speeds [rad/s] up to 1, head anywhere allowed, bristles deflected."""
+    ranges = {"swing_angle": 3.0, "head_angle": 3.0, "head_side_angle": 1.3}
+    x = np.array(
+        [rng.uniform(-1, 1) * (1e-4 if n.endswith("bristle") else ranges.get(n, 1.0)) for n in v.states]
+    )
+    x[1:3] = rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.65)
+    return x
+
+
+def random_forces(rng):
+    return {
+        "swing_torque": rng.normal(0, 1e4),
+        "boom_force": rng.normal(0, 1e5),
+        "stick_force": rng.normal(0, 1e5),
+    }
+
+
+# ---- what all variants keep
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_power_in_is_power_stored_and_heat(name):
+    """Power of hydraulics and stops = d/dt of kinetic, potential and elastic energy + heat, heat >= 0."""
+    v, rng = variant(name), np.random.default_rng(1)
+    y = dict(zip(v.shown, ca.vertsplit(v.model.y), strict=True))
+    energy = sum(y[n] for n in ("kinetic_energy", "potential_energy", "stored_energy") if n in y)
+    m = v.model
+    rate = ca.Function("rate", [m.x, m.u, m.p], [ca.jtimes(energy, m.x, m.dx)])
+    for _ in range(100):
+        x, forces = random_state(v, rng), random_forces(rng)
+        x[1] += rng.choice([0.0, 1.5])  # a third of the poses lie in a stop
+        u = v.u | forces
+        _, y = v(x, **forces)
+        powers = [u["swing_torque"] * y["swing_speed"]]
+        for a in ("boom", "stick"):
+            powers.append((u[f"{a}_force"] + y[f"{a}_stop_force"]) * y[f"{a}_velocity"])
+        stored = float(rate(x, list(u.values()), list(v.p.values())))
+        heat = y["dissipated_power"]
+        assert heat >= 0
+        # exact identity; 1e-12 is 1e4 rounding errors of the largest power, times the condition of M
+        assert sum(powers) - stored - heat == pytest.approx(
+            0, abs=1e-12 * sum(map(abs, (*powers, stored, heat)))
+        )
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_accelerations_are_the_slopes_of_the_velocities(name):
+    """The rate ports are exact: d/dt of swing_speed, boom_velocity, stick_velocity along the equations."""
+    v, rng = variant(name), np.random.default_rng(2)
+    m, names = v.model, ("swing_speed", "boom_velocity", "stick_velocity")
+    moving = ca.vertcat(*(m.y[v.shown.index(n)] for n in names))
+    slope = ca.Function("slope", [m.x, m.u, m.p], [ca.jtimes(moving, m.x, m.dx)])
+    for _ in range(20):
+        x, forces = random_state(v, rng), random_forces(rng)
+        _, y = v(x, **forces)
+        found = [y[n] for n in ("swing_acceleration", "boom_acceleration", "stick_acceleration")]
+        expected = slope(x, list((v.u | forces).values()), list(v.p.values())).full()[:, 0]
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)  # exact identity, rounding only
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_arm_rests_under_the_holding_forces(name):
+    """At any pose, head hanging and bristles relaxed, nothing moves; the forces are those of `rigid`."""
+    for boom, stick in poses(5):
+        x = {"boom_angle": boom, "stick_angle": stick}
+        _, usual = variant("rigid")(variant("rigid").start(**x))
+        _, y = variant(name)(variant(name).start(**x))
+        held = {f"{a}_force": y[f"{a}_holding_force"] for a in ("boom", "stick")}
+        dx, _ = variant(name)(variant(name).start(**x), **held)
+        # exact identity; rounding of moments up to 4e4 N.m over inertias of some 1e2 kg.m2
+        assert np.abs(dx).max() < 1e-12
+        for a, force in held.items():
+            # exact identity, rounding only
+            assert force == pytest.approx(usual[a.replace("_force", "_holding_force")], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_only_accelerations_and_joint_torques_follow_the_forces_at_once(name):
+    """Positions, speeds, friction, energies and heat depend on states alone."""
+    v = variant(name)
+    direct = {n for i, n in enumerate(v.shown) if ca.depends_on(v.model.y[i], v.model.u)}
+    accelerations = {f"{a}_acceleration" for a in ("swing", "boom", "stick")}
+    assert direct == accelerations | {"boom_torque", "stick_torque"}
+
+
+# ---- the head
+
+
+def swings(axis, amplitude):
+    """Period [s] of the hanging head with the arm held, released at an angle [rad] of an axis."""
+    v = Variant("pendulum", head_joint_damping=0.0, **HELD)
+    i = v.states.index(axis)
+    period = small_period()
+
+    def crossing(_, x):
+        return x[i]
+
+    run = solve_ivp(
+        lambda _, x: v(x)[0],
+        (0, 0.4 * period),
+        v.start(**{axis: amplitude}),
+        "DOP853",
+        events=crossing,
+        rtol=1e-9,
+        atol=1e-10,
+    )
+    return 4 * run.t_events[0][0]
+
+
+def small_period():
+    """2 pi sqrt((J + m L^2) / (m g L)) [s]."""
+    m, length = P["head_mass"], P["head_length"]
+    return 2 * math.pi * math.sqrt((P["head_inertia"] + m * length**2) / (m * P["gravity"] * length))
+
+
+@pytest.mark.parametrize("axis", ["head_angle", "head_side_angle"])
+@pytest.mark.parametrize("degrees", [3.0, 30.0, 60.0])
+def test_head_swings_with_the_period_of_a_compound_pendulum(axis, degrees):
+    """Both axes: T0 for small angles, 2 T0 / pi K(sin^2(A/2)) for an amplitude A, the arm held."""
+    amplitude = math.radians(degrees)
+    period = swings(axis, amplitude)
+    # the arm, 1e12 kg.m2, gives way by 1e-7; integrator error 1e-9 per step
+    expected = small_period() * 2 / math.pi * ellipk(math.sin(amplitude / 2) ** 2)
+    assert period == pytest.approx(expected, rel=1e-6)
+    if degrees == 3.0:
+        assert period == pytest.approx(small_period(), rel=1e-3)  # A^2/16 = 1.7e-4
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
+    """Linearised with the arm held, both axes have the frequency above and a tenth of critical damping."""
+    v = Variant(name, **HELD)
+    m, own = v.model, [v.states.index(n) for n in v.states if n.startswith("head")]
+    jacobian = ca.Function("A", [m.x, m.u, m.p], [ca.jacobian(m.dx, m.x)])
+    matrix = jacobian(v.start(), list(v.u.values()), list(v.p.values())).full()
+    roots = np.linalg.eigvals(matrix[np.ix_(own, own)])
+    # exact but for the arm's 1e-7
+    np.testing.assert_allclose(np.abs(roots), 2 * math.pi / small_period(), rtol=1e-6)
+    # the number is rounded to 240
+    np.testing.assert_allclose(-roots.real / np.abs(roots), 0.1, rtol=0.03)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.8])
+def test_head_hangs_outwards_while_the_arm_turns(speed):
+    """Steady swing at w: the head rests where (m L (r + L sin a) + J sin a) w^2 cos a = m g L sin a."""
+    v = Variant("pendulum", swing_damping=0.0)
+    radius = v(v.start())[1]["tip_radius"]
+    m, length, inertia = P["head_mass"], P["head_length"], P["head_inertia"]
+
+    def moment(a):
+        outwards = m * length * (radius + length * math.sin(a)) + inertia * math.sin(a)
+        return outwards * speed**2 * math.cos(a) - m * P["gravity"] * length * math.sin(a)
+
+    angle = brentq(moment, 0.0, 1.5, xtol=1e-14)
+    assert angle > 0.03  # rad: there is something to hold
+    x, forces = v.start(head_angle=angle, swing_speed=speed), ("swing_torque", "boom_force", "stick_force")
+    still = v(x, **dict.fromkeys(forces, 0.0))[0]  # rates are straight lines of the forces
+    per_newton = (
+        np.array([v(x, **(dict.fromkeys(forces, 0.0) | {f: 1e5}))[0] - still for f in forces]).T / 1e5
+    )
+    arm = [v.states.index(f"{joint}_speed") for joint in ("swing", "boom", "stick")]
+    holding = np.linalg.solve(per_newton[arm], -still[arm])
+    dx, _ = v(x, **dict(zip(forces, holding, strict=True)))
+    # exact identity; rounding of accelerations of some 10 rad/s2 that cancel
+    assert np.abs(dx[arm]).max() < 1e-11
+    assert np.abs(dx[[v.states.index("head_speed"), v.states.index("head_side_speed")]]).max() < 1e-11
+
+
+def test_braked_swing_throws_the_head_to_the_side_it_came_from():
+    """A column that slows down leaves the head behind: it swings on in the direction of the motion."""
+    v = variant("pendulum")
+    dx, _ = v(v.start(swing_speed=0.5), swing_torque=-1e4)
+    assert dx[v.states.index("swing_speed")] < 0  # braked while it turns to the left,
+    assert dx[v.states.index("head_side_speed")] > 0  # so the head goes to the left
+
+
+def driven(v, until):
+    """Final angles and speeds of the arm after a smooth push on all joints."""
+
+    def rates(t, x):
+        push = math.sin(2 * math.pi * t / until)
+        boom, stick = v.u["boom_force"] + 1.5e4 * push, v.u["stick_force"] - 4e3 * push
+        return v(x, swing_torque=8e3 * push, boom_force=boom, stick_force=stick)[0]
+
+    run = solve_ivp(rates, (0, until), v.start(), "Radau", rtol=1e-7, atol=1e-8)
+    return run.y[:6, -1]
+
+
+def test_short_pendulum_tends_to_the_point_mass():
+    """Half as long a head, damped alike and with its inertia: half the distance to `rigid`, first order."""
+    rigid, distances = driven(variant("rigid"), 1.5), []
+    for length in (0.1, 0.05, 0.025):
+        inertia = P["head_mass"] * length**2 / 12
+        about = inertia + P["head_mass"] * length**2
+        damping = 2 * 0.5 * math.sqrt(about * P["head_mass"] * P["gravity"] * length)
+        v = Variant("pendulum", head_length=length, head_inertia=inertia, head_joint_damping=damping)
+        distances.append(np.abs(driven(v, 1.5) - rigid).max())
+    assert distances[0] < 0.03  # of motions of 0.2 rad and more
+    # first order, the next one being L^1.5 of the frequency
+    np.testing.assert_allclose([a / b for a, b in pairwise(distances)], 2.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_side_angle_near_the_singular_position_is_an_error(name):
+    """Every condition holds with the head hanging, exactly one fails with the side angle beyond 1.4 rad."""
+    v = variant(name)
+    check = ca.Function("r", [v.model.x, v.model.u, v.model.p], [v.model.require])
+    for angle, failing in ((0.0, 0), (1.39, 0), (1.41, 1), (-1.41, 1)):
+        x = v.start(head_side_angle=angle)
+        found = check(x, list(v.u.values()), list(v.p.values())).full()[:, 0]
+        bad = [s for s, value in zip(v.model.statements, found, strict=True) if not value > 0]
+        assert len(bad) == failing
+        assert all(s.startswith("head_side_angle") for s in bad)
+
+
+# ---- dry friction
+
+DRY_PISTON = Bristles(2000.0, 1.4, 0.005, 1e-4, 0.01)
+speeds = st.floats(-1.0, 1.0)
+deflections = st.floats(-1.4e-4, 1.4e-4)
+laws = st.builds(
+    Bristles,
+    coulomb=st.floats(0.0, 1e4),
+    static_ratio=st.floats(0.5, 3.0),
+    stribeck_speed=st.floats(1e-4, 0.1),
+    deflection=st.floats(1e-6, 1e-3),
+    damping_time=st.floats(0.0, 1.0),
+)
+
+
+def stribeck(v, dry=DRY_PISTON):
+    """Friction of steady slip [N] by its formula, without the rounding of |v|."""
+    return math.copysign(
+        dry.coulomb * (1 + (dry.static_ratio - 1) * math.exp(-((v / dry.stribeck_speed) ** 2))), v
+    )
+
+
+@pytest.mark.parametrize("v", [2e-4, 2e-3, 5e-3, 0.02, 0.3, -0.01])
+def test_steady_slip_follows_the_stribeck_curve(v):
+    """At constant speed the friction settles at g(v) + b v."""
+    run = solve_ivp(
+        lambda _, z: [lugre(v, z[0], DRY_PISTON, 2e4).deflection_rate],
+        (0, 2e-3 / abs(v)),
+        [0.0],
+        "Radau",
+        rtol=1e-9,
+        atol=1e-15,
+    )
+    r = lugre(v, run.y[0, -1], DRY_PISTON, 2e4)
+    # the rounding of |v|, 5 um/s: (5e-6 / v)^2 / 2 = 3e-4 at the slowest
+    assert r.force == pytest.approx(stribeck(v) + 2e4 * v, rel=5e-4)
+    assert r.deflection_rate == pytest.approx(0, abs=1e-6 * abs(v))  # settled
+    assert r.heat == pytest.approx(r.force * v, rel=1e-5)  # all of the power
+
+
+def pulled(top, seconds=2.0, mass=500.0):
+    """Displacement [m] and forces [N] over time of a mass that a growing force up to `top` pulls."""
+    run = solve_ivp(
+        lambda t, x: [
+            x[1],
+            (top * min(t / seconds, 1.0) - lugre(x[1], x[2], DRY_PISTON, 0.0).force) / mass,
+            lugre(x[1], x[2], DRY_PISTON, 0.0).deflection_rate,
+        ],
+        (0, 1.5 * seconds), [0.0, 0.0, 0.0], "Radau", max_step=0.01, rtol=1e-7, atol=1e-10,
+    )  # fmt: skip
+    return run.y[0], top * np.minimum(run.t / seconds, 1.0)
+
+
+def test_mass_breaks_away_at_the_static_friction():
+    """Below r Fc it moves by the deflection of the bristles, above it slides away."""
+    static = DRY_PISTON.static_ratio * DRY_PISTON.coulomb
+    place, _ = pulled(0.95 * static)
+    assert place.max() < 10 * DRY_PISTON.deflection
+    place, force = pulled(1.2 * static)
+    away = force[np.argmax(place > 20 * DRY_PISTON.deflection)]
+    assert away == pytest.approx(static, rel=0.03)  # plus what the ramp adds while it gathers speed
+    assert place[-1] > 0.1
+
+
+def test_small_motions_are_elastic_and_lose_energy_in_a_loop():
+    """Below break-away the stiffness is s0 = Fc / d, the mean force is zero, and a loop makes heat."""
+    amplitude, w = 0.3 * DRY_PISTON.deflection, 1.0
+    run = solve_ivp(
+        lambda t, z: [lugre(amplitude * w * math.cos(w * t), z[0], DRY_PISTON, 0.0).deflection_rate],
+        (0, 6 * math.pi), [0.0], "Radau", rtol=1e-9, atol=1e-14, dense_output=True,
+    )  # fmt: skip
+    t = np.linspace(4 * math.pi, 6 * math.pi, 2001)
+    v = amplitude * w * np.cos(w * t)
+    force = np.array([lugre(a, b, DRY_PISTON, 0.0).force for a, b in zip(v, run.sol(t)[0], strict=True)])
+    lost = np.trapezoid(force * v, t)
+    stiffness = np.ptp(force) / (2 * amplitude)
+    # softened by slip, of the order of amplitude / (2 r d), and the bristles' damping T w = 1 %
+    assert stiffness == pytest.approx(DRY_PISTON.coulomb / DRY_PISTON.deflection, rel=0.15)
+    assert 0 < lost < math.pi / 4 * np.ptp(force) * 2 * amplitude * 0.3  # a slim loop
+
+
+@given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
+def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
+    """F v = d(stored)/dt + heat with heat >= 0 at any state: no cycle gains energy."""
+    r = lugre(v, z, dry, b)
+    stored_rate = dry.coulomb / dry.deflection * z * r.deflection_rate
+    assert r.heat >= 0
+    assert r.stored >= 0
+    # exact identity; 1e-12 is 1e4 rounding errors of its terms
+    size = abs(r.force * v) + abs(stored_rate) + r.heat
+    assert r.force * v - stored_rate - r.heat == pytest.approx(0, abs=1e-12 * size + 1e-30)
+
+
+@settings(max_examples=40)
+@given(
+    moves=st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(1e-4, 0.2)), min_size=2, max_size=8),
+    dry=laws.filter(lambda d: d.damping_time <= 0.03),
+)
+def test_no_program_of_speeds_gets_work_out_of_relaxed_bristles(moves, dry):
+    """Whatever speeds for whatever times: the work into the contact is never negative."""
+    z, work = 0.0, 0.0
+    for v, duration in moves:
+        slip = (v - lugre(v, 1.0, dry, 0.0).deflection_rate) / 1.0
+        end = v / slip + (z - v / slip) * math.exp(-slip * duration)  # exact: linear in z at constant v
+        start_force, end_force = (lugre(v, at, dry, 0.0).force for at in (z, end))
+        settled = lugre(v, v / slip, dry, 0.0).force
+        decay = -math.expm1(-slip * duration) / slip
+        work += v * (settled * duration + (start_force - settled) * decay)  # force decays like z
+        z = end
+        assert math.isfinite(end_force)
+    assert work >= -1e-9 * dry.coulomb * dry.deflection - 1e-15  # rounding of terms that cancel
+
+
+@given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
+def test_friction_is_odd(dry, v, z, b):
+    """The mirrored motion has the mirrored force and the same heat, to the bit."""
+    one, other = lugre(v, z, dry, b), lugre(-v, -z, dry, b)
+    assert (one.force, one.deflection_rate) == (-other.force, -other.deflection_rate)
+    assert (one.heat, one.stored) == (other.heat, other.stored)
+
+
+@given(v=speeds, z=st.floats(-1.0, 1.0))
+def test_deflection_stays_below_break_away(v, z):
+    """At |z| = r d or more the bristles never deflect further, so friction stays bounded."""
+    z = math.copysign(DRY_PISTON.static_ratio * DRY_PISTON.deflection * (1 + abs(z)), z)
+    assert lugre(v, z, DRY_PISTON, 0.0).deflection_rate * z <= 0
+
+
+@given(v=speeds, z=deflections)
+def test_without_coulomb_friction_it_is_viscous(v, z):
+    """Fc = 0 leaves b v alone, exactly, and the difference grows in proportion to Fc."""
+    laws = [Bristles(f, 1.4, 0.005, 1e-4, 0.01) for f in (0.0, 1.0, 2.0)]
+    none, one, two = (lugre(v, z, law, 2e4) for law in laws)
+    assert (none.force, none.heat, none.stored) == (viscous(v, 2e4).force, viscous(v, 2e4).heat, 0.0)
+    # exact identity; rounding of the viscous force, up to 2e4 N
+    assert two.force - none.force == pytest.approx(2 * (one.force - none.force), abs=1e-10)
+
+
+def test_creep_of_a_held_contact_is_the_rounding_speed():
+    """Under half its break-away force a contact creeps at CREEP vs times 0.58: micrometres a second."""
+    load, ratio = 0.5, DRY_PISTON.static_ratio
+    z = load * ratio * DRY_PISTON.deflection
+    v = CREEP * DRY_PISTON.stribeck_speed * load / math.sqrt(1 - load**2)
+    # exact but for (v / vs)^2 in the Stribeck curve
+    assert lugre(v, z, DRY_PISTON, 0.0).deflection_rate == pytest.approx(0, abs=1e-5 * v)
+    assert v < 3e-6  # m/s
+
+
+@pytest.mark.parametrize("name", DRY)
+def test_variant_without_coulomb_friction_is_the_one_without_bristles(name):
+    """All Coulomb numbers zero: rates and outputs are those of rigid or pendulum, at any state."""
+    rng, plain = (
+        np.random.default_rng(3),
+        variant({"friction": "rigid", "pendulum_friction": "pendulum"}[name]),
+    )
+    bare = Variant(name, **{n: 0.0 for n in P if n.endswith("_coulomb")})
+    for _ in range(20):
+        x, forces = random_state(bare, rng), random_forces(rng)
+        same = x[[bare.states.index(n) for n in plain.states]]
+        (dx, y), (dx0, y0) = bare(x, **forces), plain(same, **forces)
+        ours = {n: dx[bare.states.index(n)] for n in plain.states}
+        # exact identity, rounding only
+        np.testing.assert_allclose(list(ours.values()), dx0, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose([y[n] for n in y0], list(y0.values()), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("extra", "moves"), [(1500.0, False), (8000.0, True)])
+def test_dry_friction_holds_the_arm_against_a_small_push(extra, moves):
+    """Of 1.5 kN too much on the boom cylinder dry friction lets nothing move, of 8 kN much."""
+    ends = {}
+    for name in ("rigid", "friction"):
+        v = variant(name)
+        push = {"boom_force": v.u["boom_force"] + extra}
+        run = solve_ivp(lambda _, x: v(x, **push)[0], (0, 1.0), v.start(), "Radau", rtol=1e-7, atol=1e-9)  # noqa: B023
+        ends[name] = v(run.y[:, -1], **push)[1]["boom_position"] - v(v.start())[1]["boom_position"]
+    assert ends["rigid"] > 5e-3
+    assert (ends["friction"] > 5e-3) == moves
+    assert moves or abs(ends["friction"]) < 10 * P["piston_presliding"]
+
+
+def test_family_swaps_without_wires():
+    """All variants have the ports of the usual one, and it is `rigid`."""
+    assert VARIANTS["rigid"] is MANIPULATOR
+    for sub in VARIANTS.values():
+        assert sub.inputs is MANIPULATOR.inputs
+        assert sub.terminals == MANIPULATOR.terminals
+        assert set(quantities(MANIPULATOR.outputs)) <= set(quantities(sub.outputs))
