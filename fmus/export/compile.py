@@ -23,17 +23,25 @@ FLAGS = (
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h, fmi3*.h: the standard keeps them out of FMUs
 
 
-def shared_library(model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str) -> bytes:
+def shared_library(
+    model: str,
+    code: Mapping[str, bytes],
+    compiled: Sequence[str],
+    platform: str,
+    libraries: Sequence[str] = ("-lm",),
+) -> bytes:
     """The library of a model.
 
-    code       the files under sources/ by name
-    compiled   those that the FMU tells an importer to compile
-    platform   a name of `platforms.PLATFORMS`
+    code        the files under sources/ by name
+    compiled    those that the FMU tells an importer to compile
+    platform    a name of `platforms.PLATFORMS`
+    libraries   of the system that it needs on Linux
     """
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
     command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS]
-    command += ["-isystem", str(HEADERS), *compiled, "-o", library, *_link(library, target.suffix)]
+    command += ["-isystem", str(HEADERS), *compiled, "-o", library]
+    command += _link(library, target.suffix, libraries)
     return kept(
         _ingredients(command, code), lambda: _compiled(f"{model}, {platform}", command, code, library)
     )
@@ -61,8 +69,8 @@ def _ingredients(command: Sequence[str], code: Mapping[str, bytes]) -> Iterator[
     yield from (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
 
 
-def _link(library: str, suffix: str) -> list[str]:
+def _link(library: str, suffix: str, libraries: Sequence[str]) -> list[str]:
     """What the linker needs to know on each system."""
     if suffix == ".dylib":
         return ["-install_name", f"@rpath/{library}"]  # else its path in the folder of the build
-    return [] if suffix == ".dll" else ["-lm"]
+    return [] if suffix == ".dll" else [*libraries]

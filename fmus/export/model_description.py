@@ -19,7 +19,7 @@ LOG_CATEGORIES = {
     "logStatusError": "What went wrong",
     "logAll": "All messages",
 }
-_FLAGS = {
+FLAGS = {
     "needsExecutionTool": "false",
     "canBeInstantiatedOnlyOncePerProcess": "false",
     "canNotUseMemoryManagementFunctions": "true",
@@ -27,12 +27,13 @@ _FLAGS = {
     "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
-_COSIMULATION = {
+COSIMULATION = {
     "canHandleVariableCommunicationStepSize": "true",
     "canInterpolateInputs": "true",
     "maxOutputDerivativeOrder": "1",
     "canRunAsynchronuously": "false",
 }
+Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]  # by element, with knowns
 
 
 def package_version() -> str:
@@ -65,20 +66,33 @@ def identity(face: Interface) -> dict[str, str]:
 
 def model_description(face: Interface, guid: str, sources: Sequence[str], step: float, stop: float) -> bytes:
     """The XML file; `sources` are the C files to compile, step and stop the default experiment [s]."""
+    kinds = {"ModelExchange": FLAGS, "CoSimulation": COSIMULATION | FLAGS}
+    return described(face, guid, kinds, sources, step, stop, unknowns(face))
+
+
+def described(
+    face: Interface,
+    guid: str,
+    kinds: Mapping[str, Mapping[str, str]],
+    sources: Sequence[str],
+    step: float,
+    stop: float,
+    structure: Unknowns,
+) -> bytes:
+    """The XML file of an FMU with these abilities by kind, and with these unknowns."""
     root = etree.Element(
         "fmiModelDescription",
         identity(face) | {"fmiVersion": "2.0", "guid": guid, "numberOfEventIndicators": "0"},
     )
-    for element, flags in (("ModelExchange", _FLAGS), ("CoSimulation", _COSIMULATION | _FLAGS)):
+    for element, flags in kinds.items():
         kind = etree.SubElement(root, element, modelIdentifier=face.name, **flags)
-        files = etree.SubElement(kind, "SourceFiles")
+        files = etree.SubElement(kind, "SourceFiles") if sources else kind
         for name in sources:
             etree.SubElement(files, "File", name=name)
     units(root, face)
     log_categories(root)
     default_experiment(root, step, stop)
-    index = _variables(root, face)
-    _structure(root, face, index)
+    _structure(root, structure, _variables(root, face))
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
 
 
@@ -161,9 +175,9 @@ def numbers(v: Variable) -> dict[str, str]:
     )
 
 
-def _structure(root: etree._Element, face: Interface, index: Mapping[str, int]) -> None:
+def _structure(root: etree._Element, unknown: Unknowns, index: Mapping[str, int]) -> None:
     structure = etree.SubElement(root, "ModelStructure")
-    for name, rows in unknowns(face).items():
+    for name, rows in unknown.items():
         parent = etree.SubElement(structure, name) if rows else structure
         for v, table in rows:
             known = sorted((index[k.name], kind) for k, kind in table)
@@ -178,7 +192,7 @@ def dependency_lists(known: Sequence[tuple[int, str]]) -> dict[str, str]:
     }
 
 
-def unknowns(face: Interface) -> dict[str, list[tuple[Variable, Sequence[tuple[Variable, str]]]]]:
+def unknowns(face: Interface) -> Unknowns:
     """Outputs, Derivatives and InitialUnknowns, each with what it depends on."""
     running, starting = dependencies(face), initial_dependencies(face)
     calculated = [v for v in face.states if v.kind == "CALCULATED_STATE"]
