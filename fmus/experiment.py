@@ -146,18 +146,18 @@ def main() -> None:
 def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     """Write the files of the experiment beside the subsystem; its variants have the inputs in common."""
     moving = stimuli(sub, known)
-    v = start_values(sub, moving)
     count = round(STOP / STEP)
-    found = solve(sub, v, moving, count)
-    shown = signals(sub, moving, found)
-    if not shown:
-        return
     time = np.arange(count + 1) * STEP
-    rows = np.column_stack([time, *(found[n] for n in shown)])[::EVERY]
-    write_csv(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
     if moving and sub.name == sub.component:
         rows = np.column_stack([time, *moving.values()])
         write_csv(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
+    if not quantities(sub.states):
+        return  # outputs that follow the inputs at once: nothing to solve, nothing to prove
+    v = start_values(sub, moving)
+    found = solve(sub, v, moving, count)
+    shown = signals(sub, moving, found)
+    rows = np.column_stack([time, *(found[n] for n in shown)])[::EVERY]
+    write_csv(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
     face = interface(sub, v)
     settable = {
         x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
