@@ -116,7 +116,7 @@ def _table(face: Interface) -> str:
     """The table of variables and the texts of the requirements."""
     inputs = [v.name for v in face.inputs]
     rows = [_row(v, inputs) for v in face.variables] or ["    {0},"]
-    statements = [f"    {_string(text)}," for text in face.equations.statements] or ["    0,"]
+    statements = [f"    {string(text)}," for text in face.equations.statements] or ["    0,"]
     return "\n".join(
         [
             f"/* {face.name}: {_comment(face.text)}. Generated. */",
@@ -145,10 +145,10 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     high = math.inf if q.maximum is None else q.maximum
     watch = math.inf if q.warn_above is None or not (v.output or v.kind == "INPUT") else q.warn_above
     numbers = ", ".join(number(n) for n in (v.start or 0.0, low, high, q.nominal, watch))
-    return f"    {{{_string(v.name)}, {_string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
+    return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
 
 
-def _string(text: str) -> str:
+def string(text: str) -> str:
     """A C string literal; characters beyond ASCII as UTF-8 bytes in octal."""
     escaped = "".join(
         chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8")

@@ -21,7 +21,7 @@ from fmus.files import shipped
 from fmus.parameters import Values, document, values
 from fmus.parameters import numbers as numbers_of
 
-_PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
+PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
 VERSIONS = (2, 3)  # of FMI
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
@@ -47,33 +47,33 @@ def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values 
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
     face = interface(sub, numbers or values(sub))
     drafts = {version: _drafts(face, version, step, stop) for version in VERSIONS}
-    token = _fingerprint(drafts.values())
-    content = {path: text.replace(_PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
+    token = fingerprint_of(drafts.values())
+    content = {path: text.replace(PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description(sub.name, [main_source(sub.name)])
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
     return Package(
-        sub.name, fmi, content | _shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)]
+        sub.name, fmi, content | shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)]
     )
 
 
 def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:
     """The files that carry the GUID or instantiation token, or that it stands for, with a placeholder."""
-    files = {f"sources/{name}": text for name, text in sources(face, _PLACEHOLDER, fmi).items()}
+    files = {f"sources/{name}": text for name, text in sources(face, PLACEHOLDER, fmi).items()}
     if fmi == 2:
-        description = model_description(face, _PLACEHOLDER, [main_source(face.name)], step, stop)
+        description = model_description(face, PLACEHOLDER, [main_source(face.name)], step, stop)
     else:
-        description = model_description3(face, _PLACEHOLDER, step, stop)
+        description = model_description3(face, PLACEHOLDER, step, stop)
     return files | {"modelDescription.xml": description.decode()}
 
 
-def _fingerprint(drafts: Iterable[Mapping[str, str]]) -> str:
+def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
     """The GUID of all versions of an FMU: another one for another description or other code."""
     text = "\n".join(files[path] for files in drafts for path in sorted(files))
     return f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
 
 
-def _shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -> dict[str, bytes]:
+def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -> dict[str, bytes]:
     """What a person reads: icon, documentation, licence, numbers with their sources."""
     picture, licence = sub.values.parent / "icon.png", shipped("LICENSE")
     icon = picture.read_bytes() if picture.is_file() else None

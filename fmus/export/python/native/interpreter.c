@@ -1,0 +1,76 @@
+#define _GNU_SOURCE
+#include "interpreter.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#define MISSING                                                                                            \
+    "this FMU needs Python and finds none: neither in this program nor by name; set FMU_PYTHON to the path " \
+    "of a " PYTHON_LIBRARY
+
+#ifdef _WIN32
+#include <windows.h>
+
+#define PYTHON_LIBRARY "python3xx.dll"
+static const char *const NAMES[] = {"python314.dll", "python313.dll", "python312.dll", "python311.dll"};
+
+static void *of_process(const char *name) { return (void *)GetModuleHandleA(name); }
+static void *from_disk(const char *name) { return (void *)LoadLibraryA(name); }
+static void *symbol(void *library, const char *name) {
+    const FARPROC found = GetProcAddress((HMODULE)library, name);
+    void *address;
+    memcpy(&address, &found, sizeof address);
+    return address;
+}
+#else
+#include <dlfcn.h>
+
+#ifdef __APPLE__
+#define PYTHON_LIBRARY "libpython3.x.dylib"
+static const char *const NAMES[] = {"libpython3.14.dylib", "libpython3.13.dylib", "libpython3.12.dylib",
+                                    "libpython3.11.dylib"};
+#else
+#define PYTHON_LIBRARY "libpython3.x.so"
+static const char *const NAMES[] = {"libpython3.14.so.1.0", "libpython3.13.so.1.0", "libpython3.12.so.1.0",
+                                    "libpython3.11.so.1.0"};
+#endif
+
+static void *symbol(void *library, const char *name) { return dlsym(library, name); }
+/* What the program has loaded for all to see, Python itself if it is one; else a library by name. */
+static void *of_process(const char *name) {
+    void *all = dlopen(NULL, RTLD_NOW);
+    if (all && symbol(all, "Py_IsInitialized")) return all;
+    return dlopen(name, RTLD_NOW | RTLD_NOLOAD);
+}
+/* For all to see: modules written in C take Python's functions from there. */
+static void *from_disk(const char *name) { return dlopen(name, RTLD_NOW | RTLD_GLOBAL); }
+#endif
+
+static void *find_library(void) {
+    const size_t n = sizeof NAMES / sizeof *NAMES;
+    const char *chosen = getenv("FMU_PYTHON");
+    void *found = NULL;
+    for (size_t i = 0; i < n && !found; i++) found = of_process(NAMES[i]);
+    if (!found && chosen) found = from_disk(chosen);
+    for (size_t i = 0; i < n && !found; i++) found = from_disk(NAMES[i]);
+    return found;
+}
+
+static const char *interpreter_start(void) {
+    void *library = find_library();
+    if (!library) return MISSING;
+#define FIND(type, name, arguments)                                                  \
+    {                                                                                \
+        void *address = symbol(library, #name);                                      \
+        if (!address) return "the Python of this program has no function " #name;    \
+        memcpy(&py.name, &address, sizeof address);                                  \
+    }
+    PYTHON(FIND)
+#undef FIND
+    if (!py.Py_IsInitialized()) {
+        /* It is never ended again: packages such as NumPy cannot be started twice in a process. */
+        py.Py_InitializeEx(0);
+        py.PyEval_SaveThread();
+    }
+    return NULL;
+}

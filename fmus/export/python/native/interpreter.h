@@ -1,0 +1,46 @@
+/* The functions of Python that are used, all of its stable interface. None is linked: they are looked up in
+   the process, and where there are none a Python is loaded. So the library loads on every machine and can
+   say what it misses. */
+
+#ifndef INTERPRETER_H
+#define INTERPRETER_H
+
+#include <stddef.h>
+
+typedef struct PyObject PyObject;
+
+#define PYTHON(X)                                                              \
+    X(int, Py_IsInitialized, (void))                                           \
+    X(void, Py_InitializeEx, (int))                                            \
+    X(void *, PyEval_SaveThread, (void))                                       \
+    X(int, PyGILState_Ensure, (void))                                          \
+    X(void, PyGILState_Release, (int))                                         \
+    X(void, PyErr_Clear, (void))                                               \
+    X(void, Py_IncRef, (PyObject *))                                           \
+    X(void, Py_DecRef, (PyObject *))                                           \
+    X(PyObject *, PyImport_AddModule, (const char *))                          \
+    X(PyObject *, PyModule_GetDict, (PyObject *))                              \
+    X(PyObject *, Py_CompileString, (const char *, const char *, int))         \
+    X(PyObject *, PyEval_EvalCode, (PyObject *, PyObject *, PyObject *))       \
+    X(PyObject *, PyDict_GetItemString, (PyObject *, const char *))            \
+    X(PyObject *, PyObject_CallObject, (PyObject *, PyObject *))               \
+    X(PyObject *, PyBytes_FromStringAndSize, (const char *, ptrdiff_t))        \
+    X(char *, PyBytes_AsString, (PyObject *))                                  \
+    X(ptrdiff_t, PyBytes_Size, (PyObject *))                                   \
+    X(PyObject *, PyTuple_New, (ptrdiff_t))                                    \
+    X(int, PyTuple_SetItem, (PyObject *, ptrdiff_t, PyObject *))               \
+    X(PyObject *, PyTuple_GetItem, (PyObject *, ptrdiff_t))                    \
+    X(long, PyLong_AsLong, (PyObject *))
+
+typedef struct {
+#define MEMBER(type, name, arguments) type(*name) arguments;
+    PYTHON(MEMBER)
+#undef MEMBER
+} Interpreter;
+
+static Interpreter py;
+
+/* Finds and starts Python; null or what is missing. */
+static const char *interpreter_start(void);
+
+#endif

@@ -1,0 +1,361 @@
+/* FMI 2.0 for co-simulation: hands each call to Python and brings back its status, messages and value.
+
+   All that crosses the border is bytes: arrays as they are in memory. What the calls do is in the package fmus
+   (fmus/export/python/door.py); start.h holds the lines that find it. */
+
+#include "interpreter.c"
+
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "start.h"
+
+typedef struct {
+    PyObject *door; /* (name of the function, arguments ...) -> (status, messages, value), never raises */
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+    char name[];
+} Instance;
+
+typedef struct {
+    const void *data;
+    size_t size;
+} Bytes;
+
+/* Bytes in memory of our own; a saved state is one. */
+typedef struct {
+    size_t size;
+    char bytes[];
+} Blob;
+
+/* ---- calls --------------------------------------------------------------------------------------- */
+
+static Blob *blob(const char *data, size_t size) {
+    Blob *made = malloc(sizeof *made + size);
+    if (!made) return NULL;
+    made->size = size;
+    if (size) memcpy(made->bytes, data, size);
+    return made;
+}
+
+/* A copy of one item of a tuple, null if that is not made of bytes. */
+static Blob *item(PyObject *tuple, int index) {
+    PyObject *bytes = py.PyTuple_GetItem(tuple, index);
+    const char *data = bytes ? py.PyBytes_AsString(bytes) : NULL;
+    return data ? blob(data, (size_t)py.PyBytes_Size(bytes)) : NULL;
+}
+
+static PyObject *tuple_of(const Bytes arguments[], size_t n) {
+    PyObject *tuple = py.PyTuple_New((ptrdiff_t)n);
+    for (size_t i = 0; tuple && i < n; i++) {
+        PyObject *bytes = py.PyBytes_FromStringAndSize(arguments[i].data, (ptrdiff_t)arguments[i].size);
+        if (bytes && py.PyTuple_SetItem(tuple, (ptrdiff_t)i, bytes) == 0) continue;
+        py.Py_DecRef(tuple);
+        tuple = NULL;
+    }
+    return tuple;
+}
+
+static void complain(const Instance *self, const char *text) {
+    if (self->logger) self->logger(self->environment, self->name, fmi2Error, "logStatusError", text);
+}
+
+/* Messages are a digit for the status, the category and the text, each of these with a zero at its end. */
+static void tell(const Instance *self, const Blob *messages) {
+    const char *at = messages->bytes, *end = at + messages->size;
+    while (at < end && self->logger) {
+        const char *category = at + 1, *text = category + strlen(category) + 1;
+        self->logger(self->environment, self->name, (fmi2Status)(*at - '0'), category, text);
+        at = text + strlen(text) + 1;
+    }
+}
+
+/* One call, with Python locked. The value goes to `value`, as an object to `object`, where these are given. */
+static fmi2Status locked_call(PyObject *function, const Bytes arguments[], size_t n, Blob **messages,
+                              Blob **value, PyObject **object) {
+    PyObject *tuple = tuple_of(arguments, n);
+    PyObject *answer = tuple ? py.PyObject_CallObject(function, tuple) : NULL;
+    PyObject *code = answer ? py.PyTuple_GetItem(answer, 0) : NULL;
+    const fmi2Status status = code ? (fmi2Status)py.PyLong_AsLong(code) : fmi2Error;
+    if (answer) *messages = item(answer, 1);
+    if (answer && value) *value = item(answer, 2);
+    if (answer && object && (*object = py.PyTuple_GetItem(answer, 2))) py.Py_IncRef(*object);
+    if (tuple) py.Py_DecRef(tuple);
+    if (answer) py.Py_DecRef(answer);
+    py.PyErr_Clear();
+    return status;
+}
+
+static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, Blob **value) {
+    Blob *messages = NULL;
+    for (size_t i = 0; i < n; i++)
+        if ((!arguments[i].data && arguments[i].size) || arguments[i].size > PTRDIFF_MAX / 2) {
+            complain(self, "a null pointer or a wrong number of values");
+            return fmi2Error;
+        }
+    const int lock = py.PyGILState_Ensure();
+    const fmi2Status status = locked_call(self->door, arguments, n, &messages, value, NULL);
+    py.PyGILState_Release(lock);
+    if (messages) tell(self, messages); /* unlocked: nobody knows what the caller's function waits for */
+    else complain(self, "Python is out of memory");
+    free(messages);
+    return status;
+}
+
+#define TEXT(text) {text, strlen(text)}
+#define ARRAY(array, n) {array, (n) * sizeof *(array)}
+#define NUMBER(x) {&(x), sizeof(x)}
+#define NAME TEXT(__func__)
+#define COUNT(a) (sizeof(a) / sizeof *(a))
+
+/* A call whose value goes to the caller's array. */
+static fmi2Status fill(const Instance *self, const Bytes arguments[], size_t n, void *array, size_t size) {
+    Blob *value = NULL;
+    fmi2Status status = call(self, arguments, n, &value);
+    const int fits = array && value && value->size == size;
+    if (status < fmi2Discard && fits && size) memcpy(array, value->bytes, size);
+    if (status < fmi2Discard && !fits && size) {
+        complain(self, "there is no room for the values");
+        status = fmi2Error;
+    }
+    free(value);
+    return status;
+}
+
+/* ---- life of an instance --------------------------------------------------------------------------- */
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+/* The function of start.h; Python is locked. */
+static PyObject *start_function(void) {
+    PyObject *module = py.PyImport_AddModule("_fmu_start");
+    PyObject *names = module ? py.PyModule_GetDict(module) : NULL;
+    PyObject *code = names ? py.Py_CompileString(START, "fmu_start.py", 257 /* a file */) : NULL;
+    PyObject *done = code ? py.PyEval_EvalCode(code, names, names) : NULL;
+    if (code) py.Py_DecRef(code);
+    if (done) py.Py_DecRef(done);
+    return done ? py.PyDict_GetItemString(names, "start") : NULL;
+}
+
+static void open_door(Instance *self, const Bytes arguments[], size_t n) {
+    Blob *messages = NULL;
+    const int lock = py.PyGILState_Ensure();
+    PyObject *start = start_function();
+    fmi2Status status = fmi2Error;
+    if (start) status = locked_call(start, arguments, n, &messages, NULL, &self->door);
+    py.PyErr_Clear();
+    if (status >= fmi2Error && self->door) {
+        py.Py_DecRef(self->door); /* None */
+        self->door = NULL;
+    }
+    py.PyGILState_Release(lock);
+    if (messages) tell(self, messages);
+    else complain(self, "this Python cannot run the start of an FMU");
+    free(messages);
+}
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn) {
+    const char *name = instanceName ? instanceName : "", *guid = fmuGUID ? fmuGUID : "";
+    const char *where = fmuResourceLocation ? fmuResourceLocation : "";
+    Instance *self = calloc(1, sizeof *self + strlen(name) + 1);
+    (void)visible;
+    if (!self) return NULL;
+    strcpy(self->name, name);
+    self->logger = functions ? functions->logger : NULL;
+    self->environment = functions ? functions->componentEnvironment : NULL;
+    const char *problem = interpreter_start();
+    if (fmuType != fmi2CoSimulation) problem = "the FMU is for co-simulation only";
+    const Bytes arguments[] = {TEXT(name), TEXT(guid), TEXT(where), TEXT(loggingOn ? "1" : "0")};
+    if (problem) complain(self, problem);
+    else open_door(self, arguments, COUNT(arguments));
+    if (self->door) return self;
+    free(self);
+    return NULL;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    Instance *self = c;
+    if (!self) return;
+    const int lock = py.PyGILState_Ensure();
+    py.Py_DecRef(self->door);
+    py.PyGILState_Release(lock);
+    free(self);
+}
+
+/* A call without value. */
+#define CALL(c, ...)                                        \
+    const Bytes arguments[] = {NAME, __VA_ARGS__};          \
+    return c ? call(c, arguments, COUNT(arguments), NULL) : fmi2Error
+
+#define PLAIN(function)                                             \
+    fmi2Status function(fmi2Component c) {                          \
+        const Bytes arguments[] = {NAME};                           \
+        return c ? call(c, arguments, 1, NULL) : fmi2Error;         \
+    }
+
+PLAIN(fmi2EnterInitializationMode)
+PLAIN(fmi2ExitInitializationMode)
+PLAIN(fmi2Terminate)
+PLAIN(fmi2Reset)
+PLAIN(fmi2CancelStep)
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[]) {
+    char names[1024] = "";
+    size_t used = 0;
+    for (size_t i = 0; i < nCategories; i++) {
+        const size_t length = strlen(categories[i]);
+        if (used + length + 2 > sizeof names) return fmi2Error;
+        memcpy(names + used, categories[i], length);
+        used += length;
+        names[used++] = '\n';
+    }
+    CALL(c, NUMBER(loggingOn), {names, used});
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
+                               fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+    const double numbers[] = {(double)toleranceDefined, tolerance, startTime, (double)stopTimeDefined, stopTime};
+    CALL(c, ARRAY(numbers, COUNT(numbers)));
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    const double numbers[] = {currentCommunicationPoint, communicationStepSize};
+    (void)noSetFMUStatePriorToCurrentPoint;
+    CALL(c, ARRAY(numbers, COUNT(numbers)));
+}
+
+/* ---- values ---------------------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+    const Bytes arguments[] = {NAME, ARRAY(vr, nvr)};
+    return c ? fill(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
+    CALL(c, ARRAY(vr, nvr), ARRAY(value, nvr));
+}
+
+/* The model has no variable of another type: Python says so where one is asked for. */
+#define NO_VARIABLES_OF(type)                                                                       \
+    fmi2Status fmi2Get##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,            \
+                             fmi2##type value[]) {                                                  \
+        (void)value;                                                                                \
+        CALL(c, ARRAY(vr, nvr));                                                                    \
+    }                                                                                               \
+    fmi2Status fmi2Set##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,            \
+                             const fmi2##type value[]) {                                            \
+        (void)value;                                                                                \
+        CALL(c, ARRAY(vr, nvr));                                                                    \
+    }
+
+NO_VARIABLES_OF(Integer)
+NO_VARIABLES_OF(Boolean)
+NO_VARIABLES_OF(String)
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[]) {
+    CALL(c, ARRAY(vr, nvr), ARRAY(order, nvr), ARRAY(value, nvr));
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[]) {
+    const Bytes arguments[] = {NAME, ARRAY(vr, nvr), ARRAY(order, nvr)};
+    return c ? fill(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],
+                                        size_t nUnknown, const fmi2ValueReference vKnown_ref[], size_t nKnown,
+                                        const fmi2Real dvKnown[], fmi2Real dvUnknown[]) {
+    const Bytes arguments[] = {NAME, ARRAY(vUnknown_ref, nUnknown), ARRAY(vKnown_ref, nKnown),
+                               ARRAY(dvKnown, nKnown)};
+    return c ? fill(c, arguments, COUNT(arguments), dvUnknown, nUnknown * sizeof *dvUnknown) : fmi2Error;
+}
+
+/* ---- saved states ---------------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    const Bytes arguments[] = {NAME};
+    Blob *value = NULL;
+    if (!c || !FMUstate) return fmi2Error;
+    const fmi2Status status = call(c, arguments, 1, &value);
+    if (status < fmi2Error && value) {
+        free(*FMUstate);
+        *FMUstate = value;
+        return status;
+    }
+    free(value);
+    return fmi2Error;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
+    const Blob *state = FMUstate;
+    CALL(c, {state ? state->bytes : "", state ? state->size : 0});
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    (void)c;
+    if (FMUstate) {
+        free(*FMUstate);
+        *FMUstate = NULL;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
+    if (!c || !FMUstate || !size) return fmi2Error;
+    *size = ((const Blob *)FMUstate)->size;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
+                                 size_t size) {
+    const Blob *state = FMUstate;
+    if (!c || !state || !serializedState || size < state->size) return fmi2Error;
+    memcpy(serializedState, state->bytes, state->size);
+    return fmi2OK;
+}
+
+/* Python looks at the bytes: those of another model are refused here, not when they are set. */
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
+                                   fmi2FMUstate *FMUstate) {
+    const Bytes arguments[] = {NAME, {serializedState, size}};
+    if (!c || !FMUstate) return fmi2Error;
+    *FMUstate = NULL; /* what it held on entry is not defined */
+    const fmi2Status status = call(c, arguments, COUNT(arguments), NULL);
+    if (status < fmi2Error) *FMUstate = blob(serializedState, size);
+    return status < fmi2Error && !*FMUstate ? fmi2Error : status;
+}
+
+/* ---- status ---------------------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+    const Bytes arguments[] = {NAME, NUMBER(kind)};
+    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    const Bytes arguments[] = {NAME, NUMBER(kind)};
+    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
+    const Bytes arguments[] = {NAME, NUMBER(kind)};
+    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    const Bytes arguments[] = {NAME, NUMBER(kind)};
+    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+    if (value) *value = "";
+    CALL(c, NUMBER(kind));
+}
