@@ -273,6 +273,37 @@ def validate(
 
 
 @app.command()
+def compare(
+    traces: Annotated[
+        list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet) of runs.")
+    ],
+    against: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The trace to compare with; default: the first.")
+    ] = None,
+    signals: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="What to show, such as '*_pressure'; repeatable; default: speeds, pressures and angles.",
+        ),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option(metavar="T", help="Begin of the window [s].", parser=_seconds)
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option(metavar="T", help="End of the window [s].", parser=_seconds)
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where comparison.png and comparison.json go.")
+    ] = BUILD,
+) -> None:
+    """Compare traces of runs: error of each signal against one of them, cost, and a picture."""
+    from orchestrator import commands
+
+    commands.compare(traces, out, against=against, signals=signals or (), start=start, stop=stop)
+
+
+@app.command()
 def check(
     fmu: Annotated[Path | None, typer.Argument(metavar="FILE", help="Any .fmu file.")] = None,
     for_: Annotated[

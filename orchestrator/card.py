@@ -36,7 +36,10 @@ class SignalError:
 
 @dataclass(frozen=True)
 class Card:
-    """Facts about one run. Times in [s]."""
+    """Facts about one run. Times in [s].
+
+    inside   component -> time in its steps, the rest of the wall time is coupling and recording
+    """
 
     master: str
     step: float
@@ -48,6 +51,7 @@ class Card:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     errors: tuple[SignalError, ...] = field(default=())
+    inside: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:
@@ -77,6 +81,9 @@ class Card:
             f"master {self.master}, step {self.step:.6g} s, {length}",
             f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
         ]
+        if self.inside:
+            each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
+            lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
         if self.bonds:
             lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], _bond_rows(self))]
         if self.errors:

@@ -11,6 +11,7 @@ from typing import Any
 from orchestrator.card import Card
 from orchestrator.errors import Problem
 from orchestrator.grid import communication_step, thinned
+from orchestrator.sidecar import write_facts
 from orchestrator.simulation import Interrupted, Result, RunFailed
 from orchestrator.simulation import run as simulate
 from orchestrator.ssp import load
@@ -21,7 +22,7 @@ BUILT, MAKE = Path("build/harvester.ssp"), "harvester build"
 
 def run(system: Path, scenario: Path | None, out: Path, **options: Any) -> None:
     """Co-simulate, write the trace, print the accuracy card; an aborted run leaves its trace too."""
-    save(simulated(system, scenario, out, **options), out)
+    save(simulated(system, scenario, out, **options), out, {"scenario": scenario, **options})
 
 
 def validate(
@@ -55,6 +56,7 @@ def validate(
     if reference and not scenario and not options.get("parameters"):
         result = _noted(result, "no --scenario given: ran what the system plays by itself")
     write(result.trace, trace)
+    write_facts(result, trace, {"scenario": scenario, **options})
     if len(result.system.components) == 1:
         known = by_variable(result.trace, [*against.signals, *(signal for _, signal in shown.named)])
         result = replace(result, trace=known)
@@ -114,7 +116,7 @@ def simulated(
     try:
         return simulate(loaded, scenario, step=step, record_step=interval, progress=True, **options)
     except (RunFailed, Interrupted) as ended:
-        save(ended.result, out)
+        save(ended.result, out, {"scenario": scenario, "cut": cut, "swap": swap, **options})
         raise
 
 
@@ -135,9 +137,10 @@ def folder(path: Path) -> None:
         raise Problem(f"{path}: expected a folder to write to, got no permission")
 
 
-def save(result: Result, out: Path) -> None:
-    """Write the trace and print the card."""
+def save(result: Result, out: Path, given: Mapping[str, Any]) -> None:
+    """Write the trace and, beside it, what the run was; print the card."""
     write(result.trace, out)
+    write_facts(result, out, given)
     print(result.card.text())
     end = f"up to t = {result.trace.time[-1]:.6g} s " if len(result.trace.time) else ""
     kept = "" if result.complete else f"the run ended early; what was recorded {end}is kept in "
@@ -161,6 +164,16 @@ def signals(system: Path, kind: str | None = None) -> None:
 def swaps(texts: Iterable[str]) -> dict[str, str]:
     """{component: variant or path} from the texts 'component=variant'."""
     return assignments(texts, "--swap", "component=variant or component=file.fmu")
+
+
+def compare(traces: Sequence[Path], out: Path, **options: Any) -> None:
+    """Compare traces with one of them, print tables, write the picture and the numbers."""
+    from orchestrator import comparison
+
+    found = comparison.compare(traces, **options)
+    folder(out)
+    picture, numbers = comparison.write(found, out)
+    print(f"{comparison.text(found)}\n\npicture: {picture}\nnumbers: {numbers}")
 
 
 def assignments(

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Protocol
 
 from orchestrator.archive import Location
@@ -63,6 +64,7 @@ class FmuSlave:
         self.name, self.interface, self.log = name, interface, Log(name)
         self._label = f"{name} ({fmu})"
         self._stepping, self._final = False, 1  # final: no step will be repeated
+        self.busy = 0.0
         self._undo = ExitStack()
         try:
             self._open(fmu)
@@ -201,7 +203,9 @@ class FmuSlave:
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]."""
         self.log.time = t
+        began = perf_counter()
         status = self._step(ctypes.c_double(t), ctypes.c_double(h), self._final, *self._results)
+        self.busy += perf_counter() - began
         if status or self._flags.value:
             self._fmi.stepped(self.calls, status)
 

@@ -221,6 +221,7 @@ class _Job:
             wall=time.perf_counter() - began,
             bonds=tuple(loop.monitor.energies()),
             warnings=tuple(line for log in logs for line in log.warnings()),
+            inside={name: slave.busy for name, slave in loop.network.slaves.items()},
             notes=self.system.notes + self._left_out() + loop.network.order.notes + loop.times.notes,
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)

@@ -15,11 +15,15 @@ Call = Callable[[], None]
 
 
 class Slave(Protocol):
-    """What a master needs of a component. All variables of one reader or writer have the same `access`."""
+    """What a master needs of a component. All variables of one reader or writer have the same `access`.
+
+    busy   time that its steps took so far [s]
+    """
 
     name: str
     interface: Interface
     log: Log
+    busy: float
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None: ...
     def enter(self) -> None: ...

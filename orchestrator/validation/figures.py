@@ -150,7 +150,7 @@ def _lines(spec: FigureSpec, panel: Panel, validation: Validation, trace: Trace 
             raise Problem(f"figure {spec.title!r}: signal {signal!r} is neither compared nor in the run")
 
 
-def _frame(axes: Axes) -> None:
+def frame(axes: Axes) -> None:
     """A quiet frame: left and bottom only, faint grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(PALETTE.faint)
@@ -161,7 +161,7 @@ def _frame(axes: Axes) -> None:
 
 def _curves(axes: Axes, panel: Panel, lines: list[_Line]) -> None:
     """The panel itself: reference solid, simulation dotted."""
-    _frame(axes)
+    frame(axes)
     units = {line.unit for line in lines}
     axes.set_ylabel(f"{panel.label}\n[{', '.join(sorted(units)) or '1'}]", color=PALETTE.ink, fontsize=9)
     for line in lines:
@@ -188,7 +188,7 @@ def _curves(axes: Axes, panel: Panel, lines: list[_Line]) -> None:
 
 def _errors(axes: Axes, lines: list[_Line]) -> None:
     """The strip below a panel: simulation - reference, its limit if it is in sight."""
-    _frame(axes)
+    frame(axes)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     largest = 0.0
     for line in lines:

@@ -153,8 +153,12 @@ def convert(values: NDArray[np.float64], source: str, target: str, where: str) -
 
 
 def shown(unit: str) -> str:
-    """The unit in which values of `unit` are shown to a reader: bar for Pa, L/min, deg, deg/s, kN."""
+    """The unit in which values of `unit` are shown to a reader: bar for Pa, L/min, deg, deg/s, kN, kW.
+
+    N.m/s is no power but the rate of a torque.
+    """
     try:
-        return _SHOWN.get(parse(unit).exponents, unit)
+        exponents = parse(unit).exponents
+        return unit if exponents == _POWER and unit[-1:] != "W" else _SHOWN.get(exponents, unit)
     except Problem:
         return unit

@@ -1,0 +1,228 @@
+"""Runs against each other: numbers, cost, picture, and what is refused."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, Trace, assemble, read, run, write
+from orchestrator.__main__ import main
+from orchestrator.comparison import compare, draw, text
+from orchestrator.comparison.compare import quantity
+from orchestrator.comparison.figure import chosen
+from orchestrator.sidecar import read_facts
+
+TIME = np.linspace(0.0, 10.0, 1001)
+SPEED, PRESSURE = np.sin(TIME), 1e7 + 1e6 * np.cos(TIME)
+UNITS = {"arm.speed": "rad/s", "pump.pressure": "Pa", "arm.rest": "rad/s"}
+
+
+def trace(speed=0.0, pressure=0.0, rest=0.0, every=1, units=UNITS):
+    """A speed that moves, one that does not, and a pressure; with constant errors."""
+    signals = {"arm.speed": SPEED + speed, "arm.rest": np.full_like(TIME, rest)}
+    signals["pump.pressure"] = PRESSURE + pressure
+    return Trace(TIME[::every], {n: v[::every] for n, v in signals.items()}, units)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, fmus):
+    """A working directory with three runs of a gain: a.csv, b.csv with another factor, c.parquet."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
+    write(Trace(np.array([0.0, 8.0]), {"u": np.array([0.0, 8.0])}), "u.csv")
+    for options in (["a.csv"], ["b.csv", "--set", "gain.factor=2"], ["c.parquet", "--step", "0.4"]):
+        arguments = ["--step", "0.1", "--scenario", "u.csv", "--out", *options]
+        assert main(["run", "gain.fmu", *arguments]) == 0
+    return tmp_path
+
+
+def test_numbers_are_those_of_the_errors():
+    """NRMSE over the range of the reference, largest error, the worst signal of each quantity."""
+    found = compare({"usual": trace(), "other": trace(0.02, -1e5)})
+    row = found.against["other"]["arm.speed"]
+    # constant errors: RMSE and largest error are the error itself, rounding only
+    assert row.metrics.maximum_error == pytest.approx(0.02, rel=1e-12)
+    assert row.metrics.nrmse == pytest.approx(0.02 / np.ptp(SPEED), rel=1e-12)
+    assert found.worst("other", "pressure").signal == "pump.pressure"
+    assert found.reference.label == "usual"
+    assert found.quantities() == {"speed": ["arm.speed", "arm.rest"], "pressure": ["pump.pressure"]}
+
+
+def test_a_signal_at_rest_is_not_the_worst():
+    """Its error over its range says nothing; the error itself is told."""
+    noise = 1e-6 * np.sin(50 * TIME)
+    calm = trace()
+    calm = Trace(TIME, {**calm.signals, "arm.rest": noise}, UNITS)
+    found = compare({"usual": calm, "other": trace(0.01, rest=1e-3)})
+    assert found.against["other"]["arm.rest"].metrics.nrmse > 100
+    assert found.worst("other", "speed").signal == "arm.speed"
+    still = compare({"usual": trace(), "other": trace(0.01, rest=np.deg2rad(3.0))})
+    assert re.search(r"arm.rest +-, 3 deg/s$", text(still), re.MULTILINE)
+
+
+def test_against_names_the_reference():
+    """By its name, or by its file; the default is the first."""
+    runs = {"one": trace(), "two": trace(0.1), "three": trace(0.3)}
+    assert compare(runs).reference.label == "one"
+    found = compare(runs, against="three")
+    assert list(found.against) == ["one", "two"]
+    error = found.against["two"]["arm.speed"]
+    assert error.simulation[0] - error.reference[0] == pytest.approx(-0.2, rel=1e-12)  # rounding only
+    with pytest.raises(Problem, match="compare: against four: expected one of one, two, three"):
+        compare(runs, against="four")
+
+
+def test_grids_may_differ():
+    """Compared on the coarser one, as `validate` does; a window cuts both."""
+    found = compare({"fine": trace(), "coarse": trace(0.1, every=10)}, start=2.0, stop=4.0)
+    row = found.against["coarse"]["arm.speed"]
+    np.testing.assert_allclose(row.time, TIME[200:401:10], rtol=0, atol=1e-12)  # rounding only
+    assert row.metrics.rmse == pytest.approx(0.1, rel=1e-12)
+    assert found.window == pytest.approx((2.0, 4.0))
+    with pytest.raises(Problem, match=r"expected two or more samples in a common window, got 0"):
+        compare({"fine": trace(), "coarse": trace()}, start=20.0)
+
+
+def test_units_are_completed_and_converted():
+    """A trace without units has those of another; different units of one quantity are converted."""
+    bar = Trace(TIME, {"pump.pressure": PRESSURE / 1e5 + 1.0}, {"pump.pressure": "bar"})
+    bare = Trace(TIME, {"pump.pressure": PRESSURE}, {})
+    found = compare({"usual": trace(), "bar": bar, "bare": bare})
+    assert found.against["bar"]["pump.pressure"].metrics.maximum_error == pytest.approx(1.0, rel=1e-9)
+    assert found.against["bare"]["pump.pressure"].metrics.maximum_error == 0
+    wrong = Trace(TIME, {"pump.pressure": PRESSURE}, {"pump.pressure": "K"})
+    with pytest.raises(Problem, match=r"usual: pump.pressure: unit 'Pa' cannot be converted"):
+        compare({"usual": trace(), "wrong": wrong})
+
+
+def test_signals_are_chosen_by_patterns():
+    """Only common ones; what fits nothing is told."""
+    runs = {"one": trace(), "two": trace().select(["arm.speed", "pump.pressure"])}
+    assert compare(runs).signals == ("arm.speed", "pump.pressure")
+    assert compare(runs, signals=["*.pressure"]).signals == ("pump.pressure",)
+    assert compare(runs).notes == ("not in all traces, so left out: arm.rest",)
+    with pytest.raises(Problem, match=r"compare: signals arm.sped: no signal .* did you mean arm.speed\?"):
+        compare(runs, signals=["arm.sped"])
+
+
+def test_traces_without_common_signals_are_refused():
+    """With what each has."""
+    other = Trace(TIME, {"x": SPEED})
+    with pytest.raises(Problem) as caught:
+        compare({"one": trace(), "two": other})
+    told = "compare: expected signals that all have, got none: "
+    assert str(caught.value) == f"{told}one has arm.speed, arm.rest, pump.pressure; two has x"
+
+
+@pytest.mark.parametrize(
+    ("unit", "word"),
+    [
+        ("rad/s", "speed"),
+        ("deg/s", "speed"),
+        ("bar", "pressure"),
+        ("N.m", "torque"),
+        ("kJ", "energy"),
+        ("W", "power"),
+        ("N.m/s", "[N.m/s]"),
+        ("odd", "[odd]"),
+        ("", "without unit"),
+    ],
+)
+def test_quantities_have_words(unit, word):
+    """Also where two quantities share their base units."""
+    assert quantity(unit) == word
+
+
+def test_inputs_are_not_shown_unless_named(fmus):
+    """A connected input repeats an output."""
+    system = assemble({"s": fmus["source"], "g": fmus["gain"]}, ["s.y -> g.u"])
+    runs = {str(f): run(system, step=0.1, stop=1.0, set={"g.factor": f}) for f in (1.0, 2.0)}
+    assert compare(runs).signals == ("s.y", "g.y")
+    assert compare(runs, signals=["*"]).signals == ("s.y", "g.y", "g.u")
+
+
+def test_the_picture_shows_what_differs_most():
+    """At most six signals, three of each quantity; a run in each panel, an error below."""
+    units, signals = {}, {}
+    for i in range(5):
+        signals |= {f"s{i}": SPEED, f"p{i}": PRESSURE}
+        units |= {f"s{i}": "rad/s", f"p{i}": "Pa"}
+    worse = {name: values * (1 + 0.01 * int(name[1])) for name, values in signals.items()}
+    found = compare({"one": Trace(TIME, signals, units), "two": Trace(TIME, worse, units)})
+    assert chosen(found) == ["s2", "s3", "s4", "p2", "p3", "p4"]
+    figure = draw(found)
+    assert len(figure.axes) == 12
+    curves, errors = figure.axes[0], figure.axes[1]
+    assert [len(axes.lines) for axes in (curves, errors)] == [2, 2]  # reference and run; zero and error
+    assert curves.get_ylabel() == "[deg/s]"
+    drawn = errors.lines[1].get_ydata()
+    assert np.max(np.abs(drawn)) == pytest.approx(np.rad2deg(0.02), rel=1e-4)  # the peak between samples
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["one (reference)", "two"]
+
+
+def test_a_run_leaves_its_facts(folder):
+    """Beside the trace: system, settings, cost, units; only for the trace that it made."""
+    known = read_facts(Path("b.csv"), read("b.csv"))
+    assert (known.system, known.step, known.simulated) == ("gain.fmu", 0.1, pytest.approx(8.0))
+    assert known.given["set"] == {"gain.factor": "2"}
+    assert known.units == {"gain.y": "m", "gain.u": "m"}
+    assert known.inputs == ("gain.u",)
+    assert 0 < known.inside["gain"] < known.wall
+    assert read_facts(Path("b.csv"), read("c.parquet")) is None
+    (folder / "b.run.json").write_text('{"trace": "b.csv", "rows": 81, "walls": 3}', encoding="utf-8")
+    with pytest.raises(Problem, match=r"b.run.json: expected what harvester run writes beside a trace"):
+        read_facts(Path("b.csv"), read("b.csv"))
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_command_prints_and_writes(capsys):
+    """Tables, a picture, and all numbers as JSON."""
+    capsys.readouterr()
+    assert main(["compare", "a.csv", "b.csv", "c.parquet", "--out", "new/place"]) == 0
+    printed = capsys.readouterr().out
+    assert "b against a" in printed
+    assert re.search(r"^a +0.1 s .* gain [\d.e-]+$", printed, re.MULTILINE)
+    assert "picture: new/place/comparison.png" in printed
+    assert Path("new/place/comparison.png").read_bytes().startswith(b"\x89PNG")
+    data = json.loads(Path("new/place/comparison.json").read_text(encoding="utf-8"))
+    assert data["reference"] == "a"
+    numbers = data["runs"]["b"]["signals"]["gain.y"]
+    assert (numbers["maximum"], numbers["time of maximum [s]"], numbers["unit"]) == (8.0, 8.0, "m")
+    assert data["runs"]["c"]["step [s]"] == 0.4
+    assert main(["compare", "a.csv", "--against", "b.csv", "--out", "new"]) == 0
+    assert "a against b" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_reference_with_its_own_units_is_compared_too():
+    """A CSV with a TOML beside it, as `validate` reads it."""
+    Path("m.csv").write_text("time,y\n0,0\n4,4000\n8,8100\n", encoding="utf-8")
+    Path("m.toml").write_text('[signals."gain.y"]\ncolumn = "y"\nunit = "mm"\n', encoding="utf-8")
+    found = compare(["a.csv", "m.csv"], against="m.csv")
+    # the ramp of 1 m/s against a measured end of 8.1 m; the time axis of the run is rounded
+    assert found.against["a"]["gain.y"].metrics.maximum_error == pytest.approx(0.1, rel=1e-9)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.csv"], "harvester: compare: expected two or more traces, got a"),
+        (["a.csv", "a.csv"], "harvester: compare: expected two or more traces, got a"),
+        (["a.csv", "none.csv"], "harvester: none.csv: no such file"),
+        (["a.csv", "gain.fmu"], "harvester: gain.fmu: expected a file name ending in .csv or .parquet"),
+        (["a.csv", "u.csv"], "harvester: compare: expected signals that all have, got none: a.csv has gain."),
+        (["a.csv", "b.csv", "--signals", "x"], "harvester: compare: signals x: no signal that all have fits"),
+        (["a.csv", "b.csv", "--start", "9"], "expected two or more samples in a common window, got 0"),
+        (["a.csv", "b.csv", "--out", "a.csv"], "harvester: a.csv: expected a folder, and none can be made"),
+    ],
+)
+def test_mistakes_of_a_comparison_are_one_line(capsys, arguments, message):
+    """No traceback, exit status 2."""
+    capsys.readouterr()
+    assert main(["compare", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
