@@ -71,8 +71,15 @@ def interface(sub: Subsystem, values: Values) -> Interface:
         [Variable(name, "OUTPUT", q, None, output=True) for name, q in outputs.items() if name not in states],
     ]
     keep = [i for i, name in enumerate(outputs) if name not in states]
-    parameters, inputs, x, dx, y = _numbered(groups)
-    result = Interface(sub.name, sub.text, parameters, inputs, x, dx, y, sym, _pick(sym.y, keep))
+    return assembled(sub.name, sub.text, groups, sym, _pick(sym.y, keep))
+
+
+def assembled(
+    name: str, text: str, groups: Sequence[Sequence[Variable]], equations: Symbolic, y: ca.SX
+) -> Interface:
+    """An interface of parameters, inputs, states, derivatives and outputs, numbered and checked."""
+    parameters, inputs, x, dx, outputs = _numbered(groups)
+    result = Interface(name, text, parameters, inputs, x, dx, outputs, equations, y)
     _check_names(result)
     _check_numbers(result)
     return result

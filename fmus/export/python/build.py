@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import casadi as ca
 
-from fmus.contract import Subsystem
+from fmus.contract import ModelError, Subsystem
 from fmus.export.codegen import string
 from fmus.export.compile import shared_library
 from fmus.export.interface import Interface, interface
@@ -21,12 +22,15 @@ from fmus.export.model_description import COSIMULATION, FLAGS, Unknowns, describ
 from fmus.export.package import PLACEHOLDER, fingerprint_of, pack, shown
 from fmus.export.platforms import binaries, host
 from fmus.export.proof import proof
+from fmus.export.python.model import Model
 from fmus.export.python.origin import fingerprint, origin
 from fmus.export.python.scripts import script
 from fmus.export.python.slave import CARD
+from fmus.export.python.user import declared_files, refuse_neighbours, structure, tried
 from fmus.parameters import Values, values
 
 MAIN = "python_fmu.c"
+RESERVED = (CARD, "slavemodule.txt", "parameters.toml")
 
 
 def build_python(
@@ -51,6 +55,50 @@ def build_python(
     flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"}
     more = shown(sub, face, 2, step, stop) | proof(sub)
     return write(folder, face, card, "SubsystemSlave", flags, unknowns(face), step, stop, more, platforms)
+
+
+def build_user(
+    path: Path,
+    folder: Path,
+    step: float = 1e-3,
+    stop: float = 10.0,
+    platforms: Sequence[str] | None = None,
+) -> Path:
+    """Write an FMU of the `Model` in a user's file to `folder` and return its path; arguments as above."""
+    refuse_neighbours(path)
+    with TemporaryDirectory() as room:  # with what will be in the FMU, and nothing else
+        copy = Path(room).resolve() / path.name
+        copy.write_bytes(path.read_bytes())
+        more = {f"resources/{path.name}": path.read_bytes()} | _files(path, copy.parent)
+        model, face = tried(copy, step)
+    more |= shown(_surrogate(model, face, path), face, 2, step, stop)
+    flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"} | _NO_DERIVATIVES
+    card = {"file": path.name}
+    return write(folder, face, card, "UserSlave", flags, structure(model, face), step, stop, more, platforms)
+
+
+_NO_DERIVATIVES = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
+
+
+def _files(path: Path, room: Path) -> dict[str, bytes]:
+    """What else the model reads, by path in the FMU; copied to `room`, where it is tried."""
+    found = {}
+    for name in declared_files(path):
+        if Path(name).name != name or name in RESERVED or name == path.name:
+            raise ModelError(f"{path.name}: files names {name!r}, expected the name of a file beside it")
+        if not (path.parent / name).is_file():
+            raise ModelError(f"{path.name}: files names {name!r}, which is not beside it")
+        found[f"resources/{name}"] = (path.parent / name).read_bytes()
+        (room / name).write_bytes(found[f"resources/{name}"])
+    return found
+
+
+def _surrogate(model: Model, face: Interface, path: Path) -> Subsystem:
+    """What the documentation wants to know of a model: its variables and where its README may be."""
+    return Subsystem(
+        face.name, face.text, model.Parameters, model.State, model.Inputs, model.Outputs,
+        model.step, model.observe, path.with_suffix(".toml"),
+    )
 
 
 def write(

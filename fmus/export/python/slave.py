@@ -23,6 +23,8 @@ from fmus.export.python.behaviour import Behaviour, Continuous, Functions
 from fmus.export.python.instance import Instance
 from fmus.export.python.messages import told
 from fmus.export.python.origin import fingerprint, subsystem
+from fmus.export.python.stepwise import Stepwise, face
+from fmus.export.python.user import load
 from fmus.parameters import Values
 
 CARD = "model.json"  # in resources/: what the FMU was built from
@@ -113,11 +115,20 @@ class SubsystemSlave(Slave):
     def _functions(self) -> Functions:
         if self.guid not in _KNOWN:
             sub = subsystem(self.card["origin"])
-            face = interface(sub, Values(**self.card["numbers"]))
-            if fingerprint(face) != self.card["fingerprint"]:
+            variables = interface(sub, Values(**self.card["numbers"]))
+            if fingerprint(variables) != self.card["fingerprint"]:
                 raise ModelError(
                     f"{self.card['name']}: {self.card['origin']} in {sys.prefix} has other equations or "
                     "variables than the FMU was built from: build the FMU again"
                 )
-            _KNOWN[self.guid] = Functions(face)
+            _KNOWN[self.guid] = Functions(variables)
         return _KNOWN[self.guid]
+
+
+class UserSlave(Slave):
+    """A slave of a model that a user wrote, in a file beside the script."""
+
+    def behaviour(self) -> Behaviour:
+        """The model in the user's file."""
+        model = load(self.folder / self.card["file"])
+        return Stepwise(model, face(model))

@@ -1,0 +1,86 @@
+"""Boom and stick from a look-up table: what a test bench measured, in place of equations.
+
+    flow = map(command, force / area)                    into the head side of the cylinder [m3/s]
+    d force / dt = stiffness (flow / area - velocity)    the oil between valve and piston is a spring
+
+Signs are those of the drives that it stands for: a positive command, force or velocity extends the cylinder.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from fmus.boom_stick import BOOM_STICK
+from fmus.contract import Quantity
+from fmus.export.python import Model
+from fmus.parameters import values
+
+TABLE = np.loadtxt(Path(__file__).with_name("valve_map.csv"), delimiter=",")
+FLOW = RectBivariateSpline(TABLE[1:, 0], TABLE[0, 1:], TABLE[1:, 1:], kx=1, ky=1)  # straight lines between
+
+
+@dataclass(frozen=True)
+class Parameters:
+    boom_area: Annotated[float, Quantity("m2", "Head side of the boom piston", 1e-2)] = 11.31e-3
+    stick_area: Annotated[float, Quantity("m2", "Head side of the stick piston", 1e-2)] = 10.39e-3
+    boom_stiffness: Annotated[float, Quantity("N/m", "Oil of the boom cylinder at mid-stroke", 1e8)] = 8.9e7
+    stick_stiffness: Annotated[float, Quantity("N/m", "Oil of the stick cylinder at mid-stroke", 1e8)] = 6.8e7
+    area_ratio: Annotated[float, Quantity("1", "Rod side over head side")] = 0.65
+
+
+@dataclass(frozen=True)
+class Forces:
+    boom_force: Annotated[float, Quantity("N", "Force of the boom cylinder", 1e5)]
+    stick_force: Annotated[float, Quantity("N", "Force of the stick cylinder", 1e5)]
+
+
+@dataclass(frozen=True)
+class Outputs(Forces):
+    boom_force_rate: Annotated[float, Quantity("N/s", "Time derivative of boom_force", 1e6)]
+    stick_force_rate: Annotated[float, Quantity("N/s", "Time derivative of stick_force", 1e6)]
+    supply_flow: Annotated[float, Quantity("m3/s", "Flow taken from the supply line", 1e-3)]
+    return_flow: Annotated[float, Quantity("m3/s", "Flow given to the return line", 1e-3)]
+
+
+class MyActuator(Model):
+    """Boom and stick from a look-up table"""
+
+    Parameters, State, Inputs, Outputs = Parameters, Forces, BOOM_STICK.inputs, Outputs
+    start = values(BOOM_STICK).u  # the inputs start as those of the drives that it stands for
+    files = ("valve_map.csv",)
+    inner_step = 2.5e-4
+    depends = {  # noqa: RUF012
+        **{f"{a}_force": [f"{a}_holding_force"] for a in ("boom", "stick")},
+        **{f"{a}_force_rate": [f"{a}_command", f"{a}_velocity"] for a in ("boom", "stick")},
+        **{f"{line}_flow": ["boom_command", "stick_command"] for line in ("supply", "return")},
+    }
+
+    def flows(self, x, u, p):
+        return (
+            float(FLOW.ev(u.boom_command, x.boom_force / p.boom_area)),
+            float(FLOW.ev(u.stick_command, x.stick_force / p.stick_area)),
+        )
+
+    def rates(self, x, u, p):
+        boom, stick = self.flows(x, u, p)
+        return (
+            p.boom_stiffness * (boom / p.boom_area - u.boom_velocity),
+            p.stick_stiffness * (stick / p.stick_area - u.stick_velocity),
+        )
+
+    def initial(self, x, u, p):
+        return {"boom_force": u.boom_holding_force, "stick_force": u.stick_holding_force}
+
+    def step(self, x, u, p, t, h):
+        boom_rate, stick_rate = self.rates(x, u, p)
+        return Forces(x.boom_force + h * boom_rate, x.stick_force + h * stick_rate)
+
+    def observe(self, x, u, p, t):
+        into_head = [max(q, 0.0) for q in self.flows(x, u, p)]
+        out_of_head = [max(-q, 0.0) for q in self.flows(x, u, p)]
+        supply = sum(into_head) + p.area_ratio * sum(out_of_head)
+        back = sum(out_of_head) + p.area_ratio * sum(into_head)
+        return Outputs(x.boom_force, x.stick_force, *self.rates(x, u, p), supply, back)

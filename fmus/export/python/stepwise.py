@@ -1,0 +1,180 @@
+"""A user's `Model` as the rest of the back end sees it: its variables, and its behaviour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from fmus.contract import ModelError, Quantity, Symbolic, quantities
+from fmus.export.interface import Interface, Variable, assembled
+from fmus.export.python.behaviour import sizes
+from fmus.export.python.model import Model
+from fmus.solver import Array, Motion
+
+GROUPS = ("Parameters", "Inputs", "State", "Outputs")
+
+
+def face(model: Model) -> Interface:
+    """The variables with their start values; refuses what cannot be in an FMU."""
+    p, u, x, y = (_declared(model, name) for name in GROUPS)
+    unknown = set(model.start) - set(u)
+    if unknown:
+        raise ModelError(f"{model.name}: start names {min(unknown)}, expected inputs")
+    start = {name: _defaults(getattr(model, name)) for name in GROUPS}
+    first = _group(model.State, [start["State"].get(n, 0.0) for n in x])
+    computed = model.initial(
+        first,
+        _group(model.Inputs, [model.start.get(n, start["Inputs"].get(n, 0.0)) for n in u]),
+        _group(model.Parameters, [start["Parameters"].get(n, 0.0) for n in p]),
+    )
+    calculated = _names(model, "initial", computed, x)
+    return assembled(
+        model.name,
+        (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip("."),
+        [
+            [
+                Variable(n, "TUNABLE" if q.tunable else "FIXED", q, start["Parameters"].get(n, 0.0))
+                for n, q in p.items()
+            ],
+            [
+                Variable(n, "INPUT", q, float(model.start.get(n, start["Inputs"].get(n, 0.0))))
+                for n, q in u.items()
+            ],
+            [
+                Variable(n, "CALCULATED_STATE", q, None, output=n in y)
+                if n in calculated
+                else Variable(n, "STATE", q, start["State"].get(n, 0.0), output=n in y)
+                for n, q in x.items()
+            ],
+            [],
+            [Variable(n, "OUTPUT", q, None, output=True) for n, q in y.items() if n not in x],
+        ],
+        _NO_EQUATIONS,
+        ca.SX(0, 1),
+    )
+
+
+_NONE = ca.SX(0, 1)
+_NO_EQUATIONS = Symbolic(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, (), _NONE, (), ca.SX(math.inf))
+
+
+def _declared(model: Model, name: str) -> Mapping[str, Quantity]:
+    group = getattr(model, name)
+    if not (isinstance(group, type) and is_dataclass(group)):
+        raise ModelError(f"{model.name}: {name} is {group!r}, expected a dataclass")
+    try:
+        return quantities(group)
+    except (AttributeError, NameError) as problem:
+        raise ModelError(
+            f'{model.name}: a field of {name} is not declared as Annotated[float, Quantity("unit", "text")] '
+            f"({problem})"
+        ) from None
+
+
+def _defaults(group: type[Any]) -> dict[str, float]:
+    return {f.name: float(f.default) for f in fields(group) if f.default is not MISSING}
+
+
+def _group(group: type[Any], values: Sequence[float]) -> Any:
+    return group(**{f.name: value for f, value in zip(fields(group), values, strict=True)})
+
+
+def _names(model: Model, method: str, found: object, allowed: Mapping[str, Quantity]) -> set[str]:
+    if not isinstance(found, Mapping):
+        raise ModelError(f"{model.name}: {method}() gave {type(found).__name__}, expected a dictionary")
+    unknown = set(found) - set(allowed)
+    if unknown:
+        raise ModelError(f"{model.name}: {method}() gave {min(unknown)}, expected names of states")
+    return set(found)
+
+
+class Stepwise:
+    """See `behaviour.Behaviour`."""
+
+    def __init__(self, model: Model, face: Interface) -> None:
+        self.model, self.face, self.variables, self.sizes = model, face, face.variables, sizes(face)
+        self._outputs = [f.name for f in fields(model.Outputs)]
+        states = [v.name for v in face.states]
+        self._own = [i for i, n in enumerate(self._outputs) if n not in states]
+        self._merged = [(i, states.index(n)) for i, n in enumerate(self._outputs) if n in states]
+        start = [np.array([v.start or 0.0 for v in g]) for g in (face.states, face.inputs, face.parameters)]
+        self.statements = tuple(self._require(self.start(*start), start[1], start[2]))
+
+    def _groups(self, x: Array, u: Array, p: Array) -> tuple[Any, Any, Any]:
+        m = self.model
+        return (
+            _group(m.State, x.tolist()),
+            _group(m.Inputs, u.tolist()),
+            _group(m.Parameters, p.tolist()),
+        )
+
+    def start(self, x: Array, u: Array, p: Array) -> Array:
+        """See `Behaviour`."""
+        computed = self.model.initial(*self._groups(x, u, p))
+        allowed = {v.name: v.quantity for v in self.face.states if v.kind == "CALCULATED_STATE"}
+        if _names(self.model, "initial", computed, allowed) != set(allowed):
+            raise ModelError(f"{self.model.name}: initial() gave other states than at the build")
+        found = [computed.get(v.name, x[i]) for i, v in enumerate(self.face.states)]
+        return np.array([self._number("initial", v.name, n) for v, n in zip(self.face.states, found, strict=True)])
+
+    def rate(self, x: Array, u: Array, p: Array) -> Array:
+        """There are no derivatives."""
+        return np.zeros(0)
+
+    def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
+        """See `Behaviour`."""
+        y = self._values("observe", self.model.observe(*self._groups(x, u, p), t), self.model.Outputs)
+        for i, state in self._merged:
+            if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
+                raise ModelError(
+                    f"{self.model.name}: observe() gave {self._outputs[i]} = {y[i]:.9g}, which is also a state "
+                    f"and is {x[state]:.9g}"
+                )
+        require = self._require(x, u, p)
+        return y[self._own], np.array([require[statement] for statement in self.statements])
+
+    def _require(self, x: Array, u: Array, p: Array) -> dict[str, float]:
+        found = self.model.require(*self._groups(x, u, p))
+        if not isinstance(found, Mapping) or ("statements" in vars(self) and set(found) != set(self.statements)):
+            raise ModelError(f"{self.model.name}: require() gave {found!r}, expected always the same statements")
+        return {statement: self._number("require", statement, n) for statement, n in found.items()}
+
+    def advance(
+        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: float
+    ) -> tuple[Array, float]:
+        """See `Behaviour`: equal steps, none longer than `inner_step`."""
+        count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
+        h = length / count
+        for k in range(count):
+            u = motion.value((k + 0.5) * h)
+            found = self.model.step(*self._groups(x, u, p), t + k * h, h)
+            x = self._values("step", found, self.model.State)
+        return x, memory
+
+    def forward(
+        self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
+    ) -> tuple[Array, Array, Array]:
+        """A model by hand has no derivatives."""
+        raise ModelError("a model written by hand offers no derivatives")
+
+    def _values(self, method: str, found: object, group: type[Any]) -> Array:
+        if not isinstance(found, group):
+            raise ModelError(
+                f"{self.model.name}: {method}() gave {type(found).__name__}, expected {group.__name__}"
+            )
+        return np.array([self._number(method, f.name, getattr(found, f.name)) for f in fields(group)])
+
+    def _number(self, method: str, name: str, value: Any) -> float:
+        if isinstance(value, str | bytes | bool) or np.ndim(value) != 0:
+            raise ModelError(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number"
+            ) from None
