@@ -30,7 +30,7 @@ def valve_ports(d: Drive, x: Pressures, u: Surroundings) -> tuple[PortFlow, Port
 
 def oil(d: Drive, x: Pressures, u: Surroundings) -> Oil:
     """The pressures with the line flows [m3/s] that follow from them."""
-    head, rod = (node.supply - node.tank for node in valve_ports(d, x, u))
+    head, rod = (node.line for node in valve_ports(d, x, u))
     return Oil(*x, head, rod)
 
 

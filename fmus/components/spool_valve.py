@@ -19,11 +19,12 @@ from fmus.contract import Scalar
 
 @dataclass(frozen=True)
 class PortFlow:
-    """One port node: its pressure [Pa], flow from supply and flow to tank [m3/s]."""
+    """One port node: its pressure [Pa]; flow from supply, flow to tank and flow into the line [m3/s]."""
 
     pressure: Scalar
     supply: Scalar
     tank: Scalar
+    line: Scalar
 
 
 def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: Scalar) -> Scalar:
@@ -55,12 +56,13 @@ def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
 
     y = Q sqrt(Q^2 + Q_t^2) is solved by
 
-        Q = (y / Q_t) sqrt(2 / (1 + sqrt(1 + (2 y / Q_t^2)^2)))
+        Q = y sqrt(c / (1 + sqrt(1 + (c y)^2)))        c = 2 / Q_t^2
 
     odd and increasing in y; its slope at y = 0 is 1 / Q_t, so that of an edge is K^2 / Q_t. No difference of
     nearly equal numbers occurs, and a closed edge (K = 0) passes exactly nothing.
     """
-    return ca.sqrt(2 / (1 + ca.sqrt(1 + (2 * drop / transition_flow**2) ** 2))) / transition_flow
+    c = 2 / transition_flow**2
+    return ca.sqrt(c / (1 + ca.sqrt(1 + (c * drop) ** 2)))
 
 
 def port(
@@ -87,30 +89,8 @@ def port(
     g_supply = leakage + gain_supply**2 / speed
     g_tank = leakage + gain_tank**2 / speed
     pressure = (g_supply * supply_pressure + g_tank * tank_pressure - line_flow) / (g_supply + g_tank)
-    return PortFlow(pressure, g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure))
-
-
-def direct_port(
-    pressure: Scalar,
-    square_supply: Scalar,
-    square_tank: Scalar,
-    leakage: Scalar,
-    transition_flow: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
-) -> PortFlow:
-    """Port whose edges lead directly into a chamber at this pressure P: flows from pressures.
-
-    Each edge passes G_leak dp + Q(K^2 dp) with Q the inverse of eq. (1), see `turbulent_factor`; `square_*`
-    are K^2 [m6/(s2.Pa)]. At most one of the two is open, so that one factor serves both.
-    """
-    from_supply, to_tank = supply_pressure - pressure, pressure - tank_pressure
-    factor = turbulent_factor(square_supply * from_supply - square_tank * to_tank, transition_flow)
-    return PortFlow(
-        pressure,
-        (leakage + square_supply * factor) * from_supply,
-        (leakage + square_tank * factor) * to_tank,
-    )
+    supply, tank = g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure)
+    return PortFlow(pressure, supply, tank, line_flow)
 
 
 @dataclass(frozen=True)
@@ -126,13 +106,6 @@ class Valve:
     transition_flow: Scalar
 
 
-def gains(valve: Valve, command: Scalar, density: Scalar) -> tuple[Scalar, Scalar]:
-    """K [m3/s/Pa^(1/2)] at a command [V]: of the edges P-A and B-T, and of P-B and A-T."""
-    full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
-    return full * opening(command, *shape), full * opening(-command, *shape)
-
-
 def ports(
     valve: Valve,
     command: Scalar,
@@ -143,9 +116,44 @@ def ports(
     density: Scalar,
 ) -> tuple[PortFlow, PortFlow]:
     """Both port nodes at a command [V] and the line flows [m3/s] out of A and B."""
-    forward, backward = gains(valve, command, density)
+    full = flow_gain(valve.area, valve.discharge_coefficient, density)
+    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
+    forward, backward = full * opening(command, *shape), full * opening(-command, *shape)
     rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
     return port(flow_a, forward, backward, *rest), port(flow_b, backward, forward, *rest)
+
+
+def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
+    """K^2 [m6/(s2.Pa)] of what a positive command [V] opens: `flow_gain` times `opening`, squared."""
+    foot = ramp(valve.full_command - valve.dead_band, valve.command_rounding)
+    full = flow_gain(valve.area, valve.discharge_coefficient, density) / foot
+    effective = ca.fmin(command, valve.full_command)
+    return (full * ramp(effective - valve.dead_band, valve.command_rounding)) ** 2
+
+
+def _direct_port(
+    pressure: Scalar,
+    from_supply: Scalar,
+    square: Scalar,
+    leakage: Scalar,
+    transition_flow: Scalar,
+    supply_pressure: Scalar,
+    tank_pressure: Scalar,
+) -> PortFlow:
+    """Port whose edges lead directly into a chamber at this pressure P: flows from pressures.
+
+    Each edge passes G_leak dp, the one that is open (to the supply if `from_supply`, else to the tank)
+    also Q(K^2 dp), see `turbulent_factor`. At most one is open.
+    """
+    y = square * (ca.if_else(from_supply, supply_pressure, tank_pressure) - pressure)
+    turbulent = y * turbulent_factor(y, transition_flow)
+    supply, tank = leakage * (supply_pressure - pressure), leakage * (pressure - tank_pressure)
+    return PortFlow(
+        pressure,
+        supply + ca.if_else(from_supply, turbulent, 0),
+        tank - ca.if_else(from_supply, 0, turbulent),
+        supply - tank + turbulent,
+    )
 
 
 def direct_ports(
@@ -162,11 +170,11 @@ def direct_ports(
 
     The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
     """
-    forward, backward = (k**2 / (1 + line_resistance * k**2) for k in gains(valve, command, density))
-    rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return direct_port(pressure_a, forward, backward, *rest), direct_port(
-        pressure_b, backward, forward, *rest
-    )
+    edge = _square_gain(valve, ca.fabs(command), density)
+    square = edge / (1 + line_resistance * edge)
+    forward = command > 0
+    rest = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    return _direct_port(pressure_a, forward, *rest), _direct_port(pressure_b, 1 - forward, *rest)
 
 
 def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:

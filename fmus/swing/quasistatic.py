@@ -62,8 +62,8 @@ def dynamics(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> Q
     (a, b), at = _ports(x, u, p)
     c = p.line_capacitance
     return QuasistaticState(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.supply - a.tank - at.flow_1, c),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.supply - b.tank - at.flow_2, c),
+        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - at.flow_1, c),
+        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - at.flow_2, c),
     )
 
 
@@ -75,8 +75,8 @@ def observe(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> Sw
     edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in (a, b))
     return SwingOutputs(
         **vars(x),
-        swing_flow_a=a.supply - a.tank,
-        swing_flow_b=b.supply - b.tank,
+        swing_flow_a=a.line,
+        swing_flow_b=b.line,
         swing_torque=displacement * (x.swing_pressure_a - x.swing_pressure_b),
         swing_torque_rate=displacement * (dx.swing_pressure_a - dx.swing_pressure_b),
         supply_flow=a.supply + b.supply,
