@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.build import data
-from fmus.machine import ALL
+from fmus.machine import ALL, FAMILIES
 from fmus.poses import POSES
 from orchestrator import commands, read
 from orchestrator.__main__ import main
@@ -39,13 +39,14 @@ def own_reference(old: str = "", new: str = "") -> str:
 
 
 def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
-    """The FMUs and the system that connects them, for FMI 2.0 and 3.0, each told with its size."""
+    """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
     monkeypatch.chdir(tmp_path)
     assert main(["build", "--out", "new/folder"]) == 0
     files = [*(f"{name}.fmu" for name in (*ALL, "harvester")), "harvester.ssp"]
+    files += [f"variants/{part}_{v}.fmu" for part, variants in FAMILIES.items() for v in variants]
     names = [*files, *(f"fmi3/{name}" for name in files)]
     printed = capsys.readouterr().out.splitlines()
-    assert [Path(line.split()[0]) for line in printed] == [Path("new/folder") / name for name in names]
+    assert {Path(line.split()[0]) for line in printed} == {Path("new/folder") / name for name in names}
     assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
 
 
@@ -109,18 +110,21 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
 
 @pytest.mark.usefixtures("here")
 def test_signals_are_listed(capsys):
-    """Inputs of the system with their targets, and every variable with unit and text, in 100 columns."""
+    """Inputs that nothing feeds, and every variable with unit and text, in 100 columns."""
+    assert main(["signals", "build/harvester.fmu"]) == 0
+    assert capsys.readouterr().out.startswith("harvester: inputs for --set and scenarios")
     assert main(["signals"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert max(map(len, printed)) <= 100
-    assert printed[0] == "harvester: inputs for --set and scenarios"
     words = {line.split()[0]: line.split()[1:] for line in printed if line.startswith("  ") and line.split()}
-    assert words["supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
+    assert words["supply.supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
     assert words["manipulator.boom_angle"][:3] == ["rad", "Boom", "angle"]
     assert "from swing.swing_torque" in " ".join(" ".join(printed).split())
     assert main(["signals", "--kind", "parameter"]) == 0
     heads = [line for line in capsys.readouterr().out.splitlines() if line and not line.startswith(" ")]
-    assert heads == [f"{name}: parameters" for name in ("manipulator", "boom_stick", "swing", "levers")]
+    assert heads == [
+        f"{name}: parameters" for name in ("manipulator", "supply", "boom_stick", "swing", "levers")
+    ]
 
 
 @pytest.mark.usefixtures("here")
@@ -200,7 +204,7 @@ def test_validate_passes_and_writes_its_files(capsys):
     assert "pass: 27 of 27 signals within their limits" in printed
     assert "compared at the 101 samples of the reference, 0 to 2 s" in printed
     assert "interpolated" not in printed
-    assert "build/run.csv: 94 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
+    assert "build/run.csv: 110 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
     assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
     time = read("build/run.csv").time
     # point n is n times the step: rounding only

@@ -33,7 +33,10 @@ NOMINAL = np.array(3 * [1e7, 1e7, 1e-3, 1e-3] + 6 * [1.0])
 
 
 def numbers(section: str = "parameters") -> dict[str, float]:
-    """All `parameters` or all `start` values of the machine, by `component.name`."""
+    """All `parameters` or all `start` values of the machine, by `component.name`.
+
+    Among the parameters are those of the project's other variants, which nothing here uses.
+    """
     found = {}
     for component in ("swing", "boom_stick", "manipulator"):
         path = Path(__file__).parents[1] / "fmus" / component / "parameters.toml"
