@@ -13,7 +13,7 @@ Each term is a resistance R_i = m_i R/2 with an inertance L_i = R_i r^2/(n_i nu)
 
 so energy is stored (L_i q_i^2/2) and lost, never made. The inertances add up to I/3, as they must: slow flow
 has the inertance 4/3 I of its parabolic profile. Up to w r^2/nu = `RANGE` the real part, which damps, is
-within 25 % of Zielke's and the whole impedance within 2.5 %; steady friction alone has 4 % of the real part
+within 26 % of Zielke's and the whole impedance within 2.5 %; steady friction alone has 4 % of the real part
 there. The range ends at 700 Hz for a 3/4 in hose and 20 mm2/s. Turbulent flow has a shorter memory: there
 the terms are an upper bound.
 """

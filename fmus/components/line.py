@@ -160,13 +160,14 @@ def lumps_needed(
 ) -> int:
     """How many T-lumps give every mode up to `bandwidth` [Hz] within the share `error` of its frequency.
 
-    A mode of the line has a wave number k, whatever stands at its ends. The ladder has the same k, and
+    A mode between open or shut ends has a wave number k. The ladder has the same k, and
 
         gamma(s_ladder) = gamma(s_line) sin(t)/t,        t = k l/2N,        gamma(s)^2 = Z(s) s C/l
 
     with the impedance Z of the line's friction: without friction the frequencies themselves are low by
     1 - sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity slows
-    the waves down: a narrow bore needs more lumps. Air is left out, though it slows them at low pressure.
+    the waves down: a narrow bore needs more lumps. With a chamber at an end the ladder's k is a little higher,
+    its error smaller. Air is left out, though it slows the waves at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
     line = Line(length, bore, 0.0, wall_modulus, fluid)

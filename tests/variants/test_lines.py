@@ -1,0 +1,292 @@
+"""Lines of T-lumps against the transmission line, and the adviser that says how many it takes."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.optimize import brentq
+from scipy.special import jve
+
+from fmus.boom_stick.detailed import advised_lumps, detailed, hose
+from fmus.components import layers, line
+from fmus.components.line import Line, lumps_needed
+from fmus.components.oil import Fluid
+from fmus.contract import quantities, symbolic
+from fmus.parameters import values
+
+# the hose of verification cases V02, V11, V19: 4 m of 3/4 in, rigid wall, no air
+BETA, RHO, LENGTH, BORE, MU = 1.6e9, 970.0, 4.0, 0.75 * 0.0254, 0.030
+SPEED = math.sqrt(BETA / RHO)
+STIFF = 1e30  # Pa: a wall that does not give
+WORK = 1e7  # Pa: far above the pressure at which voids open
+AREA = math.pi / 4 * BORE**2
+
+
+def pipe(viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE) -> Line:
+    """A line without air and without turbulent friction."""
+    return Line(length, bore, 0.0, wall, Fluid(RHO, viscosity, BETA, 0.0, 1.4))
+
+
+@cache
+def jacobian(one: Line, lumps: int, unsteady: bool = False) -> np.ndarray:
+    """df/dx of the component at rest: flows, pressures, layers, between two constant pressures."""
+    names = line.names("first", "last", "inner", "", lumps, unsteady)
+    x = {name: ca.SX.sym(name) for name in names.all()}
+    state = names.each(x.get)
+    rates = line.rates(one, state, WORK, WORK)
+    symbols = ca.vertcat(*x.values())
+    found = ca.Function("J", [symbols], [ca.jacobian(ca.vertcat(*rates.all()), symbols)])
+    rest = [0.0] * (lumps + 1) + [WORK] * lumps + [0.0] * (len(x) - 2 * lumps - 1)
+    return found(rest).full()
+
+
+def modes(matrix: np.ndarray) -> np.ndarray:
+    """Frequencies [Hz] of the modes that oscillate, in order."""
+    omega = np.linalg.eigvals(matrix).imag
+    return np.sort(omega[omega > 1e-3]) / (2 * math.pi)
+
+
+def ended(matrix: np.ndarray, lumps: int, closed_in: bool, closed_out: bool) -> np.ndarray:
+    """The line with ends shut: a flow that stays zero is no state."""
+    gone = [0] * closed_in + [lumps] * closed_out
+    keep = [i for i in range(len(matrix)) if i not in gone]
+    return matrix[np.ix_(keep, keep)]
+
+
+def closed_end(one: Line, lumps: int) -> np.ndarray:
+    """A constant pressure at the inlet, the outlet shut."""
+    return ended(jacobian(one, lumps), lumps, False, True)
+
+
+def test_one_lump_has_the_mode_of_V02():
+    """One T-lump with a shut end: C_0 sqrt(2) / (2 pi l)."""
+    exact = math.sqrt(2) * SPEED / (2 * math.pi * LENGTH)
+    # exact identity; eigenvalues of a matrix with entries from 1e-7 to 1e12 to nine digits
+    assert modes(closed_end(pipe(), 1))[0] == pytest.approx(exact, rel=1e-9)
+
+
+def test_64_lumps_are_within_two_in_ten_thousand_of_the_quarter_wave():
+    """V02: the first mode of a line with a shut end, C_0/4l."""
+    assert modes(closed_end(pipe(), 64))[0] == pytest.approx(SPEED / (4 * LENGTH), rel=2e-4)
+
+
+def test_modes_converge_with_the_square_of_the_number_of_lumps():
+    """Twice the lumps, a quarter of the error: for the first two modes, both ends open, one or both shut."""
+    ends = {(False, True): (0.25, 0.75), (False, False): (0.5, 1.0), (True, True): (0.5, 1.0)}
+    for shut, waves in ends.items():
+        for which, wave in enumerate(waves):
+            errors = [
+                modes(ended(jacobian(pipe(), n), n, *shut))[which] * LENGTH / SPEED / wave - 1
+                for n in (8, 16, 32)
+            ]
+            ratios = np.array(errors[:-1]) / errors[1:]
+            # the next term of sin(t)/t is t^2/20 of the first: 3 % for the second mode with 8 lumps
+            assert ratios == pytest.approx(4.0, rel=0.03), shut
+
+
+def test_modes_are_those_of_the_dispersion_relation():
+    """Every mode of the ladder lies at 2 N C_0/l sin(k l/2N) with the wave number k of the line's mode."""
+    n = 6
+    found = modes(closed_end(pipe(), n))
+    k = (2 * np.arange(1, n + 1) - 1) * math.pi / (2 * LENGTH)
+    exact = 2 * n * SPEED / LENGTH * np.sin(k * LENGTH / (2 * n)) / (2 * math.pi)
+    # exact identity; digits of the eigenvalues as above
+    assert found == pytest.approx(exact, rel=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    length=st.floats(0.3, 6.0),
+    bandwidth=st.floats(20.0, 400.0),
+    error=st.floats(0.005, 0.15),
+    wall=st.floats(0.3e9, 5e9),
+)
+def test_the_adviser_keeps_its_promise(length, bandwidth, error, wall):
+    """With the advised lumps every mode up to the bandwidth is low by `error` at most, whatever the ends."""
+    one = pipe(wall=wall, length=length)
+    n = lumps_needed(length, BORE, bandwidth, error, one.fluid, wall)
+    speed = math.sqrt(1 / (1 / BETA + 1 / wall) / RHO)
+    for shut in ((False, True), (False, False), (True, True)):
+        found = modes(ended(jacobian(one, n), n, *shut))
+        step, first = speed / (2 * length), 0.5 if shut == (False, True) else 1.0
+        for k, ladder in enumerate(found):
+            exact = (first + k) * step
+            if exact <= bandwidth:
+                # eigenvalues to nine digits
+                assert -error - 1e-9 <= ladder / exact - 1 <= 1e-9
+        assert (first + len(found)) * step > bandwidth  # no mode of the line is missing
+
+
+@given(length=st.floats(0.3, 6.0), bandwidth=st.floats(20.0, 400.0), error=st.floats(0.005, 0.15))
+def test_the_adviser_asks_for_no_lump_too_many(length, bandwidth, error):
+    """With one lump less a wave at the bandwidth would be off by more than `error`."""
+    fluid = pipe().fluid
+    n = lumps_needed(length, BORE, bandwidth, error, fluid, STIFF)
+    if n > 1:
+        t = math.pi * bandwidth * length / SPEED / (n - 1)
+        assert 1 - math.sin(t) / t > error
+
+
+def test_a_narrow_bore_needs_more_lumps():
+    """Viscosity slows the waves: of two lines of the same length the narrow one has the shorter waves."""
+    fluid = Fluid(RHO, MU, BETA, 0.0, 1.4)
+    wide, narrow = (lumps_needed(4.0, bore, 100.0, 0.05, fluid) for bore in (0.02, 0.002))
+    assert narrow > wide
+
+
+def test_default_hoses_have_the_advised_lumps():
+    """The states of `detailed()` are those of the adviser; fewer or more on demand, also by axis."""
+    states = quantities(detailed().states)
+    for axis, n in advised_lumps().items():
+        assert sum(name.startswith(f"{axis}_head_hose_pressure_") for name in states) == n
+    mixed = quantities(detailed({"boom": 1, "stick": 3}).states)
+    assert sum("hose_pressure" in name for name in mixed) == 2 * (1 + 3)
+
+
+# ---- through the subsystem
+
+
+def linearised(lumps: int) -> tuple[np.ndarray, dict[str, float]]:
+    """df/dx of boom_stick with closed valves, locked pistons, no air and hardly any friction."""
+    sub = detailed(lumps)
+    s, v = symbolic(sub), values(sub)
+    p = dict(v.p) | {"air_share": 0.0, "viscosity": 1e-7, "hose_wall_modulus": 1e9}
+    rest = {n: WORK if "pressure" in n else 0.0 for n in quantities(sub.states)}
+    at = (list(rest.values()), list(v.u.values()), list(p.values()))
+    return ca.Function("J", [s.x, s.u, s.p], [ca.jacobian(s.dx, s.x)])(*at).full(), p
+
+
+def hose_modes(p: dict[str, float]) -> np.ndarray:
+    """First frequency [Hz] of each hose: shut at the valve, the locked chamber's compliance at the other end.
+
+    tan(kl) = -kl C_chamber/C_hose, from the line's equations with P = cos(kx).
+    """
+    u, found = values(detailed(1)).u, []
+    for axis in ("boom", "stick"):
+        one = hose_of(p, axis)
+        head = math.pi / 4 * p[f"{axis}_bore"] ** 2
+        rod = head - math.pi / 4 * p[f"{axis}_rod"] ** 2
+        x, stroke, dead = u[f"{axis}_position"], p[f"{axis}_stroke"], p[f"{axis}_dead_volume"]
+        modulus = 1 / (1 / p["bulk_modulus"] + 1 / p["hose_wall_modulus"])
+        for chamber in (dead + head * x, dead + rod * (stroke - x)):
+            ratio = chamber / p["bulk_modulus"] / (one.volume / modulus)
+            kl = brentq(lambda a, r=ratio: math.sin(a) + a * r * math.cos(a), math.pi / 2, math.pi)
+            found.append(kl * math.sqrt(modulus / p["density"]) / (2 * math.pi * one.length))
+    return np.sort(found)
+
+
+def hose_of(p: dict[str, float], axis: str) -> Line:
+    """The hose of an axis from plain numbers."""
+    return hose(detailed(1).parameters(**p), axis)
+
+
+def test_the_subsystem_has_the_modes_of_its_hoses():
+    """Linearised, boom_stick shows the first mode of each hose between valve and chamber, with order two."""
+    errors = []
+    for lumps in (2, 4, 8):
+        matrix, p = linearised(lumps)
+        exact = hose_modes(p)
+        found = modes(matrix)
+        # the first mode of each of the four hoses; the spools (21 Hz) and second modes lie outside
+        found = found[(found > 0.7 * exact[0]) & (found < 1.1 * exact[-1])]
+        errors.append(found / exact - 1)
+    ratios = np.array(errors[:-1]) / errors[1:]
+    # order two; the next terms are some percent with two lumps
+    assert ratios == pytest.approx(4.0, rel=0.06)
+
+
+def test_the_adviser_holds_at_real_ends():
+    """Between a closed valve and a chamber the advised hoses are within the error that was asked for."""
+    matrix, p = linearised(max(advised_lumps().values()))
+    exact, found = hose_modes(p), modes(matrix)
+    found = found[(found > 0.7 * exact[0]) & (found < 1.1 * exact[-1])]
+    assert exact[-1] < 150.0  # Hz: not far from the bandwidth of 100
+    assert np.abs(found / exact - 1).max() < 0.05
+
+
+# ---- water hammer
+
+
+def test_stopped_oil_rises_by_joukowsky():
+    """V11: 60 L/min stopped at once at the end of the hose. rho C_0 dv on [0, 2l/C_0], then as much below."""
+    n, flow = 64, 1e-3
+    matrix = closed_end(pipe(), n)
+    x = np.concatenate([np.full(n, flow), np.zeros(n)])
+    wave = LENGTH / SPEED
+    step, pressure = expm(matrix * 0.02 * wave), []
+    for _ in range(200):
+        x = step @ x
+        pressure.append(x[-1])
+    expected = RHO * SPEED * flow / AREA
+    # means over plateaus: the front of a ladder of 64 lumps rings with 10 %, whose mean is below 1 %
+    assert np.mean(pressure[20:80]) == pytest.approx(expected, rel=0.01)
+    assert np.mean(pressure[120:180]) == pytest.approx(-expected, rel=0.03)  # dispersed for longer
+
+
+# ---- frequency-dependent friction
+
+
+def zielke(one: Line, omega: float) -> complex:
+    """Exact impedance of laminar flow in a rigid pipe (V19)."""
+    z = 1j**1.5 * one.bore / 2 * math.sqrt(omega * RHO / one.fluid.viscosity)
+    return 1j * omega * one.inertance / (1 - 2 * jve(1, z) / (z * jve(0, z)))
+
+
+@given(st.floats(-2, math.log10(layers.RANGE)))
+def test_friction_follows_the_exact_impedance_in_the_stated_range(decade):
+    """Up to w r^2/nu = 2e4 the real part is within 26 % of Zielke's and the whole within 2.5 %."""
+    one = pipe(MU)
+    omega = 10**decade * MU / RHO / (BORE / 2) ** 2
+    exact, found = zielke(one, omega), layers.impedance(one, omega)
+    assert found.real == pytest.approx(exact.real, rel=0.26)
+    assert abs(found - exact) < 0.025 * abs(exact)
+
+
+def test_slow_flow_has_poiseuilles_resistance_and_four_thirds_of_the_inertance():
+    """The limits of V19 for slow flow: R and 4/3 I."""
+    one, omega = pipe(MU), 1e-4
+    z = layers.impedance(one, omega)
+    # exact up to w r^2/nu = 3e-4, squared; the inertance: the sum of m_i/n_i is 0.08338, not 1/12
+    assert z.real == pytest.approx(one.laminar_resistance, rel=1e-6)
+    assert z.imag / omega == pytest.approx(4 / 3 * one.inertance, rel=2e-4)
+
+
+def test_the_range_is_not_understated():
+    """At ten times the stated range the terms have lost more of the damping than that."""
+    one = pipe(MU)
+    omega = 10 * layers.RANGE * MU / RHO / (BORE / 2) ** 2
+    assert layers.impedance(one, omega).real < 0.75 * zielke(one, omega).real
+
+
+def test_states_of_the_friction_have_its_impedance():
+    """The line's equations, linearised: the pressure that drives a uniform flow is Z(w) Q with all layers."""
+    one, n, omega = pipe(MU), 3, 300.0
+    a = jacobian(one, n, True)
+    flows, inner = slice(0, n + 1), slice(2 * n + 1, None)
+    flow = np.ones(n + 1)
+    # layers at the frequency, then the drop over each inertance: w I (jw Q - A Q - A q)
+    q = np.linalg.solve(1j * omega * np.eye(3 * (n + 1)) - a[inner, inner], a[inner, flows] @ flow)
+    drop = one.inertance * (1j * omega * flow - a[flows, flows] @ flow - a[flows, inner] @ q)
+    # exact identity
+    assert drop == pytest.approx(np.full(n + 1, layers.impedance(one, omega)), rel=1e-9)
+
+
+def test_frequency_dependent_friction_damps_the_first_mode_as_zielke():
+    """The damping of the hose's first mode: 3.6 times that of steady friction, within the stated 26 %."""
+    one, n = pipe(MU), 16
+    shut = ended(jacobian(one, n, True), n, False, True)
+    s = min(
+        (s for s in np.linalg.eigvals(shut) if s.imag > 1.0 and abs(s.real) < s.imag), key=lambda s: s.imag
+    )
+    omega = SPEED / (4 * LENGTH) * 2 * math.pi
+    exact = zielke(one, omega).real / (2 * omega * one.inertance)
+    steady = one.laminar_resistance / (2 * omega * one.inertance)
+    assert -s.real / abs(s) == pytest.approx(exact, rel=0.26)
+    assert -s.real / abs(s) > 2 * steady
