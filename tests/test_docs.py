@@ -55,6 +55,8 @@ def test_commands_of_the_readme_run(command):
     arguments = shlex.split(command)[1:]
     if arguments[0] in ("run", "validate"):
         arguments += ["--stop", "0.5"]  # the last one counts
+    for trace in arguments[1:] if arguments[0] == "compare" else ():
+        assert main(["run", "--stop", "0.5", "--out", trace]) == 0
     assert main(arguments) == 0
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orchestrator.card import FLOOR
 from orchestrator.comparison.runs import Run, Source, gather
 from orchestrator.errors import Problem, suggest
 from orchestrator.validation.compare import Row, Validation
@@ -60,7 +61,8 @@ class Comparison:
         """The signal of a quantity with the largest NRMSE among those that move."""
         rows = [row for row in self.against[label].rows if row.group == quantity]
         widest = max((float(np.ptp(row.reference)) for row in rows), default=0.0)
-        moving = [r for r in rows if not constant(r.reference) and np.ptp(r.reference) > REST * widest]
+        least = max(REST * widest, FLOOR)
+        moving = [r for r in rows if not constant(r.reference) and np.ptp(r.reference) > least]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
 
 

@@ -47,8 +47,9 @@ def _cost(run: Run) -> list[str]:
 
 
 def _named(known: Facts, component: str) -> str:
-    """A component, after a swap with the model in its place."""
-    return f"{component}={known.fmus[component]}" if component in known.swapped else component
+    """A component, with the model in its place if that has another name."""
+    model = known.fmus.get(component, component)
+    return f"{component}={model}" if component in known.swapped and model != component else component
 
 
 def _worst(comparison: Comparison, label: str) -> list[str]:

@@ -1,11 +1,12 @@
 """Another FMU in the place of a component: which one, whether it fits, and what the system then does."""
 
 import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from any_fmu.edit import caused, renamed
+from any_fmu.edit import edited as changed
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
@@ -29,31 +30,8 @@ SSV = """<ParameterSet version="1.0" name="p"><Parameters>
 
 
 def edited(fmu, name, *changes):
-    """A copy of an FMU beside it, with (pattern, replacement) in its model description."""
-    path = fmu.with_name(f"{name}.fmu")
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(path, "w") as new:
-        for member in old.namelist():
-            content = old.read(member)
-            if member == "modelDescription.xml":
-                text = content.decode()
-                for pattern, replacement in changes:
-                    text, count = re.subn(pattern, replacement, text, flags=re.DOTALL)
-                    assert count, pattern
-                content = text.encode()
-            new.writestr(member, content)
-    return path
-
-
-def renamed(port, name="other"):
-    """A change that takes a port away by giving it another name."""
-    return f'name="{port}" valueReference', f'name="{name}" valueReference'
-
-
-def caused(port, causality):
-    """A change of the causality of a port."""
-    variability = "fixed" if causality == "parameter" else "continuous"
-    pattern = rf'(name="{port}" valueReference="\d+" causality=)"\w+" variability="\w+"'
-    return pattern, rf'\1"{causality}" variability="{variability}"'
+    """A changed copy of an FMU beside it."""
+    return changed(fmu, fmu.with_name(f"{name}.fmu"), *changes)
 
 
 @pytest.fixture

@@ -1,0 +1,96 @@
+"""The machine with other FMUs in it: it stands still, whatever stands in it, and tells what does not fit."""
+
+import re
+
+import numpy as np
+import pytest
+from any_fmu.edit import caused, edited, renamed
+
+from orchestrator import Problem, load, run
+
+JOINTS = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
+# Through closed valves oil leaks, 20 mL/min per edge, and the arm settles on it: 1.5e-4 rad/s at full reach.
+# Pressures that do not fit the pose let it fall with nearly 0.1 rad/s.
+STILL = 3e-4  # [rad/s]
+
+
+def speed(result):
+    """The largest speed of a joint [rad/s]."""
+    return max(float(np.abs(result.trace[name]).max()) for name in JOINTS)
+
+
+@pytest.fixture(scope="module")
+def machine(fmu_dir):
+    """harvester.ssp, FMI 2.0."""
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.mark.parametrize(("folder", "pose"), [("fmu_dir", "reach"), ("fmi3_dir", "nominal")])
+def test_the_machine_stands_still_with_every_variant(machine, request, folder, pose):
+    """The start wires reach the new FMU, also one of FMI 3.0 in a system of FMI 2.0."""
+    files = sorted((request.getfixturevalue(folder) / "variants").glob("*.fmu"))
+    swaps = [(c, f) for f in files for c in machine.components if f.stem.startswith(f"{c}_")]
+    assert len(swaps) == len(files) > 0
+    for component, file in swaps:
+        result = run(machine, swap={component: file}, parameters=["still", pose], stop=0.3)
+        assert speed(result) < STILL, file.name
+
+
+def test_without_start_wires_the_machine_falls(machine, fmu_dir):
+    """That the machine stands still says something."""
+    cut = machine.without("boom_stick.boom_holding_force")
+    options = {"swap": {"boom_stick": fmu_dir / "boom_stick.fmu"}, "parameters": ["still"], "stop": 0.3}
+    assert speed(run(cut, set={"boom_stick.boom_holding_force": 0.0}, **options)) > 100 * STILL
+
+
+def test_an_actuator_without_start_wires_needs_cuts(machine, fmu_dir, tmp_path):
+    """As a look-up table has; its message says how to run it."""
+    changes = [renamed(f"{rod}_holding_force", f"{rod}_unused") for rod in ("boom", "stick")]
+    table = edited(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
+    cuts = "--cut boom_stick.boom_holding_force --cut boom_stick.stick_holding_force"
+    with pytest.raises(Problem, match=f"; to do without: {cuts}$"):
+        machine.swapped({"boom_stick": table})
+    cut = machine.without("boom_stick.*_holding_force")
+    assert run(cut, swap={"boom_stick": table}, stop=0.1).complete
+
+
+def test_rates_may_be_missing_on_both_sides(machine, fmu_dir, tmp_path):
+    """An actuator that knows no rates: power wires stay, the machine still stands still."""
+    rates = ["boom_force_rate", "stick_force_rate", "boom_acceleration", "stick_acceleration"]
+    plain = edited(
+        fmu_dir / "boom_stick.fmu", tmp_path / "plain.fmu", *(renamed(r, f"no_{r}") for r in rates)
+    )
+    result = run(machine, swap={"boom_stick": plain}, parameters=["still"], stop=0.3)
+    assert {c.target.variable for c in machine.connections} - {
+        c.target.variable for c in result.system.connections
+    } == set(rates)
+    assert speed(result) < STILL
+    assert any("plain.fmu has no" in note for note in result.card.notes)
+
+
+FAULTS = {
+    "port": (
+        [renamed("boom_force", "boomforce")],
+        "expected output boom_force [N], got none (it has boomforce)",
+    ),
+    "velocity": ([renamed("boom_velocity", "v")], "expected input boom_velocity [m/s], got none"),
+    "unit": (
+        [
+            (r'(name="boom_force" [^>]*>\s*<Real )unit="N"', r'\1unit="K"'),
+            ("<UnitDefinitions>", r"\g<0>KELVIN"),
+        ],
+        "expected output boom_force [N], got [K]",
+    ),
+    "causality": ([caused("stick_force", "local")], "expected output stick_force [N], got a local variable"),
+}
+KELVIN = '<Unit name="K"><BaseUnit K="1"/></Unit>'
+
+
+@pytest.mark.parametrize(("changes", "message"), FAULTS.values(), ids=FAULTS)
+def test_a_faulty_actuator_is_told_in_one_line(machine, fmu_dir, tmp_path, changes, message):
+    """Component, file, port, expected, got."""
+    changes = [(old, new.replace("KELVIN", KELVIN)) for old, new in changes]
+    faulty = edited(fmu_dir / "boom_stick.fmu", tmp_path / "faulty.fmu", *changes)
+    told = f"swap boom_stick: {faulty} does not fit: {message}"
+    with pytest.raises(Problem, match=f"^{re.escape(told)}$"):
+        machine.swapped({"boom_stick": faulty})
