@@ -1,0 +1,287 @@
+"""Quasistatic drives: edges in flow form, energy, steady speeds, and the rate of the lumped drives' limit."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.components import spool_valve
+from fmus.components.spool_valve import Valve
+from fmus.contract import quantities, symbolic
+from fmus.machine import FAMILIES, parts, wiring
+from fmus.monolith import join, simulate
+from fmus.parameters import Values, values
+from fmus.scenarios import COMMANDS, PROGRAMS, sample
+
+SUPPLY, RHO = 20.684e6, 970.0  # Pa, kg/m3
+VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
+HOSE = 3.2e10  # Pa.s2/m6
+QUASISTATIC = {part: FAMILIES[part]["quasistatic"] for part in ("swing", "boom_stick")}
+
+pressures = st.floats(-2e5, 4e7)
+commands = st.floats(-12.0, 12.0)
+drops = st.floats(-4e7, 4e7)
+
+
+def ports(command, a, b, supply=SUPPLY, tank=0.0, valve=VALVE, hose=HOSE):
+    """Both ports as numbers."""
+    found = spool_valve.direct_ports(valve, command, a, b, supply, tank, RHO, hose)
+    return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
+
+
+def square_gain(command: float) -> float:
+    """K^2 of edge and hose in series [m6/(s2.Pa)]."""
+    share = float(ca.DM(spool_valve.opening(abs(command), 0.6, 10.0, 0.4)))
+    edge = (0.62 * 4e-5 * share) ** 2 * 2 / RHO
+    return edge / (1 + HOSE * edge)
+
+
+# ---- the edges
+
+
+@given(st.floats(-0.6, 0.6), pressures, pressures, st.floats(0, 1e6))
+def test_a_closed_valve_passes_exactly_the_stated_leakage(command, a, b, tank):
+    """Up to the dead band each of the four edges passes G_leak dp, to the last bit."""
+    for pressure, port in zip((a, b), ports(command, a, b, tank=tank), strict=True):
+        assert port["supply"] == VALVE.leakage * (SUPPLY - pressure)
+        assert port["tank"] == VALVE.leakage * (pressure - tank)
+
+
+@pytest.mark.parametrize("command", [1.0, 10.0])
+def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
+    """dQ/ddp = K^2 / Q_t + G_leak there, by the derivative of the equations."""
+    pressure = ca.SX.sym("pressure")
+    supplied, _ = spool_valve.direct_ports(VALVE, command, pressure, 0.0, SUPPLY, 0.0, RHO, HOSE)
+    slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
+    expected = square_gain(command) / VALVE.transition_flow + VALVE.leakage
+    # exact identity, rounding only
+    assert float(slope(SUPPLY)) == pytest.approx(expected, rel=1e-12)
+
+
+@given(drops, drops, st.sampled_from([0.8, 3.0, 10.0]))
+def test_flow_over_an_edge_is_odd_and_increasing(one, other, command):
+    """Q(-dp) = -Q(dp), and more pressure gives more flow."""
+    flow = [ports(command, SUPPLY - dp, 0.0)[0]["supply"] for dp in (one, other)]
+    # SUPPLY - dp is rounded to 4e-9 Pa; the slope is up to 1e-7 m3/s per Pa
+    assert ports(command, SUPPLY + one, 0.0)[0]["supply"] == pytest.approx(-flow[0], rel=1e-9, abs=1e-14)
+    if one - other > 1e-6:
+        assert flow[0] > flow[1]
+
+
+@given(st.floats(-1e-2, 1e-2), st.sampled_from([0.8, 3.0, 10.0]))
+def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
+    """The drop of the lumped edge and hose at a flow Q, put over the quasistatic edge, gives Q back."""
+    tight = Valve(*[*vars(VALVE).values()][:5], leakage=0.0, transition_flow=1e-5)
+    drop = float(spool_valve.turbulent_drop(flow, 1 / square_gain(command), 1e-5))
+    port, _ = ports(command, -drop, 0.0, supply=0.0, tank=0.0, valve=tight)
+    # exact identity: some rounding errors of numbers that are never subtracted
+    assert port["supply"] == pytest.approx(flow, rel=1e-12, abs=1e-25)
+    assert port["line"] == port["supply"]
+
+
+@given(pressures, pressures, pressures, pressures, commands)
+def test_edges_conserve_oil_and_only_dissipate(a, b, supply, tank, command):
+    """Supply less tank flow goes into the line; the heat of each port is not negative."""
+    for port in ports(command, a, b, supply, tank):
+        # rounding of flows up to 0.01 m3/s, and of their products with 1e7 Pa
+        assert port["supply"] - port["tank"] == pytest.approx(port["line"], rel=1e-12, abs=1e-17)
+        heat = port["supply"] * (supply - port["pressure"]) + port["tank"] * (port["pressure"] - tank)
+        assert heat >= 0
+
+
+@pytest.mark.parametrize("pressure", [-1e30, -1e14, 1e14, 1e30])
+@pytest.mark.parametrize("part", QUASISTATIC)
+def test_trial_states_of_a_solver_give_finite_rates(part, pressure):
+    """Pressures beyond all bounds give finite rates and outputs: an implicit solver may try them."""
+    sub, v = QUASISTATIC[part], values(QUASISTATIC[part])
+    u = {n: 5.0 if n.endswith("command") else x for n, x in v.u.items()}
+    found = symbolic(sub).function()([pressure] * len(v.x), list(u.values()), list(v.p.values()))
+    assert all(np.isfinite(np.array(part)).all() for part in found)
+
+
+# ---- the drives
+
+
+def _random(sub, rng):
+    """States and inputs in the working range: pressures 0.5 to 25 MPa, positions in the stroke."""
+
+    def draw(name, quantity):
+        if name.endswith("_pressure") or name.startswith("swing_pressure"):
+            return rng.uniform(5e5, 2.5e7)
+        if name.endswith("_position"):
+            return rng.uniform(0.1, 0.5)
+        return rng.uniform(-1, 1) * quantity.nominal
+
+    return tuple([draw(n, q) for n, q in quantities(g).items()] for g in (sub.states, sub.inputs))
+
+
+@pytest.mark.parametrize("part", QUASISTATIC)
+def test_energy_balance_closes_at_random_states(part):
+    """Power over the ports = change of the stored energy + heat; the rate outputs are exact derivatives."""
+    sub = QUASISTATIC[part]
+    s, v = symbolic(sub), values(sub)
+    y = dict(zip(quantities(sub.outputs), ca.vertsplit(s.y), strict=True))
+    u = dict(zip(quantities(sub.inputs), ca.vertsplit(s.u), strict=True))
+    work = [(y["swing_torque"], u["swing_speed"], y["swing_torque_rate"])] if part == "swing" else []
+    if part == "boom_stick":
+        work = [(y[f"{a}_force"], u[f"{a}_velocity"], y[f"{a}_force_rate"]) for a in ("boom", "stick")]
+    power = u["supply_pressure"] * y["supply_flow"] - u["tank_pressure"] * y["return_flow"]
+    power += y.get("convected_power", 0) - sum(force * speed for force, speed, _ in work)
+    stored = y["stored_energy"]
+    rate = ca.jtimes(stored, s.x, s.dx) + sum(
+        ca.jacobian(stored, u[n]) * u[n.replace("position", "velocity")] for n in u if "_position" in n
+    )
+    exact = ca.vertcat(*(ca.jtimes(force, s.x, s.dx) for force, _, _ in work))
+    told = ca.vertcat(*(r for _, _, r in work))
+    balance = ca.Function("b", [s.x, s.u, s.p], [power, rate + y["dissipated_power"], exact, told])
+    heat = ca.Function("h", [s.x, s.u, s.p], [y["dissipated_power"]])
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        x, at = _random(sub, rng)
+        given_in, used, slope, output = balance(x, at, list(v.p.values()))
+        # exact identity; 1e-9 is 1e6 rounding errors of terms up to 1e6 W
+        assert float(given_in) == pytest.approx(float(used), rel=1e-9, abs=1e-3)
+        # exact identity, rounding of sums of flows over capacitances
+        np.testing.assert_allclose(np.array(output), np.array(slope), rtol=1e-9)
+        assert float(heat(x, at, list(v.p.values()))) >= 0
+
+
+def settled(part, variant, command, speed):
+    """Outputs of a drive moved at a constant speed in place, once its states have settled."""
+    sub = FAMILIES[part][variant]
+    v, model = values(sub), symbolic(sub)
+    u, p = list((v.u | command | speed).values()), list(v.p.values())
+    nominal = ca.DM([q.nominal for q in quantities(sub.states).values()])
+    z = ca.SX.sym("z", nominal.numel())
+    rate = model.function()(z * nominal, u, p)[0] / nominal
+    solver = ca.integrator("settle", "cvodes", {"x": z, "ode": rate}, 0.0, 20.0, {"abstol": 1e-10})
+    end = solver(x0=model.initial()(list(v.x.values()), u, p) / nominal)["xf"] * nominal
+    return dict(zip(quantities(sub.outputs), np.array(model.function()(end, u, p)[1])[:, 0], strict=True))
+
+
+@pytest.mark.parametrize("name", ["boom", "stick"])
+@pytest.mark.parametrize("command", [10.0, 4.0, -10.0, -4.0])
+@pytest.mark.parametrize("load", [0.0, 50e3])
+def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, command, load):
+    """At v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))) the force is F (verification case V07)."""
+    p = values(QUASISTATIC["boom_stick"]).p
+    head = math.pi / 4 * p[f"{name}_bore"] ** 2
+    rod = head - math.pi / 4 * p[f"{name}_rod"] ** 2
+    share = (abs(command) - 0.8) / 9.2  # dead band and half the rounding
+    c_r = RHO / (2 * (0.62 * 4e-5 * share) ** 2) + p[f"{name}_hose_resistance"]
+    drive = head * SUPPLY - load if command > 0 else rod * SUPPLY + load
+    v = math.copysign(math.sqrt(drive / (c_r * (head**3 + rod**3))), command)
+    at = ({f"{name}_command": command}, {f"{name}_velocity": v})
+    force = settled("boom_stick", "quasistatic", *at)[f"{name}_force"]
+    # Q_t/Q to the square and the leakage of the closed edges over the flow: below 1e-3 of P_s A
+    assert force == pytest.approx(load, abs=1e-3 * SUPPLY * head)
+
+
+@pytest.mark.parametrize(("command", "speed"), [(5.0, 0.5), (-5.0, -0.3), (2.0, 0.1)])
+def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
+    """Same torque and supply flow at the same speed but for the drop over the lines, R_line Q."""
+    found = {
+        v: settled("swing", v, {"swing_command": command}, {"swing_speed": speed})
+        for v in ("lumped", "quasistatic")
+    }
+    p = values(FAMILIES["swing"]["lumped"]).p
+    d = p["motor_displacement"] * p["gear_ratio"]
+    lost = 2 * d * p["line_resistance"] * d * abs(speed)  # N.m
+    difference = found["quasistatic"]["swing_torque"] - found["lumped"]["swing_torque"]
+    # the leakage of the closed edges in the turbulent term: 1e-3 of P_s D
+    assert difference * math.copysign(1, speed) == pytest.approx(lost, abs=1e-3 * SUPPLY * d)
+    # the same leakage; 0.1 %
+    assert found["quasistatic"]["supply_flow"] == pytest.approx(found["lumped"]["supply_flow"], rel=1e-3)
+
+
+# ---- the limit of short hoses
+
+MOTION = {"swing_command": 4.0, "boom_command": 5.0, "stick_command": 4.0}  # V
+PRESSURES = (
+    *("swing.swing_pressure_a", "swing.swing_pressure_b"),
+    *(f"boom_stick.{a}_{side}_pressure" for a in ("boom", "stick") for side in ("head", "rod")),
+)
+SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")))
+
+
+def scaled(length: float, variant: str) -> dict[str, Values]:
+    """Numbers of a machine whose hoses are `length` times as long; the swing motor keeps its volume.
+
+    The leakage is the smallest allowed: what it adds to the turbulent term is no matter of length.
+    """
+    of_length = {
+        "swing": ("line_inertance", "line_resistance", "line_turbulent_resistance"),
+        "boom_stick": ("hose_inertance", "hose_capacitance", "hose_resistance"),
+        "manipulator": (),
+    }
+    numbers = {}
+    for part, sub in parts(swing=variant, boom_stick=variant).items():
+        v = values(sub)
+        p = {n: x * length if n.endswith(of_length[part]) and of_length[part] else x for n, x in v.p.items()}
+        numbers[part] = Values(p | ({"valve_leakage": 1e-17} if "valve_leakage" in p else {}), v.u, v.x)
+    return numbers
+
+
+def moved(length: float, variant: str) -> np.ndarray:
+    """Signals (signal, time) of 1.2 s in which three valves, a little open, are opened and closed again."""
+    chosen = parts(swing=variant, boom_stick=variant)
+    model = join(chosen, *wiring(chosen), scaled(length, variant))
+    time = np.linspace(0, 1.2, 121)
+    u = np.tile(model.u, (time.size, 1))
+    for name, volts in MOTION.items():
+        u[:, model.inputs.index(name)] = np.interp(time, [0, 0.4, 0.8, 1.2], [1.5, volts, volts, 1.5])
+    _, y = simulate(model, time, u, tolerance=1e-10)
+    return np.array([y[:, model.output_names.index(name)] for name in SIGNALS])
+
+
+@cache
+def distance(length: float) -> np.ndarray:
+    """Largest difference of each signal between lumped and quasistatic drives with such hoses."""
+    return np.abs(moved(length, "lumped") - moved(length, "quasistatic")).max(axis=1)
+
+
+def test_lumped_drives_tend_to_quasistatic_ones_with_the_length_of_their_hoses():
+    """The difference is of first order in the length, for every pressure and every speed.
+
+    Once settled, the oil column I Q' = P_port - P - C_R Q|Q| carries Q = Q_0 - I Q_0' / (2 C_R Q_0) + O(I^2)
+    with Q_0 the quasistatic flow, and R_line adds R_line Q: both are proportional to the length. The
+    first instants, in which the flow settles, last O(I) and leave O(I) in the pressures.
+    """
+    orders = np.log2([distance(length) / distance(length / 2) for length in (1 / 8, 1 / 16)])
+    # the next term of the series, length/4 at most: measured 0.97 to 1.015, and 0.80 to 1.00 from 1 to 1/2
+    assert np.all(np.abs(orders - 1) < 0.05)
+    # and it is small beside 1e7 Pa and 0.5 rad/s at a sixteenth of the length: measured 2e-4
+    size = np.array([1e7] * len(PRESSURES) + [0.5] * 3)
+    assert np.all(distance(1 / 16) < 1e-3 * size)
+
+
+# ---- the machine
+
+
+@cache
+def work_cycle(variant: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Signals over the first 8 s of the work cycle."""
+    chosen = parts(swing=variant, boom_stick=variant)
+    model = join(chosen, *wiring(chosen))
+    time, commands = sample(PROGRAMS["work_cycle"], 8.0)
+    u = np.tile(model.u, (time.size, 1))
+    u[:, [model.inputs.index(n) for n in COMMANDS]] = commands
+    _, y = simulate(model, time, u, tolerance=1e-9)
+    names = (*SIGNALS, *(f"manipulator.{joint}_angle" for joint in ("swing", "boom", "stick")))
+    return np.array([y[:, model.output_names.index(name)] for name in names]), names
+
+
+def test_the_work_cycle_is_near_that_of_the_lumped_drives():
+    """Over 8 s, root mean square over range: angles within 0.05 %, speeds and pressures within 0.1 %."""
+    (lumped, names), (found, _) = work_cycle("lumped"), work_cycle("quasistatic")
+    error = np.sqrt(np.mean((found - lumped) ** 2, axis=1)) / np.ptp(lumped, axis=1)
+    for name, share in zip(names, error, strict=True):
+        # the figures of the READMEs; measured 2.4e-4 and 7e-4: oil in hoses weighs little in a work cycle
+        assert share < (5e-4 if name.endswith("_angle") else 1e-3), name
+        assert share > 1e-6, name  # other equations, not the same ones twice
