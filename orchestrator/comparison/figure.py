@@ -21,9 +21,10 @@ from orchestrator.validation.wording import finer
 
 PANELS = 6  # more rows than these do not fit on a page
 EACH = 3  # of one quantity
+ALIKE = 0.01  # of its range: two curves that are nearer cannot be told apart in the picture
 # Colours that differ in hue and lightness (Okabe and Ito, darkened), each with its own dashes for print.
 COLOURS = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f", "#7a6400", "#333333")
-DASHES = ("-", (0, (5, 1.2)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+DASHES = ("-", (0, (4, 2)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
 def chosen(comparison: Comparison) -> list[str]:
@@ -33,11 +34,28 @@ def chosen(comparison: Comparison) -> list[str]:
         for row in validation.rows:
             if row.signal in comparison.signals:
                 groups.setdefault(row.group, []).append(row)
-    kept = set[str]()
-    for rows in groups.values():
-        ranked = sorted(rows, key=lambda r: -r.metrics.maximum_error)
-        kept |= set(list(dict.fromkeys(r.signal for r in ranked))[: EACH if len(groups) > 1 else PANELS])
+    most = EACH if len(groups) > 1 else PANELS
+    kept = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
     return [signal for signal in comparison.signals if signal in kept][:PANELS]
+
+
+def _distinct(rows: Sequence[Row], most: int) -> list[Row]:
+    """The rows with the largest errors, without those that look like one before."""
+    found: list[Row] = []
+    for row in sorted(rows, key=lambda r: -r.metrics.maximum_error):
+        if len(found) < most and not any(_alike(row, other) for other in found):
+            found.append(row)
+    return found
+
+
+def _alike(row: Row, other: Row) -> bool:
+    """The same signal, or another one that lies on it."""
+    if row.signal == other.signal or len(row.time) != len(other.time):
+        return row.signal == other.signal
+    apart = [
+        np.abs(a - b).max() for a, b in ((row.reference, other.reference), (row.simulation, other.simulation))
+    ]
+    return bool(max(apart) < ALIKE * np.ptp(row.reference))
 
 
 def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:

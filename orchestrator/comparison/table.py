@@ -22,8 +22,12 @@ def text(comparison: Comparison) -> str:
 def _notes(comparison: Comparison) -> Iterator[str]:
     """What concerns all first, then what is true for single runs."""
     yield from comparison.notes
+    about: dict[str, list[str]] = {}
     for label, validation in comparison.against.items():
-        yield from (f"{label}: {note}" for note in validation.notes)
+        for note in validation.notes:
+            about.setdefault(note, []).append(label)
+    for note, labels in about.items():
+        yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
 
 def _costs(runs: Sequence[Run]) -> list[str]:

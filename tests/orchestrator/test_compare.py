@@ -147,18 +147,19 @@ def test_the_picture_shows_what_differs_most():
     """At most six signals, three of each quantity; a run in each panel, an error below."""
     units, signals = {}, {}
     for i in range(5):
-        signals |= {f"s{i}": SPEED, f"p{i}": PRESSURE}
+        signals |= {f"s{i}": (1 + i) * SPEED, f"p{i}": (1 + i) * PRESSURE}
         units |= {f"s{i}": "rad/s", f"p{i}": "Pa"}
-    worse = {name: values * (1 + 0.01 * int(name[1])) for name, values in signals.items()}
+    signals["s9"], units["s9"] = signals["s4"] + 1e-3, "rad/s"  # lies on another one
+    worse = {name: 1.01 * values for name, values in signals.items()}
     found = compare({"one": Trace(TIME, signals, units), "two": Trace(TIME, worse, units)})
-    assert chosen(found) == ["s2", "s3", "s4", "p2", "p3", "p4"]
+    assert chosen(found) == ["s2", "s3", "s9", "p2", "p3", "p4"]
     figure = draw(found)
     assert len(figure.axes) == 12
     curves, errors = figure.axes[0], figure.axes[1]
     assert [len(axes.lines) for axes in (curves, errors)] == [2, 2]  # reference and run; zero and error
     assert curves.get_ylabel() == "[deg/s]"
     drawn = errors.lines[1].get_ydata()
-    assert np.max(np.abs(drawn)) == pytest.approx(np.rad2deg(0.02), rel=1e-4)  # the peak between samples
+    assert np.max(np.abs(drawn)) == pytest.approx(np.rad2deg(0.03), rel=1e-4)  # the peak between samples
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["one (reference)", "two"]
 
 
