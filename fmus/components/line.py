@@ -166,7 +166,7 @@ def lumps_needed(
 
     with the impedance Z of the line's friction: without friction the frequencies themselves are low by
     1 - sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity slows
-    the waves down: a narrow bore needs more lumps. With a chamber at an end the ladder's k is a little higher,
+    the waves down: a narrow bore needs more lumps. With a chamber at an end the ladder's k is a bit higher,
     its error smaller. Air is left out, though it slows the waves at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 
 import casadi as ca
@@ -236,3 +237,11 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
     assert ratios == pytest.approx(
         4.0, rel=0.15
     )  # the terms in l^3 are a tenth of those in l^2 at full length
+
+
+@pytest.mark.parametrize("part", LUMPED)
+def test_the_python_lines_of_the_readme_run(part):
+    """What the section `detailed` of the README shows: choosing lumps and friction."""
+    readme = LUMPED[part].values.with_name("README.md").read_text(encoding="utf-8")
+    (snippet,) = re.findall(r"```python\n(.*?)```", readme.partition("## detailed")[2], re.DOTALL)
+    exec(compile(snippet, "README.md", "exec"), {})
