@@ -180,7 +180,8 @@ def variants(
     ] = BUILD / "combinations.csv",
 ) -> None:
     """List the variants of each part with states, inputs, validity, and what they cost here."""
-    from fmus.variants import FAMILIES, lines, names
+    from fmus.machine import FAMILIES
+    from fmus.variants import lines, names
     from orchestrator.variety import command
 
     if combinations:

@@ -109,9 +109,9 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
 
 
 @pytest.mark.usefixtures("here")
-def test_signals_are_listed(capsys):
+def test_signals_are_listed(capsys, fmu_dir):
     """Inputs that nothing feeds, and every variable with unit and text, in 100 columns."""
-    assert main(["signals", "build/harvester.fmu"]) == 0
+    assert main(["signals", str(fmu_dir / "harvester.fmu")]) == 0
     assert capsys.readouterr().out.startswith("harvester: inputs for --set and scenarios")
     assert main(["signals"]) == 0
     printed = capsys.readouterr().out.splitlines()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmus.build import data
-from fmus.machine import COMMAND_WIRES, INPUTS, RATES
+from fmus.machine import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import System, load, run
 from orchestrator.validation import Validation, compare, read_reference
 
@@ -22,7 +22,7 @@ def system(fmu_dir) -> System:
 def without_rates(system: System) -> System:
     """The same wires but those of the rate ports."""
     held = system.without("*_rate", "*_acceleration")
-    commands = [target for _, target in COMMAND_WIRES if target.endswith("_rate")]
+    commands = [target for _, target in COMMAND_WIRES + SUPPLY_WIRES if target.endswith("_rate")]
     assert {c.target for c in system.connections} - {c.target for c in held.connections} == {
         system.port(target) for target in (*(target for _, target in RATES), *commands)
     }
@@ -118,6 +118,6 @@ def test_supply_pressure_feeds_both_hydraulic_fmus(system):
     """A bare name means every component input of that name, and the machine's inputs have such names."""
     for name, targets in INPUTS.items():
         assert {str(port) for port, _ in system.targets(name)} == set(targets)
-    trace = run(system, set={"supply_pressure": 15e6}, stop=0.01).trace
+    trace = run(system, set={"supply.pressure_setting": 15e6}, stop=0.01).trace
     for name in INPUTS["supply_pressure"]:
         np.testing.assert_array_equal(trace[name], 15e6)
