@@ -6,13 +6,14 @@
     s'     = r / sqrt(1 + (r / r_max)^2),     r = (s_target - s) / tau
     s_target = share((P_set - p) / band)
 
-The losses are those of Wilson (Proc. National Conference on Industrial Hydraulics 3 (1949) 115; Merritt,
-Hydraulic Control Systems, 1967, sec. 4-4): laminar leakage, friction of the bearing surfaces in proportion to
-the pressure at any stroke, viscous drag. The compensator senses the pump's own outlet p. Its setting is
+The losses are those of Wilson (Transactions of the ASME 68 (1946) 371; also in Merritt, Hydraulic Control
+Systems, 1967): laminar leakage, friction of the bearing surfaces in proportion to the pressure at any stroke,
+viscous drag. The compensator senses the pump's own outlet p. Its setting is
 the pressure at which the stroke would be zero (dead head); it is on full stroke `band` below. It follows
 with the lag tau, and no faster than the control piston can move: r_max = 1/t_on on stroke, 1/t_off back.
-As s_target is within 0 ... 1, s stays there whatever p does. Smoothing: s_target strays by
-rounding^2 / (4 s) from the straight line above s = rounding, and is rounded at full stroke.
+As s_target is within 0 ... 1, s stays there whatever p does. Smoothing: s_target is above the straight
+line by rounding^2 / (4 s), which lifts the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that
+covers the leakage (a thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
 
 Valid for mean flows: no ripple of the pistons, no oil for the control piston, no cavitation at the inlet.
 """

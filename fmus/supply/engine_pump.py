@@ -155,6 +155,8 @@ def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
 def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """What must hold beyond the bounds of single parameters."""
     return {
+        "relief_pressure exceeds pump_1_pressure_setting": p.relief_pressure - p.pump_1_pressure_setting,
+        "relief_pressure exceeds pump_2_pressure_setting": p.relief_pressure - p.pump_2_pressure_setting,
         "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,
         "engine_rated_speed exceeds engine_peak_speed": p.engine_rated_speed - p.engine_peak_speed,
     }

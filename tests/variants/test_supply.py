@@ -1,0 +1,337 @@
+"""The supply: an ideal source, and two pumps on an engine that obey their closed forms and their limits."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+from supply_bench import (
+    FUNCTION,
+    INPUTS,
+    L_MIN,
+    MODEL,
+    NUMBERS,
+    OUTPUTS,
+    STATES,
+    constants,
+    drawing,
+    rest,
+    settled,
+    show,
+    through_orifices,
+)
+
+from fmus.components import pump
+from fmus.components.pump import Pump
+from fmus.contract import quantities, symbolic
+from fmus.parameters import values
+from fmus.supply import VARIANTS
+
+P = NUMBERS
+SETTING = P["pump_1_pressure_setting"]
+FULL = P["pump_displacement"] * P["engine_rated_speed"]  # m3/s of one pump
+
+
+def gain(flow: float, pressure: float) -> float:
+    """Of the orifice that takes a flow at a pressure."""
+    return flow / np.sqrt(pressure)
+
+
+def net(speed: float) -> float:
+    """The engine's torque curve: rated torque at rated speed, a quarter more at its peak."""
+    y = (speed - P["engine_peak_speed"]) / (P["engine_rated_speed"] - P["engine_peak_speed"])
+    return P["engine_rated_torque"] * (1 + P["engine_torque_rise"] * (1 - y**2))
+
+
+def load(speed: float, stroke: float, pressure: float) -> float:
+    """Torque of both pumps at one stroke and outlet pressure."""
+    hydraulic = (stroke + P["pump_pressure_friction"]) * P["pump_displacement"] * pressure
+    return 2 * (hydraulic + P["pump_viscous_friction"] * speed)
+
+
+@given(st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4))
+def test_ideal_source_holds_its_pressure_for_any_flow(flows):
+    """Setting and tank pressure, rate zero, and the power that these flows carry."""
+    sub = VARIANTS["ideal"]
+    p = [1e5 if n == "reservoir_pressure" else v for n, v in values(sub).p.items()]
+    y = dict(
+        zip(quantities(sub.outputs), symbolic(sub).function()([], flows, p)[1].full()[:, 0], strict=True)
+    )
+    u = dict(zip(quantities(sub.inputs), flows, strict=True))
+    taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
+    given_back = u["return_flow_swing"] + u["return_flow_boom_stick"]
+    assert (y["supply_pressure"], y["supply_pressure_rate"], y["tank_pressure"]) == (SETTING, 0.0, 1e5)
+    # exact identity; rounding of 2e5 W
+    assert y["hydraulic_power"] == pytest.approx(SETTING * taken - 1e5 * given_back, rel=1e-12, abs=1e-9)
+    assert y["engine_power"] == y["hydraulic_power"]
+
+
+# ---- closed forms of the steady state
+
+
+@pytest.mark.parametrize("flow", [10, 50, 150, 250])
+def test_pressure_falls_along_the_compensator_line(flow):
+    """P = setting - band s - drop over the check valve, with the stroke s that covers flow and leakage."""
+    y = settled(gain(flow * L_MIN, 2e7))
+    each = y["supply_flow"] / 2
+    s = (each + P["pump_leakage"] * y["pump_1_pressure"]) / (P["pump_displacement"] * y["engine_speed"])
+    outlet = SETTING - P["compensator_band"] * (s - P["compensator_rounding"] ** 2 / (4 * s))
+    # integrator and what is left of the transient: 1e-6 of 20 MPa
+    assert y["pump_1_pressure"] == pytest.approx(outlet, rel=1e-6)
+    drop = each * P["check_resistance"] + P["check_opening"] / 2  # straight line above its foot
+    if drop > P["check_opening"]:
+        assert y["supply_pressure"] == pytest.approx(outlet - drop, rel=1e-6)
+    assert y["pump_1_flow"] == pytest.approx(y["pump_2_flow"], rel=1e-9)
+
+
+def test_governor_droops_in_proportion_to_the_load():
+    """Net torque = torque curve times (no-load speed - speed) over the governor's range."""
+    y = settled(gain(150 * L_MIN, 2e7))
+    span = P["engine_no_load_speed"] - P["engine_rated_speed"]
+    governed = net(y["engine_speed"]) * (P["engine_no_load_speed"] - y["engine_speed"]) / span
+    # the foot of the rack's stop is rounded by 0.02^2 / (4 * 0.6) of the torque of 520 N.m: 0.09 N.m
+    assert y["engine_load"] == pytest.approx(governed, abs=0.1)
+    assert y["engine_load"] == pytest.approx(
+        load(y["engine_speed"], y["pump_1_stroke"], y["pump_1_pressure"]), rel=1e-6
+    )
+
+
+def test_full_stroke_limits_the_flow():
+    """Far below the setting both pumps are on full stroke: flow = 2 (D w - leakage), whatever the load."""
+    for pressure in (5e6, 1e7):
+        y = settled(gain(2 * FULL, pressure))
+        assert y["pump_1_stroke"] > 1 - 1e-9
+        given_ = 2 * (P["pump_displacement"] * y["engine_speed"] - P["pump_leakage"] * y["pump_1_pressure"])
+        assert y["supply_flow"] == pytest.approx(given_, rel=1e-6)  # integrator
+        assert y["supply_pressure"] < SETTING - P["compensator_band"]
+        assert y["engine_speed"] > P["engine_rated_speed"]  # 5 and 10 MPa do not need rated power
+
+
+def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
+    """Full stroke near the setting needs more than rated torque: speed and pressure by two curves."""
+    opened = gain(2 * FULL, 19e6)
+    y = settled(opened)
+
+    def lines(speed):
+        """Outlet pressure at which full pumps feed the orifice at this speed."""
+
+        def short(p):
+            each = P["pump_displacement"] * speed - P["pump_leakage"] * p
+            rail = p - each * P["check_resistance"] - P["check_opening"] / 2
+            return 2 * each - opened * np.sqrt(rail)
+
+        return brentq(short, 5e6, 25e6)
+
+    speed = brentq(lambda w: net(w) - load(w, 1.0, lines(w)), 180.0, P["engine_rated_speed"])
+    assert speed < 0.99 * P["engine_rated_speed"]
+    assert y["pump_1_stroke"] > 1 - 1e-3
+    # the bench's orifice is laminar below 0.1 MPa, 1e-5 at 18 MPa; the top of the stroke is rounded
+    assert y["engine_speed"] == pytest.approx(speed, rel=1e-3)
+    assert y["pump_1_pressure"] == pytest.approx(lines(speed), rel=1e-3)
+
+
+def test_staggered_settings_let_one_pump_do_the_small_flows():
+    """The pump that is set lower delivers nothing before the pressure has sagged to its setting."""
+    lower = {"pump_2_pressure_setting": SETTING - 8e5}
+    small, large = (settled(gain(q * L_MIN, 2e7), **lower) for q in (30, 200))
+    assert small["pump_2_flow"] == 0
+    assert small["pump_1_flow"] > 29 * L_MIN
+    assert 0.2 * large["pump_1_flow"] < large["pump_2_flow"] < large["pump_1_flow"]
+
+
+# ---- dynamics
+
+
+def one_pump() -> Pump:
+    return Pump(
+        P["pump_displacement"],
+        P["pump_leakage"],
+        *(P["pump_pressure_friction"], P["pump_viscous_friction"]),
+        *(SETTING, P["compensator_band"], P["compensator_rounding"], P["compensator_lag"]),
+        *(P["pump_stroke_time"], P["pump_destroke_time"]),
+    )
+
+
+def stroke_after(start: float, pressure: float, time: float) -> float:
+    s = ca.SX.sym("s")
+    ode = {"x": s, "ode": pump.stroke_rate(one_pump(), s, pressure)}
+    return float(
+        ca.integrator("s", "cvodes", ode, 0.0, time, {"reltol": 1e-10, "abstol": 1e-12})(x0=start)["xf"]
+    )
+
+
+def test_a_large_step_takes_the_stroke_times_of_the_data_sheet():
+    """With the pressure far off, nine tenths of the stroke take nine tenths of the shortest time."""
+    # the limit is approached as (r_max / r)^2 / 2: below 3 % while a tenth of the stroke is missing
+    assert stroke_after(0.0, 0.0, 0.9 * P["pump_stroke_time"]) == pytest.approx(0.9, abs=0.02)
+    assert stroke_after(1.0, 2 * SETTING, 0.9 * P["pump_destroke_time"]) == pytest.approx(0.1, abs=0.06)
+    assert P["pump_destroke_time"] < P["pump_stroke_time"]
+
+
+def test_a_small_step_follows_with_the_lag():
+    """A hundredth of the band moves the stroke by a hundredth, 63 % of it within one lag."""
+    line = SETTING - 0.5 * P["compensator_band"]
+    begin = stroke_after(0.5, line, 1.0)
+    after = stroke_after(begin, line - 0.01 * P["compensator_band"], P["compensator_lag"])
+    # the rate limit takes off (r / r_max)^2 / 2 = 2 % at first
+    assert after - begin == pytest.approx(0.01 * (1 - np.exp(-1)), rel=0.02)
+
+
+def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
+    """One function, two, all three beyond the pumps, none again: ever lower, then at the setting again."""
+    steps = [gain(q * L_MIN, 2e7) for q in (80, 200, 500, 0)]
+    time, y = through_orifices(steps, constants(), 3.0)
+    one, two, three, none = (y["supply_pressure"][time <= 3.0 * (k + 1) + 1e-9][-1] for k in range(4))
+    start = rest(constants())[STATES.index("supply_pressure")]
+    assert start > one > two > three
+    assert start - two < P["compensator_band"]
+    assert three < start - 2 * P["compensator_band"]
+    # behind the check valves the rail keeps what the pumps gave before they were off stroke
+    assert start <= none < P["relief_pressure"] + P["relief_rounding"]
+    assert y["engine_speed"][-1] == pytest.approx(rest(constants())[STATES.index("engine_speed")], rel=1e-3)
+    assert y["relief_flow"].max() < 2 * FULL
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 900), min_size=3, max_size=6), st.floats(0.1, 0.6))
+def test_limits_hold_for_any_row_of_loads(flows, hold):
+    """Strokes stay within 0 ... 1, check valves pass nothing back, no stall, no run-away."""
+    _, y = through_orifices([gain(q * L_MIN, 2e7) for q in flows], constants(), hold, 20)
+    for i in (1, 2):
+        assert y[f"pump_{i}_stroke"].min() >= 0
+        assert y[f"pump_{i}_stroke"].max() <= 1 + 1e-9  # tolerance of the integrator
+        assert y[f"pump_{i}_flow"].min() >= 0
+        assert y[f"pump_{i}_pressure"].max() < 1.3 * P["relief_pressure"]
+    assert y["engine_speed"].min() > 0.6 * P["engine_rated_speed"]
+    assert y["engine_speed"].max() < 1.05 * P["engine_no_load_speed"]
+    assert y["supply_pressure"].min() > -1e5
+    assert y["dissipated_power"].min() > 0
+
+
+# ---- at any state
+
+
+def any_state() -> st.SearchStrategy[list[float]]:
+    ranges = {
+        **dict.fromkeys(("supply_pressure", "pump_1_pressure", "pump_2_pressure"), (-1e5, 3e7)),
+        **dict.fromkeys(("pump_1_stroke", "pump_2_stroke"), (0.0, 1.0)),
+        "engine_speed": (0.0, 300.0),
+        "engine_torque": (0.0, 600.0),
+        "reservoir_volume": (0.1, 0.3),
+    }
+    return st.tuples(*(st.floats(*ranges[name]) for name in STATES)).map(list)
+
+
+FLOWS = st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4)
+
+
+@given(any_state())
+def test_pumps_never_take_oil_back(x):
+    """Whatever the pressures, the check valves let oil out only, and none at all against the pressure."""
+    y = show(x, 0.0, constants())
+    for i in (1, 2):
+        assert y[f"pump_{i}_flow"] >= 0
+        if y[f"pump_{i}_pressure"] <= y["supply_pressure"]:
+            assert y[f"pump_{i}_flow"] == 0
+
+
+@given(any_state(), st.sampled_from([0.0, 1.0]))
+def test_strokes_turn_back_at_their_ends(x, end):
+    """At no stroke the rate is not negative, on full stroke not positive: 0 ... 1 is never left."""
+    for i in (1, 2):
+        x[STATES.index(f"pump_{i}_stroke")] = end
+    dx = FUNCTION(x, drawing(0.0), constants())[0].full()[:, 0]
+    for i in (1, 2):
+        assert dx[STATES.index(f"pump_{i}_stroke")] * (1 - 2 * end) >= -1e-12  # rounding of 1
+
+
+def _balance() -> ca.Function:
+    y = dict(zip(OUTPUTS, ca.vertsplit(MODEL.y), strict=True))
+    rate = ca.jtimes(y["stored_energy"], MODEL.x, MODEL.dx)
+    given_ = y["engine_power"] + y["tank_pressure"] * y["return_flow"]
+    used = y["supply_pressure"] * y["supply_flow"] + rate + y["dissipated_power"]
+    return ca.Function("b", [MODEL.x, MODEL.u, MODEL.p], [given_, used, y["dissipated_power"]])
+
+
+BALANCE = _balance()
+
+
+@given(any_state(), FLOWS, st.sampled_from([0.0, 2e5]))
+def test_energy_balance_closes_at_any_state(x, flows, tank):
+    """Combustion and return lines give what drives, stored energy and heat take; heat is never negative."""
+    into, used, heat = map(float, BALANCE(x, flows, constants(reservoir_pressure=tank)))
+    # exact identity; rounding of terms up to 1e7 W (a void at 3e-10 s)
+    assert into == pytest.approx(used, rel=1e-9, abs=1e-3)
+    assert heat >= -1e-9
+
+
+@given(any_state(), FLOWS)
+def test_oil_is_conserved(x, flows):
+    """What comes back less what is taken fills tank and lines."""
+    rate = dict(zip(STATES, FUNCTION(x, flows, constants())[0].full()[:, 0], strict=True))
+    u = dict(zip(INPUTS, flows, strict=True))
+    gained = rate["reservoir_volume"]
+    for name in ("supply_pressure", "pump_1_pressure", "pump_2_pressure"):
+        c = P["rail_capacitance" if name == "supply_pressure" else "pump_line_capacitance"]
+        void = 1e-12 * np.exp(np.clip((-20e3 - x[STATES.index(name)]) / 5e3, -60, 40))
+        gained += (c + void) * rate[name]
+    came = u["return_flow_swing"] + u["return_flow_boom_stick"]
+    came -= u["supply_flow_swing"] + u["supply_flow_boom_stick"]
+    assert gained == pytest.approx(came, abs=1e-14)  # rounding of 0.1 m3/s
+
+
+@given(
+    st.floats(5e6, 2.1e7),
+    st.floats(-2e6, 2e6),
+    st.floats(1e5, 5e6),
+    st.floats(4e-13, 2e-11),
+    st.sampled_from([0.0, 2e5]),
+)
+def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
+    """Whatever the settings, the state at the start does not move while nothing is taken."""
+    p = constants(
+        pump_1_pressure_setting=setting,
+        pump_2_pressure_setting=setting + apart,
+        compensator_band=band,
+        pump_leakage=leakage,
+        reservoir_pressure=tank,
+    )
+    x = rest(p)
+    dx = dict(zip(STATES, FUNCTION(x, [0.0] * 4, p)[0].full()[:, 0], strict=True))
+    # rounding: 1e-16 of a pressure, over the band, over the lag; through the lines for the pressures
+    assert max(abs(dx["pump_1_stroke"]), abs(dx["pump_2_stroke"])) < 1e-9
+    assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump_1", "pump_2")) < 1.0  # Pa/s
+    assert abs(dx["engine_speed"]) < 1e-9
+    assert abs(dx["engine_torque"]) < 1e-6
+    # the stroke that covers the leakage is 0.1 to 20 %, and its foot is rounded
+    assert x[STATES.index("supply_pressure")] == pytest.approx(max(setting, setting + apart), abs=0.25 * band)
+
+
+def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
+    """Band, resistance and opening of the check valves halved, the rest faster: half the sag, order one."""
+
+    def sag(e):
+        p = constants(
+            compensator_band=P["compensator_band"] * e,
+            compensator_lag=P["compensator_lag"] * e**2,
+            pump_stroke_time=P["pump_stroke_time"] * e**2,
+            pump_destroke_time=P["pump_destroke_time"] * e**2,
+            check_resistance=P["check_resistance"] * e,
+            check_opening=P["check_opening"] * e,
+            pump_displacement=3 * P["pump_displacement"],
+            engine_rated_torque=1e5 / e,
+            engine_inertia=1e3 / e,
+        )
+        _, y = through_orifices([gain(q * L_MIN, 2e7) for q in (80, 200, 120)], p, 0.2)
+        settled_ = y["supply_pressure"][
+            19::20
+        ]  # half-way and at the end of each: the peak of a step is short
+        return np.abs(settled_ - SETTING).max()
+
+    found = [sag(0.5**k) for k in range(4)]
+    # measured order 1; the droop of the engine bends it by a few hundredths
+    assert np.log2(np.array(found[:-1]) / np.array(found[1:])) == pytest.approx(1.0, abs=0.05)
+    assert found[-1] < 0.005 * SETTING
