@@ -12,7 +12,6 @@ import numpy as np
 from orchestrator.simulation import Result, RunFailed, run
 from orchestrator.system import System
 from orchestrator.trace import Trace
-from orchestrator.variety.cost import Spent, empty_call, timed
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class Row:
 
     reached    simulated time [s]
     failure    why it ended there; empty when it came to the end
-    inside     time inside all FMUs [us] for each millisecond simulated
+    inside     time in the steps of all FMUs [us] for each millisecond simulated, ctypes included
     factor     times real time, all included
     residual   largest energy that the coupling made up at a power bond, share of what the bond exchanged
     change     largest RMS difference of a watched signal from the first combination, share of its range
@@ -42,30 +41,25 @@ def combinations(
     system: System, variants: Mapping[str, Sequence[str]], watch: Sequence[str], **options: Any
 ) -> Iterator[Row]:
     """Run each combination of `variants` {component: names}; `options` go to `run`."""
-    overhead, first = empty_call(), None
+    first = None
     for names in product(*variants.values()):
         chosen = dict(zip(variants, names, strict=True))
-        spent: Spent = {}
         failure = ""
         try:
-            result = run(system.swapped(chosen), open=timed(spent), **options)
+            result = run(system.swapped(chosen), **options)
         except RunFailed as failed:
             result, failure = failed.result, str(failed)
         first = first or result.trace
-        yield _row(chosen, result, failure, spent, overhead, _change(result.trace, first, watch))
+        yield _row(chosen, result, failure, _change(result.trace, first, watch))
 
 
-def _row(
-    chosen: Mapping[str, str], result: Result, failure: str, spent: Spent, overhead: float, change: float
-) -> Row:
+def _row(chosen: Mapping[str, str], result: Result, failure: str, change: float) -> Row:
     card = result.card
-    calls = sum(len(steps) for steps in spent.values())
-    inside = (sum(map(sum, spent.values())) - calls * overhead) / 1e3  # us
     return Row(
         variants=chosen,
         reached=card.simulated,
         failure=failure,
-        inside=inside / max(card.simulated * 1e3, 1e-9),
+        inside=sum(card.inside.values()) * 1e3 / max(card.simulated, 1e-9),
         factor=card.real_time_factor,
         residual=max((abs(bond.relative) for bond in card.bonds), default=0.0),
         change=change,
