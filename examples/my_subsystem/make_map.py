@@ -3,8 +3,8 @@
     extending    Q^2 = K^2 (P_s - P_head)       (r Q)^2 = K^2 (P_rod - P_t)       P_load = P_head - r P_rod
     retracting   (r Q)^2 = K^2 (P_s - P_rod)    Q^2 = K^2 (P_head - P_t)
 
-so Q = K sqrt((P_s - P_load) / (1 + r^3)) and Q = -K sqrt((P_load + r P_s) / (1 + r^3)) for P_t = 0; a load that
-is too much drives the flow back. Hoses count with their resistance: 1/K^2 = 1/K_valve^2 + C_R.
+so Q = K sqrt((P_s - P_load) / (1 + r^3)) and Q = -K sqrt((P_load + r P_s) / (1 + r^3)) for P_t = 0; a load
+that is too much drives the flow back. Hoses count with their resistance: 1/K^2 = 1/K_valve^2 + C_R.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Signals for the inputs of any subsystem: consistent values and rates, both directions, from the start values."""
+"""Signals for the inputs of any subsystem: consistent values and rates, both directions."""
 
 from __future__ import annotations
 

@@ -30,10 +30,12 @@ class Behaviour(Protocol):
                  of dx/dt and of the outputs
     """
 
-    variables: Sequence[Variable]
-    sizes: tuple[int, int, int, int, int]
-    statements: Sequence[str]
-
+    @property
+    def variables(self) -> Sequence[Variable]: ...
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]: ...
+    @property
+    def statements(self) -> Sequence[str]: ...
     def start(self, x: Array, u: Array, p: Array) -> Array: ...
     def rate(self, x: Array, u: Array, p: Array) -> Array: ...
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]: ...
@@ -81,15 +83,17 @@ class _Bound:
     """A CasADi function on arrays of its own: no objects are made in a call."""
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._run = function.buffer()
+        buffer: Any
+        buffer, self._run = function.buffer()
+        self._buffer = buffer  # it has to live as long as the call
         self._arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
         # CasADi stores matrices by columns
         shapes = [function.size_out(i) for i in range(function.n_out())]
         self._results = [np.zeros(s if s[1] != 1 else s[0], order="F") for s in shapes]
         for i, array in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(array))
+            buffer.set_arg(i, array.data)
         for i, array in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(array.ravel(order="K")))
+            buffer.set_res(i, array.ravel(order="K").data)
 
     def __call__(self, *arguments: Array) -> list[Any]:
         """Results in arrays that the next call overwrites."""

@@ -12,8 +12,6 @@ from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import casadi as ca
-
 from fmus.contract import ModelError, Subsystem
 from fmus.export.codegen import string
 from fmus.export.compile import shared_library
@@ -26,7 +24,8 @@ from fmus.export.python.model import Model
 from fmus.export.python.origin import fingerprint, origin
 from fmus.export.python.scripts import script
 from fmus.export.python.slave import CARD
-from fmus.export.python.user import declared_files, refuse_neighbours, structure, tried
+from fmus.export.python.trials import tried
+from fmus.export.python.user import declared_files, refuse_neighbours, structure
 from fmus.parameters import Values, values
 
 MAIN = "python_fmu.c"
@@ -51,7 +50,7 @@ def build_python(
     """
     given, found = numbers or values(sub), where or origin(sub)
     face = interface(sub, given)
-    card = {"origin": found, "fingerprint": fingerprint(face), "numbers": asdict(given), "casadi": ca.__version__}
+    card = {"origin": found, "fingerprint": fingerprint(face), "numbers": asdict(given)}
     flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"}
     more = shown(sub, face, 2, step, stop) | proof(sub)
     return write(folder, face, card, "SubsystemSlave", flags, unknowns(face), step, stop, more, platforms)
@@ -96,8 +95,15 @@ def _files(path: Path, room: Path) -> dict[str, bytes]:
 def _surrogate(model: Model, face: Interface, path: Path) -> Subsystem:
     """What the documentation wants to know of a model: its variables and where its README may be."""
     return Subsystem(
-        face.name, face.text, model.Parameters, model.State, model.Inputs, model.Outputs,
-        model.step, model.observe, path.with_suffix(".toml"),
+        name=face.name,
+        text=face.text,
+        parameters=model.Parameters,
+        states=model.State,
+        inputs=model.Inputs,
+        outputs=model.Outputs,
+        dynamics=model.require,  # nobody calls these two
+        observe=model.require,
+        values=path.with_suffix(".toml"),
     )
 
 
@@ -149,7 +155,11 @@ def write(
 def library_code() -> dict[str, bytes]:
     """The C files of the library by name; start.py becomes a string in start.h."""
     folder = files("fmus.export.python") / "native"
-    code = {f.name: f.read_text(encoding="utf-8") for f in folder.iterdir() if f.name.endswith((".c", ".h", ".py"))}
+    code = {
+        f.name: f.read_text(encoding="utf-8")
+        for f in folder.iterdir()
+        if f.name.endswith((".c", ".h", ".py"))
+    }
     lines = code.pop("start.py").splitlines()
     text = "\n".join(f"    {string(line + chr(10))}" for line in lines)
     code["start.h"] = f"/* start.py. Generated. */\n\nstatic const char START[] =\n{text};\n"

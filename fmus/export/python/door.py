@@ -13,6 +13,7 @@ import numpy as np
 
 from fmus.contract import ModelError
 from fmus.export.model_description import LOG_CATEGORIES
+from fmus.export.python import slopes
 from fmus.export.python.instance import ANY, INSTANTIATED, STEP_FAILED
 from fmus.export.python.messages import told
 from fmus.export.python.slave import Slave
@@ -163,14 +164,14 @@ CALLS: Mapping[str, Callable[..., bytes | None]] = {
     "fmi2GetReal": lambda door, vr: _packed(door.slave.get_real(_references(vr))),
     "fmi2SetReal": lambda door, vr, v: door.slave.set_real(_references(vr), _doubles(v)),
     **{f"fmi2{verb}{kind}": _none for verb in ("Get", "Set") for kind in ("Integer", "Boolean", "String")},
-    "fmi2SetRealInputDerivatives": lambda door, vr, orders, v: door.slave.instance.give(
-        _references(vr), _integers(orders), _doubles(v)
+    "fmi2SetRealInputDerivatives": lambda door, vr, orders, v: slopes.give(
+        door.slave.instance, _references(vr), _integers(orders), _doubles(v)
     ),
     "fmi2GetRealOutputDerivatives": lambda door, vr, orders: _packed(
-        door.slave.instance.output_slopes(_references(vr), _integers(orders))
+        slopes.of_outputs(door.slave.instance, _references(vr), _integers(orders))
     ),
     "fmi2GetDirectionalDerivative": lambda door, unknown, known, seed: _packed(
-        door.slave.instance.directional(_references(unknown), _references(known), _doubles(seed))
+        slopes.directional(door.slave.instance, _references(unknown), _references(known), _doubles(seed))
     ),
     "fmi2GetFMUstate": lambda door: door.slave.instance.save(),
     "fmi2SetFMUstate": lambda door, data: door.slave.instance.restore(data),

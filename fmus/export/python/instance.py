@@ -21,10 +21,11 @@ import numpy as np
 from fmus.contract import ModelError, Subsystem
 from fmus.export.codegen import DEFAULT_TOLERANCE
 from fmus.export.interface import Variable, interface
+from fmus.export.python import inputs
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
 from fmus.export.python.state import State
 from fmus.parameters import Values, values
-from fmus.solver import Array, Motion, Unsolved
+from fmus.solver import Array, Unsolved
 
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
@@ -70,13 +71,11 @@ class Instance:
     def __init__(self, model: Behaviour, guid: str = "", warn: Callable[[str], None] = _unheard) -> None:
         self.model, self.guid, self.warn, self.variables = model, guid, warn, model.variables
         self.references = {v.name: v.reference for v in self.variables}
-        self._ends = np.cumsum(model.sizes).tolist()
-        inputs = self.variables[self._ends[0] : self._ends[1]]
-        index = {v.name: i for i, v in enumerate(inputs)}
-        self._rates = [index[v.quantity.rate] if v.quantity.rate else -1 for v in inputs]
+        self.ends = np.cumsum(model.sizes).tolist()
+        self.rates = inputs.rates(self.variables[self.ends[0] : self.ends[1]])
         self._watched = [
             v
-            for v in self.variables[self._ends[0] :]
+            for v in self.variables[self.ends[0] :]
             if v.quantity.warn_above is not None and (v.output or v.kind == "INPUT")
         ]
         self.reset()
@@ -85,8 +84,8 @@ class Instance:
 
     def reset(self) -> None:
         """Default values of all variables."""
-        start = np.array([v.start or 0.0 for v in self.variables[: self._ends[2]]])
-        p, u, x = np.split(start, self._ends[:2])
+        start = np.array([v.start or 0.0 for v in self.variables[: self.ends[2]]])
+        p, u, x = np.split(start, self.ends[:2])
         none = np.zeros(u.size, dtype=bool)
         self.state = State(
             *(x, p, u, u.copy(), np.zeros(u.size), np.zeros((u.size, 3)), none, none.copy()),
@@ -163,29 +162,30 @@ class Instance:
     def _not_finite(self, v: Variable, value: float) -> NoReturn:
         refuse(f"{v.name} is {value:g} at t = {self.state.time:.9g} s, expected a finite number")
 
-    def _known(self, r: int) -> Variable:
+    def known(self, r: int) -> Variable:
+        """The variable with this value reference."""
         if not 0 <= r < len(self.variables):
             refuse(f"value reference {r} is unknown, expected 0 to {len(self.variables) - 1}")
         return self.variables[r]
 
     def _value(self, r: int) -> float:
-        self._known(r)
-        s, (np_, nu, nx, ndx, _) = self.state, self._ends
+        self.known(r)
+        s, (np_, nu, nx, ndx, _) = self.state, self.ends
         if r < np_:
             return float(s.p[r])
         if r < nu:
             return float(s.u[r - np_])
-        self._start()
+        self.start()
         if r < nx:
             return float(s.x[r - nu])
-        return float(self._derivatives()[r - nx] if r < ndx else self._outputs()[r - ndx])
+        return float(self.derivatives()[r - nx] if r < ndx else self._outputs()[r - ndx])
 
     def set(self, references: Sequence[int], given: Sequence[float]) -> None:
         """Change variables: all of them, or none when one value is refused."""
         self.allowed(INSTANTIATED | INITIALIZATION | STEP_MODE)
         for r, value in zip(references, given, strict=True):
-            self._check_value(self._known(r), value)
-        s, (np_, nu, *_) = self.state, self._ends
+            self._check_value(self.known(r), value)
+        s, (np_, nu, *_) = self.state, self.ends
         for r, value in zip(references, given, strict=True):
             if r < np_:
                 s.p[r] = value
@@ -209,12 +209,14 @@ class Instance:
 
     # ---- what follows from the state
 
-    def _start(self) -> None:
+    def start(self) -> None:
+        """Compute the states that follow from others at the start."""
         if self.state.initial and not self._started:
             s = self.state
             s.x, self._started = self.model.start(s.x, s.u, s.p), True
 
-    def _derivatives(self) -> Array:
+    def derivatives(self) -> Array:
+        """Of the states."""
         if self._dx is None:
             s = self.state
             self._dx = self.model.rate(s.x, s.u, s.p).copy()
@@ -228,15 +230,15 @@ class Instance:
 
     def _check(self) -> None:
         """Requirements hold and everything is finite; warnings of what is watched."""
-        self._start()
+        self.start()
         y, s = self._outputs(), self.state
-        self._finite(s.x, self._ends[1])
+        self._finite(s.x, self.ends[1])
         for statement, value in zip(self.model.statements, self._require.tolist(), strict=True):
             if not value > 0.0:
                 refuse(
                     f'requirement "{statement}" is violated at t = {s.time:.9g} s: {value:.6g}, expected > 0'
                 )
-        self._finite(y, self._ends[3])
+        self._finite(y, self.ends[3])
         self._watch()
 
     def _finite(self, values: Array, first: int) -> None:
@@ -255,88 +257,7 @@ class Instance:
                 self.warn(f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is above {limit:g} {unit}")
             s.warned[v.reference] = above
 
-    # ---- derivatives
-
-    def give(self, references: Sequence[int], orders: Sequence[int], given: Sequence[float]) -> None:
-        """Derivatives of order 1 to 3 of inputs, valid for the next step."""
-        self.allowed(INSTANTIATED | INITIALIZATION | STEP_MODE)
-        for r, order, value in zip(references, orders, given, strict=True):
-            v = self._known(r)
-            if v.kind != "INPUT":
-                refuse(f"{v.name} is not an input")
-            if not 1 <= order <= 3:
-                refuse(f"{v.name} has derivatives of order 1, 2 and 3 only")
-            if not math.isfinite(value):
-                refuse(f"the derivative of {v.name} is not a finite number")
-        for r, order, value in zip(references, orders, given, strict=True):
-            i, s = r - self._ends[0], self.state
-            s.given[i] = s.given[i] if s.is_given[i] else 0.0
-            s.is_given[i], s.given[i, order - 1] = True, value
-
-    def directional(self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]) -> list[float]:
-        """Derivatives of unknowns along a direction of knowns."""
-        self.allowed(INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED)
-        direction = np.zeros(len(self.variables))
-        more = ("FIXED", "TUNABLE") if self.state.initial else ("CALCULATED_STATE",)
-        for r, value in zip(known, seed, strict=True):
-            v = self._known(r)
-            if v.kind not in ("INPUT", "STATE", *more):
-                refuse(f"{v.name} is not a known, expected an input or a state")
-            direction[r] += value
-        result = self._along(direction)
-        for r in unknown:
-            if self._known(r).kind in ("FIXED", "TUNABLE", "INPUT"):
-                refuse(f"{self.variables[r].name} is not an unknown, expected an output or a derivative")
-        return self._finite_slopes(unknown, result)
-
-    def output_slopes(self, references: Sequence[int], orders: Sequence[int]) -> list[float]:
-        """Time derivatives of outputs; orders beyond the first are zero, as of those that are not provided."""
-        self.allowed(STEP_MODE | STEP_FAILED | TERMINATED)
-        direction, s, (first, last, end, *_) = np.zeros(len(self.variables)), self.state, self._ends
-        direction[first:last] = [self._input_slope(i) for i in range(last - first)]
-        direction[last:end] = self._derivatives()
-        for r, order in zip(references, orders, strict=True):
-            if self._known(r).kind not in ("OUTPUT", "STATE", "CALCULATED_STATE"):
-                refuse(f"{self.variables[r].name} is not an output")
-            if order < 1:
-                refuse(f"the order of the derivative of {self.variables[r].name} is less than 1")
-        found = self._finite_slopes(references, self._along(direction))
-        return [0.0 if order > 1 else value for order, value in zip(orders, found, strict=True)]
-
-    def _along(self, direction: Array) -> Array:
-        self._start()
-        s, parts = self.state, np.split(direction, self._ends[:3])
-        x, dx, y = self.model.forward(s.x, s.u, s.p, (parts[0], parts[1], parts[2]), bool(s.initial))
-        return np.concatenate([parts[0], parts[1], x, dx, y])
-
-    def _finite_slopes(self, references: Sequence[int], values: Array) -> list[float]:
-        for r in references:
-            if not math.isfinite(values[r]):
-                refuse(f"the derivative of {self.variables[r].name} is not finite")
-        return [float(values[r]) for r in references]
-
     # ---- steps
-
-    def _derivative(self, at: Array, i: int, order: int) -> float:
-        """Derivative of an input where the values `at` hold: as set, else from the input that carries it."""
-        if self.state.is_given[i]:
-            return float(self.state.given[i, order - 1])
-        rate = self._rates[i]
-        if rate < 0:
-            return 0.0
-        return float(at[rate]) if order == 1 else self._derivative(at, rate, order - 1)
-
-    def _input_slope(self, i: int) -> float:
-        s, rate = self.state, self._rates[i]
-        if s.is_given[i]:
-            return float(s.given[i, 0])
-        return float(s.slope[i] if rate < 0 or s.was_given[i] else s.u[rate])
-
-    def _motion(self) -> Motion:
-        """Taylor polynomials of the inputs over the next step."""
-        at, n = self.state.set, range(self.state.set.size)
-        slopes = ([self._derivative(at, i, k) / scale for i in n] for k, scale in ((1, 1), (2, 2), (3, 6)))
-        return Motion(np.array([at, *slopes]))
 
     def advance(self, length: float) -> Instance:
         """A step from the current time."""
@@ -349,9 +270,7 @@ class Instance:
         s, end = self.state, time + length
         late = 0.01 * length + _rounding(time)  # more than that is a mistake of the master
         if not (length > 0.0 and math.isfinite(end) and end != time):
-            refuse(
-                f"the step size is {length:g} s at t = {time:.15g} s, expected one that advances the time"
-            )
+            refuse(f"the step size is {length:g} s at t = {time:.15g} s, expected one that advances the time")
         if not abs(time - s.time) <= late:
             refuse(f"the communication point is {time:.15g} s, expected {s.time:.15g} s")
         if end > s.stop_time + late:
@@ -367,7 +286,8 @@ class Instance:
         s.phase = STEP_MODE
 
     def _advance(self, length: float) -> None:
-        s, motion, begin = self.state, self._motion(), self.state.time
+        s, begin = self.state, self.state.time
+        motion = inputs.motion(s, self.rates)
         self._forget()
         try:
             s.x, s.memory = self.model.advance(s.x, s.p, motion, begin, length, s.tolerance, s.memory)
@@ -382,7 +302,7 @@ class Instance:
             raise
 
     def _failure(self, e: Unsolved) -> str:
-        v, when = self.variables[self._ends[1] + e.worst], f"t = {self.state.time + e.tau:.9g} s"
+        v, when = self.variables[self.ends[1] + e.worst], f"t = {self.state.time + e.tau:.9g} s"
         where = f"{v.name} = {e.x[e.worst]:.6g} {v.quantity.unit}"
         if e.why == "not finite":
             return f"the derivative of {v.name} is {e.value:g} at {when} ({where})"

@@ -74,7 +74,7 @@ class Model:
     def __setattr__(self, name: str, value: object) -> None:
         if "_sealed" in self.__dict__:
             raise ModelError(
-                f"{_caller()}self.{name} = ... keeps a value beside State, which a saved state would not hold: "
+                f"{_caller()}self.{name} = ... keeps a value beside State, where a saved state misses it: "
                 "declare it in State and give it back from step()"
             )
         object.__setattr__(self, name, value)

@@ -1,7 +1,7 @@
 """Slaves for PythonFMU: what their methods do is in `instance`.
 
-The script of an FMU defines one class from `SubsystemSlave` or `UserSlave` (export/python/scripts.py). Our own
-library calls it through `door`; PythonFMU's library can call it, too, within what that one offers.
+The script of an FMU defines one class from `SubsystemSlave` or `UserSlave` (`scripts`). Our own library calls
+it through `door`; PythonFMU's library can call it, too, within what that one offers.
 """
 
 from __future__ import annotations

@@ -120,7 +120,9 @@ class Stepwise:
         if _names(self.model, "initial", computed, allowed) != set(allowed):
             raise ModelError(f"{self.model.name}: initial() gave other states than at the build")
         found = [computed.get(v.name, x[i]) for i, v in enumerate(self.face.states)]
-        return np.array([self._number("initial", v.name, n) for v, n in zip(self.face.states, found, strict=True)])
+        return np.array(
+            [self._number("initial", v.name, n) for v, n in zip(self.face.states, found, strict=True)]
+        )
 
     def rate(self, x: Array, u: Array, p: Array) -> Array:
         """There are no derivatives."""
@@ -132,16 +134,20 @@ class Stepwise:
         for i, state in self._merged:
             if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
                 raise ModelError(
-                    f"{self.model.name}: observe() gave {self._outputs[i]} = {y[i]:.9g}, which is also a state "
-                    f"and is {x[state]:.9g}"
+                    f"{self.model.name}: observe() gave {self._outputs[i]} = {y[i]:.9g}, which as a state is "
+                    f"{x[state]:.9g}"
                 )
         require = self._require(x, u, p)
         return y[self._own], np.array([require[statement] for statement in self.statements])
 
     def _require(self, x: Array, u: Array, p: Array) -> dict[str, float]:
         found = self.model.require(*self._groups(x, u, p))
-        if not isinstance(found, Mapping) or ("statements" in vars(self) and set(found) != set(self.statements)):
-            raise ModelError(f"{self.model.name}: require() gave {found!r}, expected always the same statements")
+        if not isinstance(found, Mapping) or (
+            "statements" in vars(self) and set(found) != set(self.statements)
+        ):
+            raise ModelError(
+                f"{self.model.name}: require() gave {found!r}, expected always the same statements"
+            )
         return {statement: self._number("require", statement, n) for statement, n in found.items()}
 
     def advance(

@@ -104,10 +104,10 @@ static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, 
     return status;
 }
 
-#define TEXT(text) {text, strlen(text)}
+#define WORDS(text) {text, strlen(text)}
 #define ARRAY(array, n) {array, (n) * sizeof *(array)}
 #define NUMBER(x) {&(x), sizeof(x)}
-#define NAME TEXT(__func__)
+#define NAME WORDS(__func__)
 #define COUNT(a) (sizeof(a) / sizeof *(a))
 
 /* A call whose value goes to the caller's array. */
@@ -170,7 +170,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     self->environment = functions ? functions->componentEnvironment : NULL;
     const char *problem = interpreter_start();
     if (fmuType != fmi2CoSimulation) problem = "the FMU is for co-simulation only";
-    const Bytes arguments[] = {TEXT(name), TEXT(guid), TEXT(where), TEXT(loggingOn ? "1" : "0")};
+    const Bytes arguments[] = {WORDS(name), WORDS(guid), WORDS(where), WORDS(loggingOn ? "1" : "0")};
     if (problem) complain(self, problem);
     else open_door(self, arguments, COUNT(arguments));
     if (self->door) return self;

@@ -7,42 +7,45 @@ import site
 import sys
 import urllib.parse
 import urllib.request
+from typing import Any
 
 ERROR = 3
 
 
-def start(*given):
+def start(*given: bytes) -> tuple[int, bytes, Any]:
     """Status, messages and what answers the calls of a new instance; never raises."""
     try:
         name, guid, where, logging = (value.decode() for value in given)
-        folder = _folder(where)
-        own = os.environ.get("VIRTUAL_ENV")  # a tool that was started from an activated environment
+        folder = find(where)
+        own = os.environ.get("VIRTUAL_ENV")  # of a program that was started from an activated environment
         if own and importlib.util.find_spec("fmus") is None:
-            for packages in pathlib.Path(own).glob("[Ll]ib/**/site-packages"):
-                site.addsitedir(str(packages))
-        return _script(folder, guid).connect(name, guid, folder, logging == "1")
+            for packages in ("lib/python{0}.{1}/site-packages", "Lib/site-packages"):
+                site.addsitedir(str(pathlib.Path(own, packages.format(*sys.version_info))))
+        answer: tuple[int, bytes, Any] = script(folder, guid).connect(name, guid, folder, logging == "1")
+        return answer
     except BaseException as problem:  # whatever it is, it has to become a message
-        text = " ".join(f"{problem}".split()) or type(problem).__name__
+        text = " ".join(str(problem).split())
         text = text if isinstance(problem, ImportError) else f"{type(problem).__name__}: {text}"
         text = text.replace("%", "%%").replace("#", "##")
         return ERROR, f"{ERROR}logStatusError\0fmi2Instantiate: {text}\0".encode(), None
 
 
-def _folder(where):
-    """The folder of a URI or, as some tools have it, of a path."""
-    if "://" in where or where.startswith("file:"):
+def find(where: str) -> pathlib.Path:
+    """The folder of a URI or, as some programs have it, of a path."""
+    if where.startswith("file:"):
         where = urllib.request.url2pathname(urllib.parse.urlsplit(where).path)
     return pathlib.Path(where)
 
 
-def _script(folder, guid):
+def script(folder: pathlib.Path, guid: str) -> Any:
     """The module of an FMU under a name that no other FMU has; the search path stays as it is."""
     stem = (folder / "slavemodule.txt").read_text(encoding="utf-8").strip()
     name = f"{stem}_{guid.strip('{}').replace('-', '')}"
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, folder / f"{stem}.py")
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{folder / stem}.py is no Python file")
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
         except BaseException:
