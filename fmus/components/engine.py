@@ -58,7 +58,7 @@ def friction(d: Engine, speed: Scalar) -> Scalar:
 
 def asked_torque(d: Engine, speed: Scalar) -> Scalar:
     """Torque [N.m] of the combustion that the governor asks for."""
-    net, own = net_torque(d, speed), friction(d, speed)
+    net, own = net_torque(d, speed), ca.fmax(friction(d, speed), 0)  # a trial speed may be negative
     z = (own + net * (d.no_load_speed - speed) / (d.no_load_speed - d.rated_speed)) / (net + own)
     return (net + own) * share(z, _ROUNDING)
 

@@ -225,6 +225,7 @@ def any_state() -> st.SearchStrategy[list[float]]:
     return st.tuples(*(st.floats(*ranges[name]) for name in STATES)).map(list)
 
 
+JACOBIAN = ca.Function("j", [MODEL.x, MODEL.u, MODEL.p], [MODEL.dx, MODEL.y, ca.jacobian(MODEL.dx, MODEL.x)])
 FLOWS = st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4)
 
 
@@ -246,6 +247,12 @@ def test_strokes_turn_back_at_their_ends(x, end):
     dx = FUNCTION(x, drawing(0.0), constants())[0].full()[:, 0]
     for i in (1, 2):
         assert dx[STATES.index(f"pump_{i}_stroke")] * (1 - 2 * end) >= -1e-12  # rounding of 1
+
+
+@given(st.lists(st.floats(-1e12, 1e12), min_size=len(STATES), max_size=len(STATES)), FLOWS)
+def test_any_trial_state_gives_finite_rates(x, flows):
+    """A solver may try anything: neither infinity nor not-a-number comes back, nor from the derivatives."""
+    assert all(np.isfinite(JACOBIAN(x, flows, constants())[i].full()).all() for i in range(3))
 
 
 def _balance() -> ca.Function:
