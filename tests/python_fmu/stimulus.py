@@ -32,7 +32,7 @@ def stimulus(sub: Subsystem, time: Array) -> Mapping[str, Array]:
     declared, start, signals = quantities(sub.inputs), values(sub).u, {}
     for chain in chains(sub):
         command = chain[0].endswith("command")
-        height = (0.4 if command else 0.02 if len(chain) > 1 else 0.0) * declared[chain[0]].nominal
+        height = (0.4 if command else 0.02 if len(chain) > 1 else 0.1) * declared[chain[0]].nominal
         for order, name in enumerate(chain):
             angle = TURN * time + order * np.pi / 2
             wave = np.sin(angle) if command else float(order == 0) - np.cos(angle)

@@ -13,7 +13,7 @@ def told(problem: BaseException, folder: Path) -> str:
 
     The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
     """
-    text = " ".join(str(problem).split())
+    text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
     if isinstance(problem, ModelError):
         return text
     if isinstance(problem, KeyboardInterrupt):

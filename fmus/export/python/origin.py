@@ -19,15 +19,21 @@ from fmus.export.interface import Interface
 
 
 def origin(sub: Subsystem) -> str:
-    """The shortest name under which a module that is loaded has the subsystem."""
-    places = [place for module in list(sys.modules) for place, value in _named(module) if value is sub]
-    importable = [place for place in places if not place.startswith("__main__:")]
-    if not importable:
+    """Under which name a loaded module has the subsystem: its own package if possible."""
+    own = str(getattr(sub.dynamics, "__module__", "")) + "."
+    found = [
+        (not own.startswith(f"{module}."), module.split(".")[0] != own.split(".")[0], len(place), place)
+        for module in list(sys.modules)
+        if module != "__main__"
+        for place, value in _named(module)
+        if value is sub
+    ]
+    if not found:
         raise ModelError(
             f"{sub.name}: no module has this subsystem under a name, expected one such as "
             '"package.module:NAME" to find it again where the FMU runs'
         )
-    return min(importable, key=lambda place: (place.count("."), len(place), place))
+    return min(found)[-1]
 
 
 def _named(module: str) -> Iterator[tuple[str, Any]]:

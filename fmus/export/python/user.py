@@ -12,6 +12,7 @@ from pathlib import Path
 from fmus.contract import ModelError
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
+from fmus.export.python.messages import told
 from fmus.export.python.model import Model, sealed
 
 
@@ -43,9 +44,16 @@ def load(path: Path) -> Model:
     return sealed(found[0]())
 
 
+def _read(path: Path) -> ast.Module:
+    try:
+        return ast.parse(path.read_text(encoding="utf-8"), path.name)
+    except (OSError, ValueError, SyntaxError) as problem:
+        raise ModelError(told(problem, path.parent)) from None
+
+
 def refuse_neighbours(path: Path) -> None:
     """Refuse imports of files beside the user's: they would be missing, or those of another FMU."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), path.name)):
+    for node in ast.walk(_read(path)):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
             names = ["." * node.level + (node.module or "")]
@@ -55,13 +63,13 @@ def refuse_neighbours(path: Path) -> None:
             if name.startswith(".") or any(p.is_file() for p in beside):
                 raise ModelError(
                     f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module beside the file, "
-                    "which collides with one of another FMU: put it into the file or into an installed package"
+                    "which would collide with that of another FMU: put it into the file or into a package"
                 )
 
 
 def declared_files(path: Path) -> list[str]:
     """What `files` of the class says, before the file can be run: it may read them when it is imported."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), path.name)):
+    for node in ast.walk(_read(path)):
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         value = getattr(node, "value", None)
         if isinstance(target, ast.Name) and target.id == "files" and isinstance(value, ast.Tuple | ast.List):

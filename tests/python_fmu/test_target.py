@@ -1,0 +1,162 @@
+"""What an FMU in Python says where something is missing, and how it runs in programs without Python."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import lief
+import pytest
+import pythonfmu
+from driver import Driver, driving
+from fmpy import read_model_description
+
+from fmus.export.compile import HEADERS
+from fmus.export.package import pack
+from fmus.export.platforms import PLATFORMS, host
+from fmus.export.python.build import build_python, library
+from fmus.machine import SUBSYSTEMS
+from orchestrator.check import check
+from python_fmu.lag import built, in_new_process
+
+BOOM_STICK = SUBSYSTEMS["boom_stick"]
+BLOCKED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+sys.modules["fmus"] = None  # as if it were not installed
+from pathlib import Path
+from driver import Driver
+try:
+    Driver(Path(sys.argv[2]))
+except Exception as problem:
+    print(type(problem).__name__)
+"""
+
+
+def changed(path: Path, change: Callable[[dict[str, object]], None]) -> Path:
+    """A copy of the FMU whose card was changed."""
+    with zipfile.ZipFile(path) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    card = json.loads(content["resources/model.json"])
+    change(card)
+    content["resources/model.json"] = json.dumps(card).encode()
+    pack(path.with_name("changed.fmu"), content)
+    return path.with_name("changed.fmu")
+
+
+def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one message of an FMU that cannot be instantiated."""
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        Driver(path)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("[ERROR] fmi2Instantiate: ")
+    return lines[0].removeprefix("[ERROR] fmi2Instantiate: ")
+
+
+def test_a_missing_package_is_told(tmp_path):
+    """Where fmus is not installed the FMU says what it needs, in which Python."""
+    out = in_new_process(BLOCKED, Path(__file__).parents[1], build_python(BOOM_STICK, tmp_path))
+    assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python of \S+: ", out)
+
+
+def test_another_version_is_told(tmp_path, capsys):
+    """An FMU of another version of the package refuses to run."""
+    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(version="0.0.9"))
+    assert refused(path, capsys).startswith("boom_stick: built with harvester-cosim 0.0.9, the one in ")
+
+
+def test_other_equations_are_told(tmp_path, capsys):
+    """An FMU built from other equations than those that are installed refuses instead of running them."""
+    built_for_rigid = build_python(BOOM_STICK, tmp_path)
+    other = changed(built_for_rigid, lambda card: card.update(fingerprint="0" * 64))
+    text = refused(other, capsys)
+    assert text.startswith("boom_stick: fmus.boom_stick:")
+    assert "has other equations or variables than the FMU was built from: build the FMU again" in text
+
+
+@pytest.mark.parametrize(
+    ("origin", "said"),
+    [
+        ("fmus.boom_stick:VARIANTS.old", "fmus.boom_stick:VARIANTS.old is not in the Python of "),
+        ("fmus.no_stick:VARIANTS.lumped", "fmus.no_stick:VARIANTS.lumped is not in the Python of "),
+        ("fmus.contract:Subsystem", "fmus.contract:Subsystem is type, expected a Subsystem"),
+    ],
+)
+def test_a_missing_subsystem_is_told(tmp_path, capsys, origin, said):
+    """A variant that this installation does not have is named."""
+    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(origin=origin))
+    assert refused(path, capsys).startswith(said)
+
+
+def test_another_guid_is_told(tmp_path, capsys):
+    """Files of different builds do not run together."""
+    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(guid="{0}"))
+    assert refused(path, capsys) == 'the GUID differs, expected "{0}" (files of different builds)'
+
+
+def test_check_finds_nothing_but_python(tmp_path):
+    """`harvester check`, with all its trials, has no error; that Python is needed is said."""
+    report = check(built(tmp_path))
+    assert [f for f in report.findings if f.severity == "error"] == []
+    found = {f.rule: f.text for f in report.findings}
+    assert "needs Python on the target" in found["python.needed"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the program is written for Linux")
+def test_a_program_without_python_runs_it(tmp_path):
+    """A program in C loads the library and runs the FMU twice, or reads what is missing."""
+    program, fmu = tmp_path / "host", built(tmp_path)
+    source = Path(__file__).with_name("host.c")
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[host()].target]
+    compiler += ["-isystem", str(HEADERS), str(source), "-o", str(program), "-ldl"]
+    subprocess.run(compiler, check=True, capture_output=True)
+    shutil.unpack_archive(fmu, tmp_path / "lag", "zip")
+    (binary,) = (tmp_path / "lag" / "binaries").rglob("*.so")
+    resources, guid = (tmp_path / "lag" / "resources").as_uri(), read_model_description(str(fmu)).guid
+
+    def run(**environment: str) -> str:
+        command = [program, binary, resources, guid]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=environment).stdout
+
+    here = Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))
+    if not here.is_file() or here.suffix == ".a":
+        pytest.skip("this Python is no shared library")
+    missing = run(FMU_PYTHON=str(here), PYTHONHOME=sys.base_prefix)
+    assert "logStatusError: fmi2Instantiate: lag needs the package harvester-cosim" in missing
+    path = ":".join(p for p in sys.path if p)
+    done = run(FMU_PYTHON=str(here), PYTHONHOME=sys.base_prefix, PYTHONPATH=path)
+    assert done.splitlines() == ["value 0.10000000000000001"] * 2 + ["done"]
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_there_is_a_library_for_each_platform(platform):
+    """The library compiles for all platforms without a warning, and needs no library of Python."""
+    parsed = lief.parse(list(library(platform)))  # it has to outlive its libraries
+    names = [str(getattr(needed, "name", needed)) for needed in parsed.libraries]
+    assert names
+    assert not [name for name in names if re.search(r"libpython|python3|Python\.framework", name)]
+
+
+def test_pythonfmu_runs_the_same_slave(tmp_path):
+    """With PythonFMU's own library in the place of ours the slave gives the same numbers."""
+    ours = build_python(BOOM_STICK, tmp_path)
+    theirs = tmp_path / "theirs.fmu"
+    folder = Path(pythonfmu.__file__).parent / "resources" / "binaries"
+    with zipfile.ZipFile(ours) as archive:
+        content = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
+    for path in folder.rglob("*pythonfmu-export.*"):
+        content[f"binaries/{path.parent.name}/boom_stick{path.suffix}"] = path.read_bytes()
+    pack(theirs, content)
+    found = []
+    for path in (ours, theirs):
+        with driving(path, boom_command=3.0) as fmu:
+            found.append(fmu.step(1e-3, 50).get("boom_force", "stick_force").tobytes())
+    assert found[0] == found[1]

@@ -1,0 +1,209 @@
+"""Models by hand: what is refused at the build, and what is told while they run. Each fault in one line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driver import Driver, driving
+from fmpy import read_model_description, simulate_fmu
+from fmpy.validation import validate_fmu
+
+from fmus.contract import ModelError
+from fmus.export.python.build import build_user
+from python_fmu.lag import built, written
+
+OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
+STEP = "return State(y=x.y + h * (GAIN * u.u - x.y) / p.delay)"
+BY_HAND = "        "
+
+
+def fault(where: str, *lines: str) -> tuple[str, str]:
+    """Lines before the return of a method."""
+    return where, f"\n{BY_HAND}".join([*lines, where])
+
+
+def test_it_is_a_lag(tmp_path):
+    """Input, rate port inside the step, output and warning: the model does what its few lines say."""
+    path = built(tmp_path)
+    assert validate_fmu(str(path)) == []
+    with driving(path, u=1.0, u_rate=2.0, w=0.5) as fmu:
+        fmu.step(0.01)
+        y = 0.01 * (1.0 + 2.0 * 0.005) / 0.1  # u in the middle of the step
+        assert fmu.get("u", "y", "z") == pytest.approx([1.02, y, y + 0.5], rel=1e-15)  # the same operations
+
+
+def test_simulate_fmu_runs_it(tmp_path):
+    """FMPy's simulate_fmu, as a user calls it."""
+    result = simulate_fmu(str(built(tmp_path)), stop_time=1.0, output_interval=1e-3)
+    # explicit Euler: 1 - 0.99^1000
+    assert result["y"][-1] == pytest.approx(1 - 0.99**1000, rel=1e-12)
+
+
+def test_the_description_is_complete(tmp_path):
+    """Units, bounds, start values, causality and dependencies are as declared."""
+    description = read_model_description(str(built(tmp_path)))
+    v = {variable.name: variable for variable in description.modelVariables}
+    assert [v[n].causality for n in ("delay", "u", "y", "z")] == ["parameter", "input", "output", "output"]
+    assert (v["delay"].unit, v["delay"].min, v["delay"].variability) == ("s", "0.001", "tunable")
+    assert (v["u"].start, v["w"].start, v["y"].start, v["z"].start) == ("1", "0", "0", None)
+    depends = {u.variable.name: [d.name for d in u.dependencies] for u in description.outputs}
+    assert depends == {"y": [], "z": ["w"]}
+    first = {u.variable.name: {d.name for d in u.dependencies} for u in description.initialUnknowns}
+    assert first == {"z": {"w", "delay", "y"}}
+
+
+# ---- at the build
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('"z": ["w"]', '"z": []'), "z changes with w, which depends['z'] does not name"),
+        (('"z": ["w"]', '"z": ["v"]'), "depends['z'] names 'v', expected a list of inputs"),
+        (('"z": ["w"]', '"x": []'), "depends names x, expected an output or a computed state"),
+        (('start = {"u"', 'start = {"v"'), "start names v, expected inputs"),
+        (fault(STEP, "self.last = h"), "lag.py:41: self.last = ... keeps a value beside State"),
+        (fault(STEP, "LOG.append(h)", "h = h * len(LOG)"), "NameError: name 'LOG' is not defined"),
+        (fault(OBSERVE, "raise RuntimeError('no oil')"), "lag.py:44: RuntimeError: no oil"),
+        ((STEP, "return {'y': 1.0}"), "step() gave dict, expected State"),
+        ((STEP, "return State(x=1.0)"), "lag.py:41: TypeError: State.__init__() got an unexpected keyword"),
+        ((STEP, "return State(y='a')"), "step() gave y = 'a', expected a number"),
+        ((STEP, "return State(y=1e400 * 0)"), "y is nan at t = 0.001 s, expected a finite number"),
+        ((OBSERVE, "return Outputs(y=2.0, z=0.0)"), "observe() gave y = 2, which as a state is 0"),
+        (("class Lag(Model)", "class Lag"), "lag.py defines none, expected one class of Model"),
+        (('Quantity("N", "Force", ', 'Quantity("lbf", "Force", '), "lbf"),
+        (
+            ('w: Annotated[float, Quantity("1", "Share")]', "w: float"),
+            "a field of Inputs is not declared as Annotated",
+        ),
+        (("def step(self", "def step(self:"), "lag.py:40: SyntaxError"),
+        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other, a module beside the file"),
+        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other, a module beside the file"),
+        (("GAIN = 1.0", "import not_there"), "lag.py:8: ModuleNotFoundError: No module named 'not_there'"),
+    ],
+)
+def test_the_build_refuses(tmp_path, change, said):
+    """A file that would not work, or not do what it says, makes no FMU."""
+    (tmp_path / "other.py").write_text("GAIN = 2.0\n", encoding="utf-8")
+    with pytest.raises(ModelError) as found:
+        built(tmp_path, change)
+    assert said in str(found.value)
+    assert "\n" not in str(found.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_state_hidden_in_a_list_is_found(tmp_path):
+    """What is kept outside State cannot be saved: repeated steps differ, and the build says so."""
+    hidden = ("GAIN = 1.0", "GAIN, LOG = 1.0, []"), fault(STEP, "LOG.append(h)", "h = h * len(LOG)")
+    with pytest.raises(ModelError, match="steps repeated from a saved state give other values"):
+        built(tmp_path, *hidden)
+
+
+def test_a_file_that_is_read_goes_along(tmp_path):
+    """Files named in `files` are in the FMU; one that is read without being named is missed at the build."""
+    reading = (
+        "GAIN = 1.0",
+        "from pathlib import Path\nGAIN = float(Path(__file__).with_name('gain.txt').read_text())",
+    )
+    written(tmp_path)
+    (tmp_path / "gain.txt").write_text("3.0", encoding="utf-8")
+    with pytest.raises(ModelError, match=r"lag.py:9: FileNotFoundError: .*gain.txt"):
+        built(tmp_path, reading)
+    path = built(tmp_path, reading, ('start = {"u"', 'files = ("gain.txt",)\n    start = {"u"'))
+    (tmp_path / "gain.txt").unlink()
+    with driving(path) as fmu:
+        assert fmu.step(0.01).get("y")[0] == pytest.approx(0.3)
+
+
+# ---- while it runs
+
+
+def said(path: Path, capsys: pytest.CaptureFixture[str], **inputs: float) -> str:
+    """What FMPy's log callback prints in a step that fails with status error."""
+    fmu = Driver(path).start()
+    fmu.set(**inputs)
+    with pytest.raises(Exception, match=r"fmi2DoStep failed with status 3 \(error\)"):
+        fmu.step(1e-3)
+    fmu.fmu.terminate()
+    fmu.fmu.freeInstance()
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (["1 / (u.w - 2)"], "lag.py:41: ZeroDivisionError: float division by zero"),
+        (["if u.w == 2: import sys; sys.exit(3)"], "lag.py:41: SystemExit: 3"),
+        (
+            ["if u.w == 2: raise KeyError('100 % of #1')"],
+            "lag.py:41: KeyError: '100 % of ##1'",
+        ),  # FMPy leaves FMI's ## as it is
+        (["if u.w == 2: return State(y=float('nan'))"], "y is nan at t = 0.001 s, expected a finite number"),
+        (["if u.w == 2: return None"], "lag: step() gave NoneType, expected State"),
+        (["if u.w == 2: self.seen = 1"], "lag.py:41: self.seen = ... keeps a value beside State"),
+        (
+            ["import numpy as np", "if u.w == 2: np.float64(1.0) / 0.0"],
+            "lag.py:42: RuntimeWarning: divide by zero",  # pytest makes errors of warnings
+        ),
+    ],
+)
+def test_a_step_that_fails_says_why(tmp_path, capsys, lines, message):
+    """File, line and fault in one message by the FMI logger; status error; the program goes on."""
+    text = said(built(tmp_path, fault(STEP, *lines)), capsys, w=2.0)
+    assert f"[ERROR] fmi2DoStep: {message}" in text
+    assert text.count("\n") == 1
+
+
+def test_values_out_of_bounds_are_refused(tmp_path, capsys):
+    """Values outside the declared range, and starts that cannot be, as of a native FMU."""
+    with driving(built(tmp_path)) as fmu:
+        for values, message in (
+            ({"delay": 0.0}, "delay cannot be set to 0 s at t = 0 s, expected 0.001 to inf"),
+            ({"u": np.nan}, "u cannot be set to nan at t = 0 s, expected a finite number"),
+            ({"y": 1.0}, "y cannot be set to 1 at t = 0 s: a state can be set only before"),
+            ({"z": 1.0}, "z cannot be set to 1 at t = 0 s: it is an output"),
+        ):
+            with pytest.raises(Exception, match=r"fmi2SetReal failed with status 3 \(error\)"):
+                fmu.set(**values)
+            assert f"[ERROR] fmi2SetReal: {message}" in capsys.readouterr().out
+
+
+def test_a_warning_is_no_error(tmp_path, capsys):
+    """A watched output is told once per excursion."""
+    with driving(built(tmp_path)) as fmu:
+        fmu.set(w=200.0)
+        fmu.step(1e-3, 3)
+    text = capsys.readouterr().out
+    assert text.count("[WARNING] fmi2DoStep: z = 200.01 N at t = 0.001 s is above 100 N") == 1
+
+
+# ---- names
+
+
+def test_files_of_one_name_live_together(tmp_path):
+    """Two models in files of the same name, built in one process and loaded together: each keeps its own."""
+    one = built(tmp_path / "a", name="model.py")
+    two = built(tmp_path / "b", ("GAIN = 1.0", "GAIN = -1.0"), name="model.py")
+    assert one.name == two.name == "model.fmu"
+    with driving(one) as first, driving(two) as second, driving(one) as third:
+        for fmu in (first, second, third):
+            fmu.step(0.01)
+        assert [fmu.get("y")[0] for fmu in (first, second, third)] == pytest.approx([0.1, -0.1, 0.1])
+
+
+def test_nothing_stands_before_installed_modules(tmp_path):
+    """Loading an FMU leaves Python's search path alone."""
+    before = list(sys.path)
+    with driving(built(tmp_path)):
+        assert sys.path == before
+
+
+def test_the_build_is_the_same_twice(tmp_path):
+    """Equal bytes for an equal file; another GUID for another line of code."""
+    one, two = (build_user(written(tmp_path), tmp_path / n) for n in ("one", "two"))
+    other = build_user(written(tmp_path, ("GAIN = 1.0", "GAIN = 1.5")), tmp_path / "three")
+    assert one.read_bytes() == two.read_bytes()
+    assert read_model_description(str(one)).guid != read_model_description(str(other)).guid
