@@ -100,7 +100,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]
         self.instance.restore(bytes.fromhex(state["state"]))
 
 
-_KNOWN: dict[str, Functions] = {}  # by GUID: all instances of an FMU share the functions
+_KNOWN: dict[str, Functions] = {}  # by the text of the card: all instances of an FMU share the functions
 
 
 class SubsystemSlave(Slave):
@@ -113,7 +113,8 @@ class SubsystemSlave(Slave):
 
     @cached_property
     def _functions(self) -> Functions:
-        if self.guid not in _KNOWN:
+        key = json.dumps(self.card)
+        if key not in _KNOWN:
             sub = subsystem(self.card["origin"])
             variables = interface(sub, Values(**self.card["numbers"]))
             if fingerprint(variables) != self.card["fingerprint"]:
@@ -121,8 +122,8 @@ class SubsystemSlave(Slave):
                     f"{self.card['name']}: {self.card['origin']} in {sys.prefix} has other equations or "
                     "variables than the FMU was built from: build the FMU again"
                 )
-            _KNOWN[self.guid] = Functions(variables)
-        return _KNOWN[self.guid]
+            _KNOWN[key] = Functions(variables)
+        return _KNOWN[key]
 
 
 class UserSlave(Slave):
