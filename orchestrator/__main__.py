@@ -141,6 +141,14 @@ def run(
 
 @app.command()
 def build(
+    model: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="MODEL",
+            help="For an FMU whose code is Python: a file with a model of your own, such as my_actuator.py,"
+            " or a subsystem, such as fmus.boom_stick:VARIANTS.lumped.",
+        ),
+    ] = None,
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Where the files go; those of FMI 3.0 to fmi3/ in it.")
     ] = BUILD,
@@ -153,10 +161,17 @@ def build(
         ),
     ] = None,
 ) -> None:
-    """Build the FMUs of the parts, of the whole, and harvester.ssp."""
-    from fmus.build import build_machine
+    """Build the FMUs of the parts, of the whole, and harvester.ssp; or one of a model in Python."""
     from fmus.export.platforms import select
     from orchestrator import commands
+
+    if model is not None:
+        from fmus.export.python.build import build_model
+
+        commands.folder(out)
+        print(build_model(model, out, select(platform or ["host"])))
+        return
+    from fmus.build import build_machine
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:

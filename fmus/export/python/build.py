@@ -21,7 +21,7 @@ from fmus.export.package import PLACEHOLDER, fingerprint_of, pack, shown
 from fmus.export.platforms import binaries, host
 from fmus.export.proof import proof
 from fmus.export.python.model import Model
-from fmus.export.python.origin import fingerprint, origin
+from fmus.export.python.origin import fingerprint, origin, subsystem
 from fmus.export.python.scripts import script
 from fmus.export.python.slave import CARD
 from fmus.export.python.trials import tried
@@ -30,6 +30,13 @@ from fmus.parameters import Values, values
 
 MAIN = "python_fmu.c"
 RESERVED = (CARD, "slavemodule.txt", "parameters.toml")
+
+
+def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
+    """The FMU of a user's file, or of a subsystem by its origin: what a command line is given."""
+    if model.endswith(".py"):
+        return build_user(Path(model), folder, platforms=platforms)
+    return build_python(subsystem(model), folder, platforms=platforms, where=model)
 
 
 def build_python(

@@ -49,6 +49,8 @@ def subsystem(where: str) -> Subsystem:
     """The subsystem with this origin."""
     module, _, path = where.partition(":")
     name, _, key = path.partition(".")
+    if not name:
+        raise ModelError(f'"{where}" is no name of a subsystem, expected one such as "package.module:NAME"')
     try:
         found = getattr(importlib.import_module(module), name)
         found = found[key] if key else found

@@ -45,6 +45,8 @@ def load(path: Path) -> Model:
 
 
 def _read(path: Path) -> ast.Module:
+    if not path.is_file():
+        raise ModelError(f"{path}: there is no such file")
     try:
         return ast.parse(path.read_text(encoding="utf-8"), path.name)
     except (OSError, ValueError, SyntaxError) as problem:
