@@ -52,7 +52,7 @@ class MyActuator(Model):
     start = values(BOOM_STICK).u  # the inputs start as those of the drives that it stands for
     files = ("valve_map.csv",)
     inner_step = 2.5e-4
-    depends = {  # noqa: RUF012
+    depends = {
         **{f"{a}_force": [f"{a}_holding_force"] for a in ("boom", "stick")},
         **{f"{a}_force_rate": [f"{a}_command", f"{a}_velocity"] for a in ("boom", "stick")},
         **{f"{line}_flow": ["boom_command", "stick_command"] for line in ("supply", "return")},
