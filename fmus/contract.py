@@ -100,6 +100,7 @@ class Subsystem:
                a time event in model exchange, so that no solver steps over it
     terminals  its ports
     numbers    what would stand in that file (`parameters.read`), for a subsystem that has none
+    stiff      are there modes much faster than the motion? If not, an explicit method is tried first
     part, variant   the component that it stands for and which fidelity of it (`family`)
     validity   where it holds, in one line
     elsewhere  names in the file that only other variants of the part declare
@@ -119,6 +120,7 @@ class Subsystem:
     corner: Callable[[Any, Any, Any], Scalar] = never
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
+    stiff: bool = True
     part: str = ""
     variant: str = ""
     validity: str = ""

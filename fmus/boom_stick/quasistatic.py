@@ -101,4 +101,5 @@ BOOM_STICK = Subsystem(
     values=Path(__file__).with_name("parameters.toml"),
     validity="motions slow beside the oil in the hoses, below some 10 Hz; spool faster than the motion",
     terminals=TERMINALS,
+    stiff=False,
 )

@@ -26,7 +26,7 @@ _SMALLEST_EXPONENT = -60.0  # keeps exp() out of the slow denormal numbers: 1e-2
 
 def void_capacitance(pressure: Scalar) -> Scalar:
     """C_void(P) [m3/Pa]."""
-    exponent = (VOID_PRESSURE - pressure) / VOID_SCALE
+    exponent = (VOID_PRESSURE - pressure) * (1 / VOID_SCALE)
     return VOID_CAPACITANCE * ca.exp(ca.fmax(_SMALLEST_EXPONENT, ca.fmin(exponent, _LARGEST_EXPONENT)))
 
 

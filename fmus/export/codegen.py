@@ -14,7 +14,10 @@ from fmus.export.interface import Interface, Variable
 DEFAULT_TOLERANCE = 1e-6
 
 
-_ORDER = ("model", "adjoint", "rosenbrock", "core", "snapshot", "instance")  # the others follow
+_ORDER = (  # the others follow
+    *("model", "adjoint", "rosenbrock", "kutta", "solver"),
+    *("core", "snapshot", "instance"),
+)
 
 
 def native_sources(fmi: int) -> dict[str, str]:
@@ -79,6 +82,8 @@ def _sizes(face: Interface, lengths: Mapping[str, int], guid: str) -> str:
         "NJ": (lengths["NJ"], "entries of df/dx that are not constant"),
         "NLU": (lengths["NLU"], "entries of the factors that are not constant"),
         "NREQUIRE": (len(face.equations.statements), "requirements"),
+        "EXPLICIT_FIRST": (int(not face.stiff), "1: the explicit method is tried first"),
+        "NWATCHED": (len(_watched(face)), "inputs and outputs with a limit that is watched"),
     }
     lines = [
         f"/* {face.name}: {_comment(face.text)}. Generated. */",
@@ -116,6 +121,7 @@ def _table(face: Interface) -> str:
     """The table of variables and the texts of the requirements."""
     inputs = [v.name for v in face.inputs]
     rows = [_row(v, inputs) for v in face.variables] or ["    {0},"]
+    watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(face)] or ["    0,"]
     statements = [f"    {string(text)}," for text in face.equations.statements] or ["    0,"]
     return "\n".join(
         [
@@ -130,6 +136,10 @@ def _table(face: Interface) -> str:
             *rows,
             "};",
             "",
+            "static const int model_watched[ROOM(NWATCHED)] = {",
+            *watched,
+            "};",
+            "",
             "static const char *const model_statements[ROOM(NREQUIRE)] = {",
             *statements,
             "};",
@@ -138,13 +148,22 @@ def _table(face: Interface) -> str:
     )
 
 
+def _watched(face: Interface) -> list[Variable]:
+    return [v for v in face.variables if _limit(v) < math.inf]
+
+
+def _limit(v: Variable) -> float:
+    """Magnitude above which an input or output is warned of."""
+    above = v.quantity.warn_above
+    return math.inf if above is None or not (v.output or v.kind == "INPUT") else above
+
+
 def _row(v: Variable, inputs: Sequence[str]) -> str:
     q = v.quantity
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    watch = math.inf if q.warn_above is None or not (v.output or v.kind == "INPUT") else q.warn_above
-    numbers = ", ".join(number(n) for n in (v.start or 0.0, low, high, q.nominal, watch))
+    numbers = ", ".join(number(n) for n in (v.start or 0.0, low, high, q.nominal, _limit(v)))
     return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
 
 

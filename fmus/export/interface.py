@@ -47,6 +47,7 @@ class Interface:
     outputs: Sequence[Variable]  # without those that are states
     equations: Symbolic
     y: ca.SX  # of `outputs`, shape (n, 1)
+    stiff: bool = True  # as of the subsystem
 
     @property
     def variables(self) -> list[Variable]:
@@ -71,7 +72,7 @@ def interface(sub: Subsystem, values: Values) -> Interface:
         [Variable(name, "OUTPUT", q, None, output=True) for name, q in outputs.items() if name not in states],
     ]
     keep = [i for i, name in enumerate(outputs) if name not in states]
-    return assembled(sub.name, sub.text, groups, sym, _pick(sym.y, keep))
+    return replace(assembled(sub.name, sub.text, groups, sym, _pick(sym.y, keep)), stiff=sub.stiff)
 
 
 def assembled(

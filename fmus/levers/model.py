@@ -75,4 +75,5 @@ LEVERS = Subsystem(
     corner=corner,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=tuple(ports.lever(axis) for axis in AXES),
+    stiff=False,
 )

@@ -110,4 +110,5 @@ SWING = Subsystem(
     values=Path(__file__).with_name("parameters.toml"),
     validity="motions slow beside the oil in the lines, below some 10 Hz; spool faster than the motion",
     terminals=TERMINALS,
+    stiff=False,
 )

@@ -166,12 +166,18 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
 
 /* ---- inputs over a step ---------------------------------------------------------------------- */
 
-/* Derivative of an input where the values `at` hold: as set, else from the input that carries it. */
-static double derivative(const State *s, const double *at, int input, int order) {
-    if (s->is_given[input]) return s->given[input][order - 1];
-    const int rate = model_variables[FIRST_INPUT + input].rate;
-    if (rate < 0) return 0.0;
-    return order == 1 ? at[rate] : derivative(s, at, rate, order - 1);
+/* Derivatives of an input of order 1 to 3, where the values `at` hold: as set, else from the input that carries
+   it, then from the one that carries that. */
+static void derivatives(const State *s, const double *at, int input, double *found) {
+    found[0] = found[1] = found[2] = 0.0;
+    for (int order = 0, i = input; order < 3 && i >= 0; order++) {
+        if (s->is_given[i]) {
+            for (int k = 0; order < 3; k++, order++) found[order] = s->given[i][k];
+            return;
+        }
+        i = model_variables[FIRST_INPUT + i].rate;
+        if (i >= 0) found[order] = at[i];
+    }
 }
 
 LOCAL double core_input_slope(const Core *core, int input) {
@@ -184,14 +190,16 @@ LOCAL double core_input_slope(const Core *core, int input) {
 /* Taylor polynomials of the inputs from `tau` [s] after the start of the step, where they have the values `at`. */
 static void plan_motion(const State *s, const double *at, double tau, Motion *motion) {
     motion->origin = tau;
-    motion->moving = 0;
+    motion->count = 0;
+    memcpy(motion->at, at, NU * sizeof *at);
     for (int i = 0; i < NU; i++) {
-        double *m = motion->coefficient[i];
-        m[0] = at[i];
-        m[1] = derivative(s, at, i, 1);
-        m[2] = derivative(s, at, i, 2) / 2;
-        m[3] = derivative(s, at, i, 3) / 6;
-        if (m[1] != 0.0 || m[2] != 0.0 || m[3] != 0.0) motion->moving = 1;
+        if (!s->is_given[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
+        double *m = motion->slope[i];
+        derivatives(s, at, i, m);
+        if (m[0] == 0.0 && m[1] == 0.0 && m[2] == 0.0) continue;
+        m[1] *= 1.0 / 2.0;
+        m[2] *= 1.0 / 6.0;
+        motion->moving[motion->count++] = i;
     }
 }
 
@@ -199,9 +207,9 @@ static void plan_motion(const State *s, const double *at, double tau, Motion *mo
 
 /* One warning per excursion of a watched input or output. */
 static void watch(Core *core) {
-    for (int r = FIRST_INPUT; r < NUMBER_OF_VARIABLES; r++) {
+    for (int k = 0; k < NWATCHED; k++) {
+        const int r = model_watched[k];
         const Variable *v = &model_variables[r];
-        if (isinf(v->warn_above)) continue;
         const double value = value_of(core, r);
         const int above = fabs(value) > v->warn_above;
         if (above && !core->s.warned[r])
@@ -211,19 +219,28 @@ static void watch(Core *core) {
     }
 }
 
+/* Are all of them finite? The difference of anything else with itself is NaN. */
+static int all_finite(const double *values, int count) {
+    double sum = 0.0;
+    for (int i = 0; i < count; i++) sum += values[i] - values[i];
+    return sum == 0.0;
+}
+
 LOCAL int core_sound(Core *core) {
     double value;
     core_outputs(core);
-    for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
-        if (!core_get(core, r, &value)) return 0;
+    if (!all_finite(core->s.x, NX))
+        for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
+            if (!core_get(core, r, &value)) return 0;
     for (int i = 0; i < NREQUIRE; i++)
         if (!(core->require[i] > 0.0)) {
             core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                          model_statements[i], core->s.time, core->require[i]);
             return 0;
         }
-    for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
-        if (!core_get(core, r, &value)) return 0;
+    if (!all_finite(core->y, NY))
+        for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
+            if (!core_get(core, r, &value)) return 0;
     watch(core);
     return 1;
 }
@@ -287,8 +304,8 @@ LOCAL int core_step(Core *core, double length) {
     plan_motion(s, s->set, 0.0, &core->motion);
     core->start_valid = core->dx_valid = core->y_valid = 0;
     if (NX > 0) {
-        const Report report = rosenbrock(s->x, s->p, core->c, &core->motion, length, s->tolerance, smallest,
-                                         &between, &s->step, &core->work);
+        const Report report = solve(s->x, s->p, core->c, &core->motion, length, s->tolerance, smallest,
+                                    &between, &s->pace, &core->work);
         s->time = passage.begin;
         if (report.outcome != SOLVED) {
             tell_failure(core, &report);

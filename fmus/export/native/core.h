@@ -8,7 +8,7 @@
 #include <stddef.h>
 
 #include "model.h"
-#include "rosenbrock.h"
+#include "solver.h"
 
 /* A looser one gains no time, and states on badly scaled curves get lost at it. */
 #define LOOSEST_TOLERANCE 1e-3
@@ -20,7 +20,7 @@ typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 typedef struct {
     double time, start_time, stop_time; /* stop_time is infinite when not given */
     double tolerance;
-    double step;              /* the solver's proposal for its next inner step, 0 if none */
+    Pace pace;                /* of the solver */
     double x[ROOM(NX)];       /* states */
     double p[ROOM(NP)];       /* parameters */
     double u[ROOM(NU)];       /* inputs at the current time */

@@ -3,8 +3,8 @@
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
    sizes.h, model.c and adjoint.c are generated; everything else is the same for every model. model.c also
-   defines the tables model_variables (by value reference) and model_statements (what must stay positive, in
-   words; values come from model_observe).
+   defines the tables model_variables (by value reference), model_watched (value references of what warn_above
+   watches) and model_statements (what must stay positive, in words; values come from model_observe).
    Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
 
 #ifndef MODEL_H

@@ -6,7 +6,7 @@
 
 #include "core.h"
 
-enum { VERSION = 3 };
+enum { VERSION = 4 };
 
 typedef struct {
     char magic[8];

@@ -40,8 +40,8 @@ class Behaviour(Protocol):
     def rate(self, x: Array, u: Array, p: Array) -> Array: ...
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]: ...
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: float
-    ) -> tuple[Array, float]: ...
+        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+    ) -> tuple[Array, Array]: ...
     def forward(
         self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]: ...
@@ -111,6 +111,7 @@ class Continuous:
         self.variables, self.sizes = variables, sizes(face)
         self.statements = face.equations.statements
         self.nominal = np.array([v.quantity.nominal for v in face.states])
+        self.stiff = face.stiff
         self._p = np.zeros(len(face.parameters))
         self._rate, self._linearised = _Bound(functions.rate), _Bound(functions.linearised)
         self._start, self._observe = _Bound(functions.start), _Bound(functions.observe)
@@ -135,8 +136,8 @@ class Continuous:
         return y.copy(), require.copy()
 
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: float
-    ) -> tuple[Array, float]:
+        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+    ) -> tuple[Array, Array]:
         """See `Behaviour`."""
         if not x.size:
             return x, memory

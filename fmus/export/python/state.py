@@ -7,7 +7,7 @@ state is the same to the last bit, in another instance, process or on another ma
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ _MAGIC = b"FMUstate python 1 "
 class State:
     """Numbers only, as in native/core.h.
 
-    memory      the solver's proposal for its next inner step [s], 0 if none
+    memory      of the solver, see `solver.Pace`
     x, p, u     states, parameters, inputs at the current time
     set         inputs as last set: where the next step starts
     slope       time derivatives of the inputs at the end of the last step
@@ -47,7 +47,7 @@ class State:
     start_time: float = 0.0
     stop_time: float = np.inf
     tolerance: float = 0.0
-    memory: float = 0.0
+    memory: Array = field(default_factory=lambda: np.zeros(3))
     initial: float = 1.0
     phase: float = 1.0
 

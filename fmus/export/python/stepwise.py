@@ -151,8 +151,8 @@ class Stepwise:
         return {statement: self._number("require", statement, n) for statement, n in found.items()}
 
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: float
-    ) -> tuple[Array, float]:
+        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+    ) -> tuple[Array, Array]:
         """See `Behaviour`: equal steps, none longer than `inner_step`."""
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count
