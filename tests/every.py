@@ -12,6 +12,7 @@ from driver import Driver, driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.proof import STEP, data_file
+from fmus.export.python.build import build_python
 from fmus.levers import LEVERS
 from fmus.machine import FAMILIES
 

@@ -47,7 +47,7 @@ class Interface:
     outputs: Sequence[Variable]  # without those that are states
     equations: Symbolic
     y: ca.SX  # of `outputs`, shape (n, 1)
-    stiff: bool = True  # as of the subsystem
+    stiff: bool = True  # as in the subsystem
 
     @property
     def variables(self) -> list[Variable]:

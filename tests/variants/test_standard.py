@@ -88,9 +88,7 @@ def test_dependencies_are_true(case):
     _, sub, path = case
     with at_work(path, sub, WORKING) as fmu:
         names = outputs(sub)
-        declared = {
-            u.variable.name: {d.name for d in u.dependencies or []} for u in fmu.description.outputs
-        }
+        declared = {u.variable.name: {d.name for d in u.dependencies or []} for u in fmu.description.outputs}
         before, values = fmu.get(*names), dict(zip(work(sub), fmu.get(*work(sub)), strict=True))
         for name, value in values.items():
             nominal = quantities(sub.inputs)[name].nominal
@@ -107,11 +105,17 @@ def test_forces_and_motion_depend_on_states_only(case):
     with at_work(path, sub, 0.0) as fmu:
         inputs = set(quantities(sub.inputs))
         declared = {
-            u.variable.name: {d.name for d in u.dependencies or []} & inputs
-            for u in fmu.description.outputs
+            u.variable.name: {d.name for d in u.dependencies or []} & inputs for u in fmu.description.outputs
         }
     # the swing's torque may follow its speed by the line resistance: docs/design.md, the cut between the FMUs
     allowed = {"swing_torque": {"swing_speed"}}
-    for output in ("boom_force", "stick_force", "swing_torque", "boom_velocity", "boom_position", "swing_speed"):
+    for output in (
+        "boom_force",
+        "stick_force",
+        "swing_torque",
+        "boom_velocity",
+        "boom_position",
+        "swing_speed",
+    ):
         assert declared.get(output, set()) <= allowed.get(output, set()), output
     assert not declared.get("supply_pressure")

@@ -78,5 +78,5 @@ def fingerprint(face: Interface) -> str:
         if step[0] == ca.OP_CONST:
             step = (*step, f"{f.instruction_constant(k):.12g}")
         digest.update(repr(step).encode())
-    digest.update(repr(sym.statements).encode())
+    digest.update(repr((sym.statements, face.stiff)).encode())
     return digest.hexdigest()
