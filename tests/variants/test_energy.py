@@ -27,7 +27,7 @@ def test_machines_hold_every_variant():
 
 
 def powers(part, signal):
-    """What flows into a part over its ports [W], one expression for each port; `signal` gives any variable."""
+    """What flows into a part over its ports [W], an expression for each; `signal` gives any variable."""
     if part == "supply":
         into = [signal("supply.engine_power")] if signal("supply.engine_power") is not None else []
         taken = (signal(f"supply.supply_flow_{d}") for d in ("swing", "boom_stick"))
