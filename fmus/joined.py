@@ -66,7 +66,7 @@ def joined(
     visible = _shown({v: q for v, q in outputs.items() if v not in hidden}, names)
     visible |= {v: replace(visible[v], text=words) for v, words in (texts or {}).items()}
     groups = {
-        "parameters": _by_heading(_shown(parameters, names)),
+        "parameters": _shown(parameters, names),
         "states": _shown(states, names),
         "inputs": _fed(name, declared(subsystems, "inputs"), inputs, start),
         "outputs": visible,
@@ -89,12 +89,6 @@ def _shown(members: Mapping[str, Quantity], names: Names) -> dict[str, Quantity]
     for variable, quantity in members.items():
         found.setdefault(names[variable], quantity)
     return found
-
-
-def _by_heading(members: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """Those of one heading together, the headings in the order of the components; without one first."""
-    headings = ["", *dict.fromkeys(q.group for q in members.values())]
-    return dict(sorted(members.items(), key=lambda member: headings.index(member[1].group)))
 
 
 def _fed(

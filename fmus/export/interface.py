@@ -57,14 +57,14 @@ class Interface:
 
 def interface(sub: Subsystem, values: Values) -> Interface:
     """The variables of a subsystem with start values; refuses names and numbers that cannot be in an FMU."""
-    sym = symbolic(sub)
+    sym, parameters = _by_heading(symbolic(sub), quantities(sub.parameters))
     states, outputs = quantities(sub.states), quantities(sub.outputs)
     merged = [name for name in outputs if name in states]
     _check_states_as_outputs(sub, sym, merged)
     groups = [
         [
             Variable(name, "TUNABLE" if q.tunable else "FIXED", q, values.p[name])
-            for name, q in quantities(sub.parameters).items()
+            for name, q in parameters.items()
         ],
         [Variable(name, "INPUT", q, values.u[name]) for name, q in quantities(sub.inputs).items()],
         [_state(name, q, outputs.get(name), sym, values) for name, q in states.items()],
@@ -73,6 +73,14 @@ def interface(sub: Subsystem, values: Values) -> Interface:
     ]
     keep = [i for i, name in enumerate(outputs) if name not in states]
     return replace(assembled(sub.name, sub.text, groups, sym, _pick(sym.y, keep)), stiff=sub.stiff)
+
+
+def _by_heading(sym: Symbolic, declared: Mapping[str, Quantity]) -> tuple[Symbolic, dict[str, Quantity]]:
+    """Parameters of one heading together, headings as they come first; without one before all others."""
+    headings = ["", *dict.fromkeys(q.group for q in declared.values())]
+    names = sorted(declared, key=lambda name: headings.index(declared[name].group))
+    rows = [list(declared).index(name) for name in names]
+    return replace(sym, p=_pick(sym.p, rows)), {name: declared[name] for name in names}
 
 
 def assembled(

@@ -10,15 +10,17 @@ import pytest
 from lxml import etree, html
 
 from fmus.contract import quantities
+from fmus.export.interface import interface
 from fmus.export.package import package
 from fmus.export.prose import prose, slug
 from fmus.export.tables import figure, pretty
 from fmus.files import shipped
 from fmus.harvester import HARVESTER
-from fmus.machine import ALL
-from fmus.parameters import numbers
+from fmus.machine import ALL, FAMILIES
+from fmus.parameters import numbers, values
 
-SUBSYSTEMS = {**ALL, HARVESTER.name: HARVESTER}
+OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]
+SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, HARVESTER)}
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 
@@ -50,9 +52,10 @@ def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_icons_differ(content, name):
-    """Nobody takes one FMU for another on a diagram."""
+    """Nobody takes one part for another on a diagram; variants of a part look alike."""
     icons = {other: content[other, 2]["model.png"] for other in SUBSYSTEMS}
-    assert [other for other, icon in icons.items() if icon == icons[name]] == [name]
+    alike = [other for other, icon in icons.items() if icon == icons[name]]
+    assert alike == [n for n, sub in SUBSYSTEMS.items() if sub.component == SUBSYSTEMS[name].component]
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
@@ -69,10 +72,19 @@ def test_page_needs_nothing_from_outside(content, page, name):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_sections_that_the_readme_names_come_along(name):
-    """Each link of the README to a section of another document is followed; a wrong anchor would be lost."""
-    readme = SUBSYSTEMS[name].values.parent / "README.md"
-    wanted = re.findall(r"\]\([^)\s]+\.md#([^)\s]+)\)", readme.read_text(encoding="utf-8"))
-    assert [section.anchor for section in prose(readme)[1]] == list(dict.fromkeys(wanted))
+    """Each link of the README to a section of another document is followed; a wrong anchor would be lost.
+
+    Links in the sections of other variants do not count.
+    """
+    sub = SUBSYSTEMS[name]
+    readme = sub.values.parent / "README.md"
+    head, *sections = re.split(r"^(?=## )", readme.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    siblings = {v for v in FAMILIES.get(sub.component, {}) if v != sub.variant}
+    titles = [section.splitlines()[0].removeprefix("## ") for section in sections]
+    text = head + "".join(s for s, title in zip(sections, titles, strict=True) if title not in siblings)
+    assert not siblings or sub.variant in titles  # each variant has its own section
+    wanted = re.findall(r"\]\([^)\s]+\.md#([^)\s]+)\)", text)
+    assert [section.anchor for section in prose(readme, sub.variant)[1]] == list(dict.fromkeys(wanted))
 
 
 def test_installed_copy_of_a_document_is_found(tmp_path):
@@ -111,11 +123,10 @@ def _rows(tree, section):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_parameters_stand_under_headings(name):
-    """Every parameter has a group, and those of a group follow each other."""
-    groups = [quantity.group for quantity in quantities(SUBSYSTEMS[name].parameters).values()]
+    """Every parameter has a group, and those of a group follow each other in the FMU."""
+    sub = SUBSYSTEMS[name]
+    groups = [v.quantity.group for v in interface(sub, values(sub)).parameters]
     assert all(groups)
-    if name == HARVESTER.name:
-        return  # joined in the order of the components, of which two have valves
     changes = [a for a, b in zip(groups, [*groups[1:], ""], strict=True) if a != b]
     assert len(changes) == len(set(changes))
 
