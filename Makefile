@@ -8,7 +8,7 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 TESTING := .venv/testing
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test test-long lint bench clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -16,6 +16,9 @@ demo: $(INSTALLED)
 
 test: $(TESTING)
 	$(BIN)/python -m pytest -n 2
+
+test-long: $(TESTING)
+	$(BIN)/python -m pytest -n 2 -m long -s
 
 lint: $(TESTING)
 	$(BIN)/ruff check .
