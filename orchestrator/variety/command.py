@@ -14,7 +14,7 @@ from orchestrator.variety.cost import inside
 
 STEP = 1e-3  # communication step [s]
 LENGTH, REPEATS = 4.0, 2  # of the runs that measure what a variant costs [s]
-RECORD = 0.02  # s
+RUN = {"step": STEP, "record_step": 0.02}  # of each combination [s]
 MAKE = "harvester build"
 
 
@@ -22,7 +22,7 @@ def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, 
     """(component, variant) -> time [us] per step inside its FMU, with the usual variants around it."""
     whole = load(system)
     machines = [whole.swapped({part: variant}) for part, variant in variants]
-    spent = inside(machines, REPEATS, stop=LENGTH, step=STEP, record_step=RECORD)
+    spent = inside(machines, REPEATS, stop=LENGTH, **RUN)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 
 
@@ -37,7 +37,7 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
     with out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*variants, *HEAD, "failure"])
-        for row in combinations(load(system), variants, watch, step=STEP, record_step=RECORD):
+        for row in combinations(load(system), variants, watch, **RUN):
             chosen, figures = list(row.variants.values()), cells(row)
             named = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
             print(named, *(f"{cell:>12}" for cell in figures), row.failure, flush=True)

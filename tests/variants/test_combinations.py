@@ -1,0 +1,117 @@
+"""The registry and what it prints; every combination of variants in the machine; Python FMUs among them."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+
+import numpy as np
+import pytest
+from every import EVERY, python
+
+from fmus.machine import FAMILIES
+from fmus.variants import names
+from orchestrator import load, run
+from orchestrator.__main__ import main
+from orchestrator.variety.combinations import combinations
+
+VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
+WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
+
+
+def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsys, monkeypatch):
+    """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
+    monkeypatch.setattr("orchestrator.variety.command.LENGTH", 0.5)
+    assert main(["variants", str(fmu_dir / "harvester.ssp")]) == 0
+    printed = capsys.readouterr().out
+    indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
+    rows = {line.split()[0]: line.split() for line in indented}
+    for _, variant in names():
+        assert variant in rows
+    assert rows["detailed"][1:3] == ["40", "15"]  # of boom_stick, the last one
+    assert printed.count("holds: ") == len(names())
+    costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
+    assert costs["rigid"] == 1.0
+    assert min(costs.values()) == 1.0  # the others do more; a ratio within one run
+
+
+def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, capsys):
+    """Without a built system there are no costs, and the way to get them is told."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["variants"]) == 0
+    printed = capsys.readouterr().out
+    assert "quasistatic" in printed
+    assert printed.endswith("no costs measured; make it with: harvester build\n")
+    assert main(["variants", "--combinations"]) == 2
+    assert "harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+
+
+ALL_COMBINATIONS = [dict(zip(VARIANTS, v, strict=True)) for v in itertools.product(*VARIANTS.values())]
+
+
+@pytest.mark.parametrize("chosen", ALL_COMBINATIONS[::7], ids=lambda c: "-".join(c.values()))
+def test_a_combination_starts_and_moves(fmu_dir, chosen):
+    """Every seventh combination, every variant among them, over two seconds: boom and swing have started."""
+    system = load(fmu_dir / "harvester.ssp")
+    one = {part: [variant] for part, variant in chosen.items()}
+    (row,) = combinations(system, one, WATCH, step=1e-3, stop=2.0, record_step=0.02)
+    assert row.failure == ""
+    assert row.reached == pytest.approx(2.0)
+
+
+def test_every_seventh_has_every_variant():
+    """The sample above leaves no variant out."""
+    met = {(part, variant) for chosen in ALL_COMBINATIONS[::7] for part, variant in chosen.items()}
+    assert met == set(names())
+    assert len(ALL_COMBINATIONS) == 3 * 3 * 4 * 2
+
+
+@pytest.mark.long
+def test_every_combination_runs_the_work_cycle(fmu_dir):
+    """All 72 over 42 s at 1 ms with the default master, and the coupling makes up no energy to speak of."""
+    system = load(fmu_dir / "harvester.ssp")
+    found = list(combinations(system, VARIANTS, WATCH, step=1e-3, record_step=0.02))
+    assert [dict(row.variants) for row in found] == ALL_COMBINATIONS
+    for row in found:
+        assert row.failure == "", row.variants
+        assert row.reached == pytest.approx(42.0), row.variants
+        # ten times what is measured at 1 ms; without its rate port a bond makes up percents
+        assert row.residual < 1e-4, row.variants
+        assert row.change < 0.1, row.variants  # another fidelity, not another machine
+
+
+def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):
+    """One row for each combination, on paper and in the file; here of few."""
+    few = {"swing": {"lumped": 0, "quasistatic": 0}}
+    monkeypatch.setattr("fmus.machine.FAMILIES", few)
+    monkeypatch.setattr("orchestrator.variety.command.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
+    out = tmp_path / "new" / "table.csv"
+    assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    with out.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["swing"] for row in rows] == ["lumped", "quasistatic"]
+    assert all(row["reached s"] == "0.1" and row["failure"] == "" for row in rows)
+    assert all(variant in printed for variant in few["swing"])
+
+
+SAMPLE = [
+    {"swing": "quasistatic", "manipulator": "pendulum_friction"},
+    {"boom_stick": "lumped", "supply": "engine_pump"},
+    {"swing": "detailed", "boom_stick": "quasistatic", "manipulator": "rigid", "supply": "ideal"},
+]
+
+
+@pytest.mark.parametrize("chosen", SAMPLE, ids=lambda c: "-".join(itertools.chain(*c.items())))
+def test_python_fmus_take_the_place_of_native_ones(fmu_dir, tmp_path, chosen):
+    """The machine moves the same with Python FMUs of the same variants: to 1e-9 of each signal's range."""
+    system = load(fmu_dir / "harvester.ssp")
+    files = {part: python(f"{part}_{variant}", tmp_path) for part, variant in chosen.items()}
+    native = run(system, swap=chosen, step=1e-3, stop=2.0, record_step=0.02).trace
+    mixed = run(system, swap=files, step=1e-3, stop=2.0, record_step=0.02).trace
+    assert {f.stem for f in files.values()} == {EVERY[f"{p}_{v}"].name for p, v in chosen.items()}
+    for name in WATCH:
+        span = np.ptp(native[name])
+        assert span > 1e-3
+        # rounding in another order, through 2000 steps of a damped machine
+        assert np.max(np.abs(mixed[name] - native[name])) < 1e-9 * span, name
