@@ -153,7 +153,8 @@ def test_acceleration_is_pinocchio_s(pin, variant):
     """Under hydraulic forces and friction the joints accelerate as articulated bodies do."""
     rng, turn = np.random.default_rng(5), joint_angles(variant)
     for _ in range(100):
-        numbers = random_numbers(rng, variant) | {"stop_stiffness": 0.0}
+        numbers = random_numbers(rng, variant)
+        numbers |= {n: 0.0 for n in numbers if n.endswith("stop_stiffness")}
         (q, w), z = random_state(rng, variant), rng.uniform(-1e-4, 1e-4)
         model, data = arm(pin, numbers)
         forces = rng.uniform(-1.0, 1.0, 3) * (3e4, 1e5, 1e5)
@@ -237,8 +238,7 @@ def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitud
 def test_free_arm_keeps_its_energy_and_its_angular_momentum(variant):
     """Without forces and friction the falling, turning arm keeps T + U and its momentum about the column."""
     own = NUMBERS[variant]
-    damping = [name for name in own if name.endswith("damping")]
-    free = own | dict.fromkeys([*damping, "stop_stiffness"], 0.0)
+    free = own | {name: 0.0 for name in own if name.endswith(("damping", "stop_stiffness"))}
     angles, speeds, _ = indices(variant)
     start = state(variant, [0.0, 0.4, -1.2, 0.3, -0.2][: len(angles)], [0.7, 0, 0, 0, 0][: len(angles)])
 

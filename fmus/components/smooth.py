@@ -18,6 +18,12 @@ def ramp(z: Scalar, width: Scalar) -> Scalar:
     return width * (s**3 - s**4 / 2) + ca.fmax(0, z - width)
 
 
+def ramp_integral(z: Scalar, width: Scalar) -> Scalar:
+    """Integral of `ramp` from 0 to z: what a spring with that force stores."""
+    s, beyond = ca.fmax(0, ca.fmin(1, z / width)), ca.fmax(0, z - width)
+    return width**2 * (s**4 / 4 - s**5 / 10) + beyond * (width + beyond) / 2
+
+
 def positive(z: Scalar, width: Scalar) -> Scalar:
     """(z + sqrt(z^2 + width^2)) / 2: above max(z, 0) by at most width/2, at z = 0; never zero.
 

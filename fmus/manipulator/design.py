@@ -25,11 +25,15 @@ class Tip:
 
 @dataclass(frozen=True)
 class Joint:
-    """What the joint of a head does: torques on the pitch of the stick and on its own angles, heat [W]."""
+    """What the joint of a head does: torques on the pitch of the stick and on its own angles, heat [W].
+
+    stored   energy in it [J]
+    """
 
     on_stick: Scalar = 0
     own: tuple[Scalar, ...] = ()
     heat: Scalar = 0
+    stored: Scalar = 0
 
 
 def _nothing(*_: Any) -> Scalar:

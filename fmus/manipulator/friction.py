@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Quantity, Scalar
@@ -144,9 +144,8 @@ def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters)
 
 
 def outputs(resistances: Mapping[str, Resistance]) -> dict[str, Scalar]:
-    """Friction forces and the energy in the bristles."""
-    values: dict[str, Any] = {SHOWN[contact]: r.force for contact, r in resistances.items()}
-    return values | {"stored_energy": sum(r.stored for r in resistances.values())}
+    """Friction forces."""
+    return {SHOWN[contact]: r.force for contact, r in resistances.items()}
 
 
 BRISTLES = Friction(

@@ -108,6 +108,8 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
     shown = {f.name for f in fields(design.outputs)}
     values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in shown}
+    if "stored_energy" in shown:
+        values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
     return design.outputs(
         **values,
         **_pistons(x, dx, boom, stick),

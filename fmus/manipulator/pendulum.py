@@ -15,10 +15,15 @@ rest are those of `rigid`. The joint itself turns by a - f about its pin, f = bo
 
     d (a' - f')  on the pin, opposite on boom and stick;       d b'  in the yoke
 
-turns the head with the stick. Singular at b = +-90 degrees, where the head lies along the pin: there a is
+turns the head with the stick. The yoke hits stops at b = +-B, soft ones with contact damping (Hunt and
+Crossley, J. Appl. Mech. 42 (1975) 440), r the `ramp` of `fmus.components.smooth`:
+
+    -k r(b - B) (1 + c b') + k r(-b - B) (1 - c b')       on b; stored k (R(b - B) + R(-b - B)), R' = r
+
+Singular at b = +-90 degrees, where the head lies along the pin: there a is
 nothing. (Goldstein, Poole and Safko, Classical Mechanics, chapters 1 and 2, for T, U and dissipation.)
 
-Validity: |b| below 1.4 rad (80 degrees); no end stops of the joint, no slewing of the rotator below it, no
+Validity: |b| below 1.4 rad (80 degrees); no stops on the pin, no slewing of the rotator below the joint, no
 load that swings by itself.
 """
 
@@ -29,6 +34,7 @@ from typing import Annotated, Any
 
 import casadi as ca
 
+from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
 from fmus.manipulator.design import Head, Joint, Tip
@@ -36,6 +42,7 @@ from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
+STOP_ROUNDING = 0.01  # rad over which a stop takes hold
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,16 @@ class PendulumParameters(ManipulatorParameters):
     head_joint_damping: Annotated[
         Scalar,
         Quantity("N.m.s/rad", "Viscous friction of each axis of the head's joint", minimum=0.0, tunable=True),
+    ]
+    head_stop_angle: Annotated[
+        Scalar,
+        Quantity("rad", "Side angle of the head at which its joint's stops begin", minimum=0.1, maximum=1.3),
+    ]
+    head_stop_stiffness: Annotated[
+        Scalar, Quantity("N.m/rad", "Stiffness of the stops of the head's joint", 1e6, minimum=0.0)
+    ]
+    head_stop_damping: Annotated[
+        Scalar, Quantity("s/rad", "Contact damping of these stops (Hunt and Crossley)", 0.1, minimum=0.0)
     ]
     initial_head_angle: Annotated[
         Scalar, Quantity("rad", "Head angle at the start, from the vertical, outwards positive")
@@ -85,6 +102,10 @@ class PendulumOutputs(ManipulatorOutputs, PendulumState):
     head_height: Annotated[
         Scalar, Quantity("m", "Centre of mass of the head, height above the foot of the column")
     ]
+    head_stop_torque: Annotated[
+        Scalar, Quantity("N.m", "Torque of the stops of the head's joint on its side angle", 1e4)
+    ]
+    stored_energy: Annotated[Scalar, Quantity("J", "Elastic energy in the stops of the head's joint", 1e3)]
 
 
 def direction(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -111,10 +132,33 @@ def potential(angles: Any, p: PendulumParameters) -> Scalar:
 
 
 def joint(x: PendulumState, p: PendulumParameters) -> Joint:
-    """The damping of the joint."""
-    turn = x.head_speed - x.boom_speed - x.stick_speed
-    pin, yoke = p.head_joint_damping * turn, p.head_joint_damping * x.head_side_speed
-    return Joint(on_stick=pin, own=(-pin, -yoke), heat=pin * turn + yoke * x.head_side_speed)
+    """The damping of the joint and the stops of its yoke."""
+    turn, speed = x.head_speed - x.boom_speed - x.stick_speed, x.head_side_speed
+    pin, yoke = p.head_joint_damping * turn, p.head_joint_damping * speed
+    left, right = _beyond(x, p)
+    contact = p.head_stop_damping * p.head_stop_stiffness * speed * sum(map(_ramp, (left, right)))
+    return Joint(
+        on_stick=pin,
+        own=(-pin, -yoke + stop_torque(x, p)),
+        heat=pin * turn + (yoke + contact) * speed,
+        stored=p.head_stop_stiffness * sum(ramp_integral(d, STOP_ROUNDING) for d in (left, right)),
+    )
+
+
+def _beyond(x: PendulumState, p: PendulumParameters) -> tuple[Scalar, Scalar]:
+    """How far the head is beyond the left and the right stop [rad]."""
+    return x.head_side_angle - p.head_stop_angle, -x.head_side_angle - p.head_stop_angle
+
+
+def _ramp(depth: Scalar) -> Scalar:
+    return ramp(depth, STOP_ROUNDING)
+
+
+def stop_torque(x: PendulumState, p: PendulumParameters) -> Scalar:
+    """Torque [N.m] of the stops on the side angle."""
+    left, right = map(_ramp, _beyond(x, p))
+    closing = p.head_stop_damping * x.head_side_speed
+    return p.head_stop_stiffness * (right * (1 - closing) - left * (1 + closing))
 
 
 def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
@@ -127,6 +171,7 @@ def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
         "head_x": out * cos - left * sin,
         "head_y": out * sin + left * cos,
         "head_height": tip[1] + p.head_length * n[2],
+        "head_stop_torque": stop_torque(x, p),
     }
 
 
@@ -154,7 +199,7 @@ HANGING = Head(
 
 PENDULUM = manipulator(
     text="Swing column, boom, stick and a processing head that swings in a Hooke joint",
-    validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane, no stops",
+    validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane",
     parameters=PendulumParameters,
     states=PendulumState,
     outputs=PendulumOutputs,

@@ -17,8 +17,10 @@ from scipy.special import ellipk
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
 from fmus.contract import quantities, symbolic
-from fmus.machine import poses
+from fmus.machine import parts, poses, wiring
 from fmus.manipulator import MANIPULATOR, VARIANTS
+from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
+from fmus.monolith import join, simulate
 from fmus.parameters import values
 
 HEADS = ("pendulum", "pendulum_friction")
@@ -236,6 +238,55 @@ def test_braked_swing_throws_the_head_to_the_side_it_came_from():
     dx, _ = v(v.start(swing_speed=0.5), swing_torque=-1e4)
     assert dx[v.states.index("swing_speed")] < 0  # braked while it turns to the left,
     assert dx[v.states.index("head_side_speed")] > 0  # so the head goes to the left
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0, -15.0])
+def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
+    """v dv = -k r(d)/I (1 + c v) dd, so v/c - ln(1 + c v)/c^2 is equal at the first and the last touch."""
+    v = Variant("pendulum", gravity=0.0, head_joint_damping=0.0, **HELD)
+    i, c, stop = v.states.index("head_side_angle"), v.p["head_stop_damping"], v.p["head_stop_angle"]
+    start = v.start(head_side_angle=math.copysign(stop, speed), head_side_speed=speed)
+
+    def left(_, x):
+        return abs(x[i]) - stop + 1e-9
+
+    left.direction, left.terminal = -1, True
+    run = solve_ivp(lambda _, x: v(x)[0], (0, 1), start, "DOP853", events=left, rtol=1e-10, atol=1e-12)
+    back = -run.y[v.states.index("head_side_speed"), -1] / math.copysign(1, speed)
+    level = abs(speed) / c - math.log1p(c * abs(speed)) / c**2
+    expected = brentq(lambda u: -u / c - math.log1p(-c * u) / c**2 - level, 0.0, (1 - 1e-12) / c)
+    assert 0.5 * abs(speed) < expected < abs(speed)
+    assert back == pytest.approx(expected, rel=1e-6)  # the arm, 1e12 kg.m2, gives way by 1e-7
+    assert np.abs(run.y[i]).max() < 1.3
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_stops_of_the_head_are_not_felt_inside(name):
+    """Up to the stop no torque, no energy; beyond it both, the torque back to the plane of the arm."""
+    v = variant(name)
+    stop = v.p["head_stop_angle"]
+    for angle in (0.0, stop, -stop):
+        _, y = v(v.start(head_side_angle=angle, head_side_speed=3.0))
+        assert (y["head_stop_torque"], y["stored_energy"]) == (0.0, 0.0)
+    for angle in (stop + 0.05, -stop - 0.05):
+        _, y = v(v.start(head_side_angle=angle))
+        # k (d - w/2): a straight line beyond the rounding
+        expected = v.p["head_stop_stiffness"] * (0.05 - STOP_ROUNDING / 2)
+        assert y["head_stop_torque"] == pytest.approx(-math.copysign(expected, angle), rel=1e-12)
+        assert y["stored_energy"] > 0
+
+
+@pytest.mark.parametrize("hold", [1.1, 2.1])
+def test_swing_at_full_command_stopped_at_once_throws_the_head_into_its_stop_only(hold):
+    """The hardest that levers can do, and the FMU goes on: the head stays clear of the singular position."""
+    chosen = parts(manipulator="pendulum")
+    model = join(chosen, *wiring(chosen))
+    time = np.arange(0.0, hold + 1.0, 0.005)
+    inputs = np.tile(model.u, (time.size, 1))
+    inputs[:, model.inputs.index("swing_command")] = np.where((time > 0.1) & (time < hold), 10.0, 0.0)
+    _, y = simulate(model, time, inputs)
+    side = np.abs(y[:, model.output_names.index("manipulator.head_side_angle")]).max()
+    assert P["head_stop_angle"] < side < SIDE_LIMIT - 0.1
 
 
 def driven(v, until):
