@@ -157,6 +157,19 @@ def test_a_step_that_fails_says_why(tmp_path, capsys, lines, message):
     assert text.count("\n") == 1
 
 
+@pytest.mark.parametrize("where", [STEP, "return {}"], ids=["step", "start"])
+def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
+    """As in a model in C: the message says so, and the program is interrupted, too."""
+    initial = "\n    def initial(self, x, u, p):\n        return {}\n"
+    change = fault(where, "if u.w == 2: raise KeyboardInterrupt")
+    path = built(tmp_path, ("    def step(self", initial + "\n    def step(self"), change)
+    fmu = Driver(path)
+    with pytest.raises(KeyboardInterrupt):
+        fmu.start(w=2.0).step(1e-3)
+    fmu.fmu.freeInstance()
+    assert "[ERROR] interrupted by the user" in capsys.readouterr().out
+
+
 def test_values_out_of_bounds_are_refused(tmp_path, capsys):
     """Values outside the declared range, and starts that cannot be, as of a native FMU."""
     with driving(built(tmp_path)) as fmu:

@@ -1,11 +1,11 @@
-"""Answers the calls of the FMU's library (native/python_fmu.c): names and bytes in, bytes out, no exception.
+"""Answers the calls of the FMU's library (native/python_fmu.c): names and bytes in, bytes out. No exception
+leaves but an interrupt by the user, which the library hands on to the program.
 
 An answer is a status, messages and a value. Statuses and log categories are those of the native FMUs.
 """
 
 from __future__ import annotations
 
-import _thread
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -41,6 +41,8 @@ def connect(
         slave = model(instance_name=name, resources=str(folder), logger=0, visible=0)
         if guid != slave.guid:
             raise ModelError(f'the GUID differs, expected "{slave.guid}" (files of different builds)')
+    except KeyboardInterrupt:
+        raise
     except BaseException as problem:
         return ERROR, _record(ERROR, "fmi2Instantiate", told(problem, folder)), None
     return OK, b"", Door(slave, set(CATEGORIES) if logging else set(ALWAYS))
@@ -49,7 +51,7 @@ def connect(
 def _record(kind: int, function: str, text: str) -> bytes:
     """A message as native/python_fmu.c reads it; "%" and "#" mean something to loggers."""
     line = f"{function}: {text}".replace("%", "%%").replace("#", "##").replace("\0", " ")
-    return f"{kind}{CATEGORIES[kind]}\0{line}\0".encode()
+    return f"{kind}{CATEGORIES[kind]}\0{line}\0".encode("utf-8", "replace")
 
 
 class Door:
@@ -67,11 +69,11 @@ class Door:
             value = CALLS[function](self, *given) or b""
         except Failed:
             status = ERROR
+        except KeyboardInterrupt:
+            raise
         except BaseException as problem:  # one that went on into the library would end the program
             status = DISCARD if isinstance(problem, Discarded) else ERROR
             problems = [(status, told(problem, self.slave.folder))]
-            if isinstance(problem, KeyboardInterrupt):
-                _thread.interrupt_main()  # the program wants to know, too
         messages = [*events, *self._queued(), *problems]
         return status, b"".join(_record(k, function, text) for k, text in messages if k in self.logged), value
 

@@ -16,8 +16,6 @@ def told(problem: BaseException, folder: Path) -> str:
     text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
     if isinstance(problem, ModelError):
         return text
-    if isinstance(problem, KeyboardInterrupt):
-        return "interrupted by the user"
     kind = type(problem).__name__
     return f"{place(problem, folder)}{kind}: {text}" if text else f"{place(problem, folder)}{kind}"
 

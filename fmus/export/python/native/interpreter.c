@@ -67,6 +67,8 @@ static const char *interpreter_start(void) {
     }
     PYTHON(FIND)
 #undef FIND
+    py.PyExc_KeyboardInterrupt = symbol(library, "PyExc_KeyboardInterrupt");
+    if (!py.PyExc_KeyboardInterrupt) return "the Python of this program has no PyExc_KeyboardInterrupt";
     if (!py.Py_IsInitialized()) {
         /* It is never ended again: packages such as NumPy cannot be started twice in a process. */
         py.Py_InitializeEx(0);

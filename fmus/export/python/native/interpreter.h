@@ -15,7 +15,10 @@ typedef struct PyObject PyObject;
     X(void *, PyEval_SaveThread, (void))                                       \
     X(int, PyGILState_Ensure, (void))                                          \
     X(void, PyGILState_Release, (int))                                         \
+    X(PyObject *, PyErr_Occurred, (void))                                      \
+    X(int, PyErr_ExceptionMatches, (PyObject *))                               \
     X(void, PyErr_Clear, (void))                                               \
+    X(void, PyErr_SetInterrupt, (void))                                        \
     X(void, Py_IncRef, (PyObject *))                                           \
     X(void, Py_DecRef, (PyObject *))                                           \
     X(PyObject *, PyImport_AddModule, (const char *))                          \
@@ -36,6 +39,7 @@ typedef struct {
 #define MEMBER(type, name, arguments) type(*name) arguments;
     PYTHON(MEMBER)
 #undef MEMBER
+    PyObject **PyExc_KeyboardInterrupt;
 } Interpreter;
 
 static Interpreter py;

@@ -13,7 +13,7 @@
 #include "start.h"
 
 typedef struct {
-    PyObject *door; /* (name of the function, arguments ...) -> (status, messages, value), never raises */
+    PyObject *door; /* (name of the function, arguments ...) -> (status, messages, value); may be interrupted */
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     char name[];
@@ -84,8 +84,24 @@ static fmi2Status locked_call(PyObject *function, const Bytes arguments[], size_
     if (answer && object && (*object = py.PyTuple_GetItem(answer, 2))) py.Py_IncRef(*object);
     if (tuple) py.Py_DecRef(tuple);
     if (answer) py.Py_DecRef(answer);
-    py.PyErr_Clear();
     return status;
+}
+
+/* Unlocks Python; tells whether the user interrupted it. */
+static int unlock(int lock) {
+    const int interrupted = py.PyErr_Occurred() && py.PyErr_ExceptionMatches(*py.PyExc_KeyboardInterrupt);
+    py.PyErr_Clear();
+    py.PyGILState_Release(lock);
+    return interrupted;
+}
+
+/* The messages of a call, or what is known where there are none. Python is unlocked: nobody knows what the
+   caller's function waits for. The interrupt goes on to the program, last: its logger may be Python, too. */
+static void finish(const Instance *self, Blob *messages, int interrupted, const char *otherwise) {
+    if (messages) tell(self, messages);
+    else complain(self, interrupted ? "interrupted by the user" : otherwise);
+    free(messages);
+    if (interrupted) py.PyErr_SetInterrupt();
 }
 
 static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, Blob **value) {
@@ -97,10 +113,7 @@ static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, 
         }
     const int lock = py.PyGILState_Ensure();
     const fmi2Status status = locked_call(self->door, arguments, n, &messages, value, NULL);
-    py.PyGILState_Release(lock);
-    if (messages) tell(self, messages); /* unlocked: nobody knows what the caller's function waits for */
-    else complain(self, "Python is out of memory");
-    free(messages);
+    finish(self, messages, unlock(lock), "Python is out of memory");
     return status;
 }
 
@@ -146,15 +159,11 @@ static void open_door(Instance *self, const Bytes arguments[], size_t n) {
     PyObject *start = start_function();
     fmi2Status status = fmi2Error;
     if (start) status = locked_call(start, arguments, n, &messages, NULL, &self->door);
-    py.PyErr_Clear();
     if (status >= fmi2Error && self->door) {
         py.Py_DecRef(self->door); /* None */
         self->door = NULL;
     }
-    py.PyGILState_Release(lock);
-    if (messages) tell(self, messages);
-    else complain(self, "this Python cannot run the start of an FMU");
-    free(messages);
+    finish(self, messages, unlock(lock), "this Python cannot run the start of an FMU");
 }
 
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,

@@ -13,7 +13,7 @@ ERROR = 3
 
 
 def start(*given: bytes) -> tuple[int, bytes, Any]:
-    """Status, messages and what answers the calls of a new instance; never raises."""
+    """Status, messages and what answers the calls of a new instance; raises nothing but interrupts."""
     try:
         name, guid, where, logging = (value.decode() for value in given)
         folder = find(where)
@@ -23,6 +23,8 @@ def start(*given: bytes) -> tuple[int, bytes, Any]:
                 site.addsitedir(str(pathlib.Path(own, packages.format(*sys.version_info))))
         answer: tuple[int, bytes, Any] = script(folder, guid).connect(name, guid, folder, logging == "1")
         return answer
+    except KeyboardInterrupt:
+        raise
     except BaseException as problem:  # whatever it is, it has to become a message
         text = " ".join(str(problem).split())
         text = text if isinstance(problem, ImportError) else f"{type(problem).__name__}: {text}"
