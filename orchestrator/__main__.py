@@ -150,9 +150,15 @@ def build(
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where the files go; those of FMI 3.0 to fmi3/ in it.")
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Where the files go; those of FMI 3.0 to fmi3/ in it, those in Python to python/.",
+        ),
     ] = BUILD,
-    fmi: Annotated[str, typer.Option(metavar="VERSION", help="2, 3 or both.")] = "both",
+    fmi: Annotated[
+        str, typer.Option(metavar="VERSION", help="2, 3 or both; of a model in Python 2.")
+    ] = "both",
     platform: Annotated[
         list[str] | None,
         typer.Option(
@@ -165,19 +171,20 @@ def build(
     from fmus.export.platforms import select
     from orchestrator import commands
 
-    if model is not None:
-        from fmus.export.python.build import build_model
-
-        commands.folder(out)
-        print(build_model(model, out, select(platform or ["host"])))
-        return
-    from fmus.build import build_machine
-
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
     platforms = select(platform or ["host"])
     commands.folder(out)
+    if model is not None:
+        from fmus.export.python.build import build_model
+
+        if 2 not in versions[fmi]:
+            raise Problem(f"--fmi {fmi}: expected 2, an FMU whose code is Python is one of FMI 2.0")
+        print(build_model(model, out, platforms))
+        return
+    from fmus.build import build_machine
+
     for path in build_machine(out, versions[fmi], platforms):
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 

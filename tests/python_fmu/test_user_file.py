@@ -13,6 +13,7 @@ from fmpy.validation import validate_fmu
 
 from fmus.contract import ModelError
 from fmus.export.python.build import build_user
+from orchestrator.__main__ import main
 from python_fmu.lag import built, written
 
 OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
@@ -82,6 +83,11 @@ def test_the_description_is_complete(tmp_path):
         (("def step(self", "def step(self:"), "lag.py:40: SyntaxError"),
         (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other, a module beside the file"),
         (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other, a module beside the file"),
+        (("GAIN = 1.0", "import sys; sys.exit(3)"), "lag.py:8: SystemExit: 3"),
+        (
+            ('start = {"u"', 'files = tuple(f"{n}.csv" for n in "a")\n    start = {"u"'),
+            "lag.py: files is no plain list, expected one such as",
+        ),
         (("GAIN = 1.0", "import not_there"), "lag.py:8: ModuleNotFoundError: No module named 'not_there'"),
     ],
 )
@@ -116,6 +122,32 @@ def test_a_file_that_is_read_goes_along(tmp_path):
     (tmp_path / "gain.txt").unlink()
     with driving(path) as fmu:
         assert fmu.step(0.01).get("y")[0] == pytest.approx(0.3)
+
+
+def test_a_point_where_the_model_does_not_work_says_nothing(tmp_path):
+    """Inputs are moved to find dependencies; where that leaves the range of a root, the build goes on."""
+    root = fault(OBSERVE, "import math; math.sqrt(1.005 - u.u)")
+    assert built(tmp_path, root).is_file()
+
+
+def test_a_file_in_the_root_of_a_checkout_is_no_neighbour(tmp_path):
+    """It has the package itself beside it."""
+    (tmp_path / "fmus").mkdir()
+    (tmp_path / "fmus" / "__init__.py").touch()
+    assert built(tmp_path).is_file()
+
+
+def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
+    """A model of the name of a part goes to a folder of its own; there is no FMI 3.0 of it."""
+    file, native = written(tmp_path, name="swing.py"), tmp_path / "build" / "swing.fmu"
+    native.parent.mkdir()
+    native.write_text("native", encoding="utf-8")
+    command = ["build", str(file), "--out", str(native.parent)]
+    assert main(command) == 0
+    assert capsys.readouterr().out == f"{native.parent / 'python' / 'swing.fmu'}\n"
+    assert native.read_text(encoding="utf-8") == "native"
+    assert main([*command, "--fmi", "3"]) == 2
+    assert "--fmi 3: expected 2, an FMU whose code is Python is one of FMI 2.0" in capsys.readouterr().err
 
 
 # ---- while it runs

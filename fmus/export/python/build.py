@@ -29,11 +29,16 @@ from fmus.export.python.user import declared_files, refuse_neighbours, structure
 from fmus.parameters import Values, values
 
 MAIN = "python_fmu.c"
+PYTHON = "python"  # folder of FMUs in Python, beside the native ones
 RESERVED = (CARD, "slavemodule.txt", "parameters.toml")
 
 
 def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
-    """The FMU of a user's file, or of a subsystem by its origin: what a command line is given."""
+    """The FMU of a user's file, or of a subsystem by its origin: what a command line is given.
+
+    It goes to a folder of its own, where none of the same name is overwritten.
+    """
+    folder = folder / PYTHON
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
     return build_python(subsystem(model), folder, platforms=platforms, where=model)
@@ -77,6 +82,8 @@ def build_user(
         copy.write_bytes(path.read_bytes())
         more = {f"resources/{path.name}": path.read_bytes()} | _files(path, copy.parent)
         model, face = tried(copy, step)
+    if [*model.files] != declared_files(path):
+        raise ModelError(f'{path.name}: files is no plain list, expected one such as files = ("map.csv",)')
     more |= shown(_surrogate(model, face, path), face, 2, step, stop)
     flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"} | _NO_DERIVATIVES
     card = {"file": path.name}

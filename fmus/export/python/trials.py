@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def tried(path: Path, step: float) -> tuple[Model, Interface]:
             run.advance(step)
         _check_replay(behaviour.model.name, run, step)
         _check_dependencies(behaviour, run)
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:
         raise ModelError(told(problem, path.parent)) from None
     return model, face
 
@@ -62,14 +63,14 @@ def _check_dependencies(behaviour: Stepwise, run: Instance) -> None:
     scale = np.array([SHARE * v.quantity.nominal for v in face.inputs])
     for x, u in _points(run, face):
         for what, row in _rows(behaviour):
-            try:
-                base = row(x, u)
-            except Exception:  # a point where the model does not work tells nothing
-                continue
             for name, i in index.items():
                 moved = u.copy()
                 moved[i] += scale[i]
-                wrong = [n for n, a, b in zip(what, base, row(x, moved), strict=True) if a != b]
+                try:
+                    pairs = zip(what, row(x, u), row(x, moved), strict=True)
+                except Exception:  # a point where the model does not work tells nothing
+                    continue
+                wrong = [n for n, a, b in pairs if a != b and math.isfinite(a) and math.isfinite(b)]
                 wrong = [n for n in wrong if name not in model.depends.get(n, index)]
                 if wrong:
                     raise ModelError(

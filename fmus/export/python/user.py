@@ -15,6 +15,8 @@ from fmus.export.model_description import Unknowns
 from fmus.export.python.messages import told
 from fmus.export.python.model import Model, sealed
 
+PACKAGE = __name__.partition(".")[0]
+
 
 def load(path: Path) -> Model:
     """The model in a file, as a module under a name of its own: another file may have the same name."""
@@ -61,6 +63,8 @@ def refuse_neighbours(path: Path) -> None:
             names = ["." * node.level + (node.module or "")]
         for name in names:
             top = name.partition(".")[0]
+            if top == PACKAGE:
+                continue  # a file in the root of a checkout has the package itself beside it
             beside = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
             if name.startswith(".") or any(p.is_file() for p in beside):
                 raise ModelError(
@@ -71,7 +75,8 @@ def refuse_neighbours(path: Path) -> None:
 
 def declared_files(path: Path) -> list[str]:
     """What `files` of the class says, before the file can be run: it may read them when it is imported."""
-    for node in ast.walk(_read(path)):
+    classes = (node for node in ast.walk(_read(path)) if isinstance(node, ast.ClassDef))
+    for node in (statement for found in classes for statement in found.body):
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         value = getattr(node, "value", None)
         if isinstance(target, ast.Name) and target.id == "files" and isinstance(value, ast.Tuple | ast.List):
