@@ -57,7 +57,9 @@ def describe(component: Component) -> reporting.Component:
     source = component.source
     file = source.inside[-1] if source and source.inside else source.path.name if source else ""
     face = component.interface
-    return reporting.Component(component.name, file, face.version, face.guid, "2.0 CS", face.tool, face.text)
+    return reporting.Component(
+        component.name, file, face.version, face.guid, f"{face.fmi}.0 CS", face.tool, face.text
+    )
 
 
 def parameters(system: System) -> Iterable[reporting.Parameter]:

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from orchestrator.archive import Location
 from orchestrator.errors import Problem, suggest
 from orchestrator.ssv import Entry, entries
+from orchestrator.swap.lost import lost
 from orchestrator.system import System, coerce, settable
 from orchestrator.units import conversion
 from orchestrator.xml import parse
@@ -20,28 +21,18 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     """The system with start values from parameter sets, later ones over earlier ones.
 
     A set may name connected inputs: what it says of them holds until the run has initialised. What it says of
-    a variable that was lost in a swap is left out.
+    a variable that was lost in a swap, or cannot be set any more, is left out.
     """
     for chosen in sets:
         file = _file(system, chosen)
-        lost = _lost(system)
+        gone = lost(system)
         for entry in entries(file, parse(file, "ParameterSet"), {}):
-            if entry.name in lost:
-                note = f"{file}: {entry.name} is left out: {lost[entry.name]} has no such variable"
+            if entry.name in gone:
+                note = f"{file}: {entry.name} is left out: {gone[entry.name]}"
                 system = replace(system, notes=(*system.notes, note))
             else:
                 system = _with_entry(system, file, entry)
     return system
-
-
-def _lost(system: System) -> Mapping[str, Location | None]:
-    """Names that only a swapped FMU knew -> the file of the new one."""
-    return {
-        f"{c.name}.{variable}": c.source
-        for c in system.components.values()
-        for variable in (c.replaced.variables if c.replaced else ())
-        if variable not in c.interface.variables
-    }
 
 
 def _with_entry(system: System, file: Location, entry: Entry) -> System:

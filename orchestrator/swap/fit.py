@@ -12,7 +12,7 @@ from difflib import get_close_matches
 
 from orchestrator.assembly import family
 from orchestrator.errors import Problem
-from orchestrator.interface import Variable
+from orchestrator.interface import Interface, Variable
 from orchestrator.swap.start import listed
 from orchestrator.swap.uses import Use, carrying, uses
 from orchestrator.system import FEW, Component, Port, System
@@ -59,7 +59,8 @@ def fit(system: System, old: Component, new: Component) -> Fit:
     used = uses(system, old)
     dropped = [n for n, use in used.items() if use.optional and n not in new.interface.variables]
     needed = {name: use for name, use in used.items() if name not in dropped}
-    faults = {name: fault for name, use in needed.items() if (fault := _fault(use, new))}
+    free = {n: v for n, v in new.interface.variables.items() if n not in used}
+    faults = {name: fault for name, use in needed.items() if (fault := _fault(use, new.interface, free))}
     if faults:
         told = _few(list(faults.values()))
         raise Problem(f"swap {new.name}: {new.source} does not fit: {told}{_way_out(system, new, faults)}")
@@ -76,27 +77,34 @@ def fit(system: System, old: Component, new: Component) -> Fit:
     )
 
 
-def _fault(use: Use, new: Component) -> str:
-    """What is wrong with one port, as 'expected ..., got ...'; empty if it fits."""
-    old, face = use.declared, new.interface
-    expected = f"expected {old.causality} {old.name}"
-    labelled = f"{expected} {use.unit}" if use.unit else expected
-    if old.name in face.refused:
-        return f"{labelled}, got {face.refused[old.name]}"
-    found = face.variables.get(old.name)
-    if found is None:
-        near = get_close_matches(old.name, face.variables, n=1, cutoff=0.8)
-        return f"{labelled}, got none{f' (it has {near[0]})' if near else ''}"
+def _fault(use: Use, face: Interface, free: Mapping[str, Variable]) -> str:
+    """What is wrong with one port, as 'expected ..., got ...'; empty if it fits.
+
+    free   the variables that may be meant by a name that is not there
+    """
+    name = use.declared.name
+    if name in face.refused:
+        return f"expected {use}, got {face.refused[name]}"
+    if name in face.variables:
+        return _mismatch(use, face.variables[name])
+    meant = [other for other, v in free.items() if not _mismatch(use, v)]
+    near = get_close_matches(name, meant, n=1, cutoff=0.8)
+    return f"expected {use}, got none{f' (it has {near[0]})' if near else ''}"
+
+
+def _mismatch(use: Use, found: Variable) -> str:
+    """Where a variable differs from what is used."""
+    old = use.declared
     if found.causality not in SERVES[old.causality]:
-        return f"{labelled}, got {_article(found.causality)}"
+        return f"expected {use}, got {_article(found.causality)}"
     if family(found) != family(old):
-        return f"{expected} of type {old.kind}, got type {found.kind}"
+        return f"expected {old.causality} {old.name} of type {old.kind}, got type {found.kind}"
     if found.unit and use.unit and found.unit.exponents is None and found.unit.name != use.unit.name:
-        return f"{labelled}, got {found.unit}, a unit without definition"
+        return f"expected {use}, got {found.unit}, a unit without definition"
     try:
         conversion(found.unit, use.unit, "")
     except Problem:
-        return f"{labelled}, got {found.unit}"
+        return f"expected {use}, got {found.unit}"
     return ""
 
 
@@ -132,11 +140,14 @@ def _notes(old: Component, new: Component, dropped: list[str], bare: list[str]) 
         f"{v.name} in {v.unit}, not {before.unit}"
         for v in new.interface.variables.values()
         if (before := old.interface.variables.get(v.name)) and v.unit and before.unit
-        if v.causality == before.causality in ("input", "output")
+        if v.causality == before.causality and (v.settable or v.causality == "output")
         if _differ(before.unit, v.unit)
     ]
+    idle = [v.name for v in new.interface.of("input") if v.name not in old.interface.variables]
+    if idle:
+        yield f"{new.source} has inputs of its own, {listed(idle)}: no wire feeds them"
     if converted:
-        yield f"{new.source} has {listed(converted)}: converted"
+        yield f"{new.source} has {listed(converted)}: converted; given values stay in the latter"
 
 
 def _differ(old: Unit, new: Unit) -> bool:

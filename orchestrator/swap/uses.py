@@ -32,6 +32,9 @@ class Use:
     outside: bool
     optional: bool
 
+    def __str__(self) -> str:
+        return f"{self.declared.causality} {self.declared.name}{f' {self.unit}' if self.unit else ''}"
+
 
 def uses(system: System, component: Component) -> dict[str, Use]:
     """The ports of a component that the system uses, by name."""

@@ -99,7 +99,8 @@ def test_convertible_units_are_converted(fmus):
     # 2 * 3 bar + 1 bar, plus 4 bar; a few roundings
     np.testing.assert_allclose(result.trace["g.u"], 7.0, rtol=1e-14)
     np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
-    assert f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa]: converted" in result.card.notes
+    note = f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]: converted"
+    assert f"{note}; given values stay in the latter" in result.card.notes
     back = system.swapped({"g": bar}).swapped({"g": pascal})
     for c, usual in zip(back.connections, system.connections, strict=True):
         assert c.map(1e5) == pytest.approx(usual.map(1e5), rel=1e-14)
@@ -230,6 +231,31 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     assert any(n.startswith(note) for n in result.card.notes)
     with pytest.raises(Problem, match=r"unknown variable 'g.offset'"):
         run(bench, step=0.5, stop=1.0, swap={"g": plain}, set={"g.offset": 1.0})
+    computed = edited(
+        fmus["gain"],
+        "computed",
+        (
+            r'(name="offset" [^>]*)causality="parameter"[^>]*><Real[^>]*/>',
+            r'\1causality="calculatedParameter" variability="fixed" initial="calculated"><Real/>',
+        ),
+    )
+    told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
+    assert f"{computed} determines offset itself: what the system sets is left out" in told
+    assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
+
+
+def test_an_input_that_is_new_is_told(oscillator, fmus):
+    """No wire reaches it, so it keeps its start value."""
+    more = edited(fmus["mass_b"], "more", renamed("force", "push"))
+    notes = oscillator.without("b.force").swapped({"b": more}).notes
+    assert f"{more} has inputs of its own, push: no wire feeds them" in notes
+
+
+def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):
+    """Not one of another causality, nor one that has its own work to do."""
+    output = edited(fmus["mass_b"], "output", renamed("force", "forces"), caused("forces", "local"))
+    with pytest.raises(Problem, match=r"expected input force \[N\], got none; to do without"):
+        oscillator.swapped({"b": output})
 
 
 def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
@@ -264,6 +290,7 @@ def test_the_command_line_swaps(capsys):
             "g=x.fmu",
             "harvester: swap g: x.fmu does not fit: expected input u [m], got none; expected output y ",
         ),
+        ("g=fine --swap g=coarse", "harvester: --swap g=coarse: g is fine already, expected one value"),
     ],
 )
 def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):
@@ -271,7 +298,7 @@ def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):
     Path("text.fmu").write_text("no zip", encoding="utf-8")
     Path("x.fmu").write_bytes(fmus["mass_a"].read_bytes())
     for command in ("run", "validate"):
-        assert main([command, "--swap", swap]) == 2
+        assert main([command, "--swap", *swap.split()]) == 2
         told = capsys.readouterr().err
         assert message in told
         assert told.count("\n") == 1
