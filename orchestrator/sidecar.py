@@ -5,6 +5,7 @@ A CSV has no room for it, nor for units; `harvester compare` reads both from the
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,7 +14,6 @@ from typing import Any
 
 from orchestrator.errors import Problem
 from orchestrator.simulation import Result
-from orchestrator.trace import Trace
 
 SUFFIX = ".run.json"
 
@@ -68,22 +68,28 @@ def beside(trace: Path) -> Path:
 
 
 def write_facts(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
-    """Write the facts of a run beside its trace."""
-    belongs = {"trace": trace.name, "rows": len(result.trace.time)}
-    text = json.dumps(belongs | asdict(facts(result, given)), indent=1, ensure_ascii=False, default=str)
+    """Write the facts of a run beside its trace, which is there already."""
+    text = json.dumps(
+        {"sha256": _digest(trace)} | asdict(facts(result, given)), indent=1, ensure_ascii=False, default=str
+    )
     beside(trace).write_text(text + "\n", encoding="utf-8", newline="\n")
     return beside(trace)
 
 
-def read_facts(path: Path, trace: Trace) -> Facts | None:
+def _digest(trace: Path) -> str:
+    """By this the facts belong to their trace, also when both have got another name."""
+    return hashlib.sha256(trace.read_bytes()).hexdigest()
+
+
+def read_facts(path: Path) -> Facts | None:
     """The facts of the run that made a trace; None where there are none or they are of another trace."""
     file = beside(path)
     if not file.is_file():
         return None
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
-        name, rows = data.pop("trace"), data.pop("rows")
+        digest = data.pop("sha256")
         found = Facts(**{**data, "inputs": tuple(data["inputs"])})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes beside a trace, got {error!r}") from None
-    return found if (name, rows) == (path.name, len(trace.time)) else None
+    return found if digest == _digest(path) else None

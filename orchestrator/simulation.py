@@ -101,7 +101,8 @@ def run(
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
     swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
     parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
-    set             start values {name: value}, in the FMU's units, named like the columns of a scenario
+    set             start values {name: value}, in the units of the FMU, before a swap, named like the columns
+                    of a scenario
     record          names of the signals to record; default: all outputs, all inputs that are fed and all that
                     are inputs of the system, fed or not
     record_step     interval between recorded points [s], a multiple of the step; the first and the last point

@@ -88,9 +88,15 @@ def compare(
     common = _common(runs, reference)
     recorded = {name: _signal(name, reference) for name in common}
     truth = Reference(reference.trace.time, recorded, reference.file or reference.label, start, stop)
-    others = [run for run in runs if run is not reference]
-    found = {run.label: against_reference(run.trace, truth, rate=False) for run in others}
+    found = {run.label: _against(truth, run) for run in runs if run is not reference}
     return Comparison(tuple(runs), reference, found, _chosen(runs, common, signals), _notes(runs, common))
+
+
+def _against(truth: Reference, run: Run) -> Validation:
+    try:
+        return against_reference(run.trace, truth, rate=False)
+    except Problem as problem:
+        raise Problem(f"compare {run.label} with {problem}") from None
 
 
 def quantity(unit: str) -> str:

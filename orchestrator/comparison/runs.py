@@ -61,7 +61,7 @@ def _run(label: str, source: Source) -> Run:
         trace = Trace(known.time, signals, {name: s.unit for name, s in known.signals.items()})
         return Run(label, trace, None, str(path))
     trace = read(path)
-    found = read_facts(path, trace)
+    found = read_facts(path)
     units = {name: unit for name, unit in (found.units if found else {}).items() if name in trace.signals}
     return Run(label, replace(trace, units={**trace.units, **units}), found, str(path))
 

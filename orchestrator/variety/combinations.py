@@ -9,9 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.errors import Problem
 from orchestrator.simulation import Result, RunFailed, run
 from orchestrator.system import System
 from orchestrator.trace import Trace
+
+
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -44,11 +48,14 @@ def combinations(
     first = None
     for names in product(*variants.values()):
         chosen = dict(zip(variants, names, strict=True))
-        failure = ""
+        whole, failure = system.swapped(chosen), ""
         try:
-            result = run(system.swapped(chosen), **options)
+            result = run(whole, **options)
         except RunFailed as failed:
             result, failure = failed.result, str(failed)
+        except Problem as problem:  # before the first step: the next combination may come further
+            yield Row(chosen, 0.0, str(problem), NAN, NAN, NAN, NAN, 0)
+            continue
         first = first or result.trace
         yield _row(chosen, result, failure, _change(result.trace, first, watch))
 
@@ -71,7 +78,7 @@ def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
     """Over the time that both have."""
     rows = min(len(trace.time), len(first.time))
     found = [0.0]
-    for name in watch:
+    for name in watch if rows else ():
         reference = first[name][:rows]
         span = float(np.ptp(reference))
         found.append(float(np.sqrt(np.mean((trace[name][:rows] - reference) ** 2))) / span if span else 0.0)

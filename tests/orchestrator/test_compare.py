@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import Problem, Trace, assemble, read, run, write
+from orchestrator import Problem, Trace, assemble, run, write
 from orchestrator.__main__ import main
 from orchestrator.comparison import compare, draw, text
 from orchestrator.comparison.compare import quantity
@@ -165,16 +165,21 @@ def test_the_picture_shows_what_differs_most():
 
 def test_a_run_leaves_its_facts(folder):
     """Beside the trace: system, settings, cost, units; only for the trace that it made."""
-    known = read_facts(Path("b.csv"), read("b.csv"))
+    known = read_facts(Path("b.csv"))
     assert (known.system, known.step, known.simulated) == ("gain.fmu", 0.1, pytest.approx(8.0))
     assert known.given["set"] == {"gain.factor": "2"}
     assert known.units == {"gain.y": "m", "gain.u": "m"}
     assert known.inputs == ("gain.u",)
     assert 0 < known.inside["gain"] < known.wall
-    assert read_facts(Path("b.csv"), read("c.parquet")) is None
-    (folder / "b.run.json").write_text('{"trace": "b.csv", "rows": 81, "walls": 3}', encoding="utf-8")
+    for suffix in (".csv", ".run.json"):
+        Path(f"b{suffix}").rename(f"renamed{suffix}")
+    assert read_facts(Path("renamed.csv")) == known
+    other = Path("renamed.csv").read_text(encoding="utf-8").replace("8", "9")  # as many rows
+    Path("renamed.csv").write_text(other, encoding="utf-8")
+    assert read_facts(Path("renamed.csv")) is None
+    (folder / "b.run.json").write_text('{"sha256": "", "walls": 3}', encoding="utf-8")
     with pytest.raises(Problem, match=r"b.run.json: expected what harvester run writes beside a trace"):
-        read_facts(Path("b.csv"), read("b.csv"))
+        read_facts(Path("b.csv"))
 
 
 @pytest.mark.usefixtures("folder")

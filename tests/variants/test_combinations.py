@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import itertools
+import shutil
 
 import numpy as np
 import pytest
+from any_fmu.edit import edited
 from every import EVERY, python
 
 from fmus.machine import FAMILIES
@@ -44,6 +46,20 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     assert printed.endswith("no costs measured; make it with: harvester build\n")
     assert main(["variants", "--combinations"]) == 2
     assert "harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+
+
+def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):
+    """The others run all the same."""
+    for file in (fmu_dir / "harvester.ssp", *(fmu_dir / "variants").glob("swing_*.fmu")):
+        target = tmp_path / file.relative_to(fmu_dir)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(file, target)
+    quasistatic = tmp_path / "variants" / "swing_quasistatic.fmu"
+    edited(quasistatic, tmp_path / "variants" / "swing_old.fmu", ('guid="[^"]*"', 'guid="{0}"'))
+    one = {"swing": ["old", "lumped"]}
+    old, usual = combinations(load(tmp_path / "harvester.ssp"), one, WATCH, step=1e-3, stop=0.1)
+    assert "GUID" in old.failure
+    assert (old.reached, usual.failure, usual.reached) == (0.0, "", pytest.approx(0.1))
 
 
 ALL_COMBINATIONS = [dict(zip(VARIANTS, v, strict=True)) for v in itertools.product(*VARIANTS.values())]
