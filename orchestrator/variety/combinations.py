@@ -14,7 +14,6 @@ from orchestrator.simulation import Result, RunFailed, run
 from orchestrator.system import System
 from orchestrator.trace import Trace
 
-
 NAN = float("nan")
 
 
