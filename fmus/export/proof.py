@@ -19,8 +19,8 @@ from fmus.export.sspxml import add, root, tag, text
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"
 STEP = 1e-2  # s, at which the inputs are set
-TOLERANCE = 1e-8  # of the FMU's solver, tighter than its default: what is left is hardly its error
-BOUND = 1e-5  # largest deviation, over range; a hundred times more at the default tolerance
+TOLERANCE = 1e-9  # of the FMU's solver, tighter than its default: what is left is hardly its error
+BOUND = 1e-5  # largest deviation, over range; hundreds of times more at the default tolerance
 _PARAMETER = tag("ssv:Parameter")
 _LS = "http://fmi-standard.org/fmi-ls-manifest"
 # file -> MIME type, role, text
