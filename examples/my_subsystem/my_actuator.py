@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Quantity
-from fmus.export.python import Model
+from fmus.export.python import Model, some
 from fmus.parameters import values
 
 TABLE = np.loadtxt(Path(__file__).with_name("valve_map.csv"), delimiter=",")
@@ -31,24 +31,18 @@ class Parameters:
     area_ratio: Annotated[float, Quantity("1", "Rod side over head side")] = 0.65
 
 
-@dataclass(frozen=True)
-class Forces:
-    boom_force: Annotated[float, Quantity("N", "Force of the boom cylinder", 1e5)]
-    stick_force: Annotated[float, Quantity("N", "Force of the stick cylinder", 1e5)]
-
-
-@dataclass(frozen=True)
-class Outputs(Forces):
-    boom_force_rate: Annotated[float, Quantity("N/s", "Time derivative of boom_force", 1e6)]
-    stick_force_rate: Annotated[float, Quantity("N/s", "Time derivative of stick_force", 1e6)]
-    supply_flow: Annotated[float, Quantity("m3/s", "Flow taken from the supply line", 1e-3)]
-    return_flow: Annotated[float, Quantity("m3/s", "Flow given to the return line", 1e-3)]
+# Wires of the machine find what they look for: names and units are those of the drives.
+FORCES = "boom_force", "stick_force"
+State = some("State", BOOM_STICK.outputs, *FORCES)
+Outputs = some(
+    "Outputs", BOOM_STICK.outputs, *FORCES, *(f"{f}_rate" for f in FORCES), "supply_flow", "return_flow"
+)
 
 
 class MyActuator(Model):
     """Boom and stick from a look-up table"""
 
-    Parameters, State, Inputs, Outputs = Parameters, Forces, BOOM_STICK.inputs, Outputs
+    Parameters, State, Inputs, Outputs = Parameters, State, BOOM_STICK.inputs, Outputs
     start = values(BOOM_STICK).u  # the inputs start as those of the drives that it stands for
     files = ("valve_map.csv",)
     inner_step = 2.5e-4
@@ -60,8 +54,8 @@ class MyActuator(Model):
 
     def flows(self, x, u, p):
         return (
-            float(FLOW.ev(u.boom_command, x.boom_force / p.boom_area)),
-            float(FLOW.ev(u.stick_command, x.stick_force / p.stick_area)),
+            FLOW.ev(u.boom_command, x.boom_force / p.boom_area),
+            FLOW.ev(u.stick_command, x.stick_force / p.stick_area),
         )
 
     def rates(self, x, u, p):
@@ -76,11 +70,11 @@ class MyActuator(Model):
 
     def step(self, x, u, p, t, h):
         boom_rate, stick_rate = self.rates(x, u, p)
-        return Forces(x.boom_force + h * boom_rate, x.stick_force + h * stick_rate)
+        return State(x.boom_force + h * boom_rate, x.stick_force + h * stick_rate)
 
     def observe(self, x, u, p, t):
-        into_head = [max(q, 0.0) for q in self.flows(x, u, p)]
-        out_of_head = [max(-q, 0.0) for q in self.flows(x, u, p)]
-        supply = sum(into_head) + p.area_ratio * sum(out_of_head)
-        back = sum(out_of_head) + p.area_ratio * sum(into_head)
+        flows = self.flows(x, u, p)
+        extending, retracting = sum(max(q, 0.0) for q in flows), sum(max(-q, 0.0) for q in flows)
+        supply = extending + p.area_ratio * retracting
+        back = retracting + p.area_ratio * extending
         return Outputs(x.boom_force, x.stick_force, *self.rates(x, u, p), supply, back)

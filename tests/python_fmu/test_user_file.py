@@ -11,7 +11,9 @@ from driver import Driver, driving
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
-from fmus.contract import ModelError
+from fmus.boom_stick import BOOM_STICK
+from fmus.contract import ModelError, quantities
+from fmus.export.python import some
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
 from python_fmu.lag import built, written
@@ -148,6 +150,18 @@ def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
     assert native.read_text(encoding="utf-8") == "native"
     assert main([*command, "--fmi", "3"]) == 2
     assert "--fmi 3: expected 2, an FMU whose code is Python is one of FMI 2.0" in capsys.readouterr().err
+
+
+def test_ports_are_taken_from_the_part_that_a_model_stands_for():
+    """In the order asked for, with their units; one that is not there is told with a near one."""
+    group = some("Own", BOOM_STICK.outputs, "stick_force", "boom_force")
+    assert dict(quantities(group)) == {
+        n: quantities(BOOM_STICK.outputs)[n] for n in ("stick_force", "boom_force")
+    }
+    with pytest.raises(
+        ModelError, match=r"^Own: BoomStickOutputs has no boom_forces, expected one such as boom_force"
+    ):
+        some("Own", BOOM_STICK.outputs, "boom_forces")
 
 
 # ---- while it runs

@@ -11,7 +11,8 @@
             return LagOutputs(y=x.y)
 
 The groups are frozen dataclasses of `Annotated[float, Quantity(unit, text)]`, as of any subsystem; a default
-of a field is its start value. `examples/my_subsystem` is one to start from.
+of a field is its start value. `some` takes them from another group. `examples/my_subsystem` is one to start
+from.
 """
 
 from __future__ import annotations
@@ -19,18 +20,29 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from fmus.contract import ModelError
+from fmus.contract import ModelError, quantities
 
 
 @dataclass(frozen=True)
 class Nothing:
     """A group without variables."""
+
+
+def some(name: str, group: type[Any], *variables: str) -> type[Any]:
+    """A group made of some variables of another, such as the outputs of the part that a model stands for."""
+    known = quantities(group)
+    for variable in variables:
+        if variable not in known:
+            there = ", ".join(get_close_matches(variable, known)) or ", ".join(known)
+            raise ModelError(f"{name}: {group.__name__} has no {variable}, expected one such as {there}")
+    return make_dataclass(name, [(v, Annotated[float, known[v]]) for v in variables], frozen=True)
 
 
 class Model:
