@@ -153,7 +153,7 @@ def advised_lumps() -> dict[str, int]:
 def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bool = False) -> Subsystem:
     """The detailed drives.
 
-    lumps               T-lumps per hose, or by axis; by default what `lumps_needed` advises up to 100 Hz
+    lumps               T-lumps per hose, or by axis; by default what `lumps_needed` advises up to 75 Hz
     unsteady_friction   with the frequency-dependent friction of the hoses: three more states for each flow
     """
     count = advised_lumps() if lumps is None else lumps
@@ -183,7 +183,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         initial=lambda x, u, p: _initial(names, x, u, p),
         require=_require,
         values=NUMBERS,
-        validity="modes of the hoses up to 100 Hz within 5 %; no flow forces on spools, one temperature",
+        validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
         terminals=TERMINALS,
     )
     return family("boom_stick", lumped=lumped.BOOM_STICK, detailed=sub)["detailed"]

@@ -12,7 +12,7 @@ from fmus.components.spool_dynamics import Edges, Spool
 from fmus.components.valve_parameters import EdgeParameters
 from fmus.contract import Quantity, Scalar
 
-BANDWIDTH = 100.0  # Hz: modes of the lines up to here, half the paper's sampling rate, ...
+BANDWIDTH = 75.0  # Hz: modes of the lines up to here, which recordings at the paper's 200 Hz show, ...
 ERROR = 0.05  # ... have frequencies within this share, unless the number of lumps is given
 
 _OVERLAP = "Overlap of the edge {}: share of the stroke up to which it stays closed"

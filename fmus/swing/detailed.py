@@ -171,7 +171,7 @@ def advised_lumps() -> int:
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
     """The detailed drive.
 
-    lumps               T-lumps per line; by default what `lumps_needed` advises up to 100 Hz
+    lumps               T-lumps per line; by default what `lumps_needed` advises up to 75 Hz
     unsteady_friction   with the frequency-dependent friction of the lines: three more states for each flow
     """
     names = line_names(advised_lumps() if lumps is None else lumps, unsteady_friction)
@@ -187,7 +187,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
         values=NUMBERS,
-        validity="modes of the lines up to 100 Hz within 5 %; no flow forces on the spool, one temperature",
+        validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
         terminals=TERMINALS,
     )
     return family("swing", lumped=lumped.SWING, detailed=sub)["detailed"]

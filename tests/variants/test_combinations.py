@@ -30,7 +30,7 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
     rows = {line.split()[0]: line.split() for line in indented}
     for _, variant in names():
         assert variant in rows
-    assert rows["detailed"][1:3] == ["40", "15"]  # of boom_stick, the last one
+    assert rows["detailed"][1:3] == ["32", "15"]  # of boom_stick, the last one
     assert printed.count("holds: ") == len(names())
     costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
     assert costs["rigid"] == 1.0

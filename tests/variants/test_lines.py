@@ -207,7 +207,7 @@ def test_the_adviser_holds_at_real_ends():
     matrix, p = linearised(max(advised_lumps().values()))
     exact, found = hose_modes(p), modes(matrix)
     found = found[(found > 0.7 * exact[0]) & (found < 1.1 * exact[-1])]
-    assert exact[-1] < 150.0  # Hz: not far from the bandwidth of 100
+    assert exact[-1] < 150.0  # Hz: the bandwidth is 75
     assert np.abs(found / exact - 1).max() < 0.05
 
 
