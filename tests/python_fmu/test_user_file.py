@@ -16,11 +16,21 @@ from fmus.contract import ModelError, quantities
 from fmus.export.python import some
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
-from python_fmu.lag import built, written
+from python_fmu.lag import built, in_new_process, written
 
 OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
 STEP = "return State(y=x.y + h * (GAIN * u.u - x.y) / p.delay)"
 BY_HAND = "        "
+THREADS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from driver import Driver
+with ThreadPoolExecutor(4) as pool:
+    for fmu in pool.map(lambda _: Driver(Path(sys.argv[2])).start(), range(4)):
+        print(round(float(fmu.step(1e-3).get("y")[0]), 12))
+"""
 
 
 def fault(where: str, *lines: str) -> tuple[str, str]:
@@ -251,6 +261,12 @@ def test_files_of_one_name_live_together(tmp_path):
         for fmu in (first, second, third):
             fmu.step(0.01)
         assert [fmu.get("y")[0] for fmu in (first, second, third)] == pytest.approx([0.1, -0.1, 0.1])
+
+
+def test_instances_in_threads_wait_for_the_script(tmp_path):
+    """Four at once in a new process, where the script takes long to load: each finds all of it."""
+    out = in_new_process(THREADS, Path(__file__).parents[1], built(tmp_path))
+    assert out.split() == ["0.01"] * 4
 
 
 def test_nothing_stands_before_installed_modules(tmp_path):

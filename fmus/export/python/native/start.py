@@ -5,11 +5,15 @@ import os
 import pathlib
 import site
 import sys
+import threading
 import urllib.parse
 import urllib.request
 from typing import Any
 
 ERROR = 3
+# These lines run for every instance, in one module: the lock is that of the first. Without it a thread would
+# find the half of a script that another one is loading.
+LOCK = globals().setdefault("LOCK", threading.RLock())
 
 
 def start(*given: bytes) -> tuple[int, bytes, Any]:
@@ -21,7 +25,8 @@ def start(*given: bytes) -> tuple[int, bytes, Any]:
         if own and importlib.util.find_spec("fmus") is None:
             for packages in ("lib/python{0}.{1}/site-packages", "Lib/site-packages"):
                 site.addsitedir(str(pathlib.Path(own, packages.format(*sys.version_info))))
-        answer: tuple[int, bytes, Any] = script(folder, guid).connect(name, guid, folder, logging == "1")
+        with LOCK:
+            answer: tuple[int, bytes, Any] = script(folder, guid).connect(name, guid, folder, logging == "1")
         return answer
     except KeyboardInterrupt:
         raise
