@@ -12,7 +12,7 @@ from pathlib import Path
 from fmus.build import build_machine, data
 from fmus.machine import SUBSYSTEMS
 from orchestrator import System, load, run
-from orchestrator.variety.cost import empty_call, inside
+from orchestrator.variety.cost import inside
 
 REPEATS = 5
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))
@@ -31,7 +31,6 @@ def speed(system: System, master: str, step: float) -> tuple[float, float]:
 def main() -> None:
     """Print the table."""
     cycle = data("scenarios/work_cycle.csv")
-    print(f"timer and empty ctypes call: {empty_call() / 1e3:.2f} us, subtracted from each step below\n")
     print(f"{'':<22}us per step inside the FMUs{'':<33}{'us per step in all':>20}{'times real time':>20}")
     heads = [*SUBSYSTEMS, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
     print(f"{'master':<14}{'step':>8}" + "".join(f"{head:>12}" for head in heads))

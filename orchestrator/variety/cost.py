@@ -1,14 +1,13 @@
 """The time that a run spends inside each FMU.
 
-That of its fmi2DoStep or fmi3DoStep as called through ctypes, less that of an empty call of the same kind; of
-each step the least disturbed of several runs counts. Machines differ and are noisy: compare figures of one
-sitting only.
+That of its fmi2DoStep or fmi3DoStep as called through ctypes, less that of an empty call of the same kind
+right after it; of each step, and of each empty call, the least disturbed of several runs counts. Machines
+differ and are noisy: compare figures of one sitting only.
 """
 
 from __future__ import annotations
 
 import ctypes
-import statistics
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter_ns
@@ -21,7 +20,7 @@ from orchestrator.simulation import open_slave, run
 from orchestrator.slave import Slave
 from orchestrator.system import Component, System
 
-Spent = dict[str, list[int]]  # of each component: time of each step [ns]
+Spent = dict[str, list[tuple[int, int]]]  # of each component: time of each step and of an empty call [ns]
 
 
 def timed(spent: Spent) -> Callable[[Component], Slave]:
@@ -29,12 +28,14 @@ def timed(spent: Spent) -> Callable[[Component], Slave]:
 
     def opener(component: Component) -> Slave:
         slave: Any = open_slave(component)
-        step, mine = slave._step, spent.setdefault(component.name, [])
+        step, nothing, mine = slave._step, _empty_call(), spent.setdefault(component.name, [])
 
         def measured(*arguments: Any) -> int:
             begin = perf_counter_ns()
             status: int = step(*arguments)
-            mine.append(perf_counter_ns() - begin)
+            between = perf_counter_ns()
+            nothing(*arguments)
+            mine.append((between - begin, perf_counter_ns() - between))
             return status
 
         slave._step = measured
@@ -43,18 +44,11 @@ def timed(spent: Spent) -> Callable[[Component], Slave]:
     return opener
 
 
-def empty_call() -> float:
-    """Time [ns] of the timer and of a call that does nothing, with arguments like those of fmi2DoStep."""
-    kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
-    nothing = kind(ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value or 0)
-    call, spent = partial(nothing, ctypes.c_void_p()), []
-    time, length = ctypes.c_double(1.0), ctypes.c_double(1e-3)
-    for _ in range(20000):
-        begin = perf_counter_ns()
-        call(time, length, 1)
-        spent.append(perf_counter_ns() - begin)
-    # the best of several stretches: another program may hold the machine for a while
-    return min(statistics.median(spent[k : k + 500]) for k in range(0, len(spent), 500))
+def _empty_call() -> Callable[..., int]:
+    """A call that does nothing, to be given the arguments of a step."""
+    address = ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value or 0
+    nothing = ctypes.CFUNCTYPE(ctypes.c_int)(address)  # types of arguments would have to be checked
+    return partial(nothing, ctypes.c_void_p())
 
 
 def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[dict[str, float]]:
@@ -62,7 +56,6 @@ def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[
 
     The systems take turns, so that what disturbs the machine for a while disturbs all of them.
     """
-    overhead = empty_call()
     least: list[dict[str, NDArray[np.float64]]] = [{} for _ in systems]
     for _ in range(repeats):
         for system, best in zip(systems, least, strict=True):
@@ -70,4 +63,4 @@ def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[
             run(system, open=timed(spent), **options)
             for name, steps in spent.items():
                 best[name] = np.minimum(best.get(name, np.inf), steps)
-    return [{name: float(steps.mean() - overhead) / 1e3 for name, steps in best.items()} for best in least]
+    return [{n: float(np.subtract(*steps.mean(axis=0))) / 1e3 for n, steps in best.items()} for best in least]
