@@ -56,7 +56,7 @@ def manipulator(
         values=Path(__file__).with_name("parameters.toml"),
         validity=validity,
         terminals=PORTS,
-        stiff=False,  # but for the end stops
+        stiff=bool(friction.deflections),  # bristles are; end stops are, too, but seldom touched
     )
 
 
