@@ -117,8 +117,9 @@ def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...
     inside = {name: t[_inside(t, start, stop)] for name, t in sides.items()}
     coarse = min(inside, key=lambda name: len(inside[name]))
     if len(inside[coarse]) < 2:
-        asked = [f"{b:g}" for b in (reference.start, reference.stop) if b is not None]
-        wanted = f"; the window asked for ends at {' and '.join(asked)} s" if asked else ""
+        ends = {"begins": reference.start, "ends": reference.stop}
+        asked = [f"{verb} at {t:g} s" for verb, t in ends.items() if t is not None]
+        wanted = f"; the window asked for {' and '.join(asked)}" if asked else ""
         raise Problem(
             f"{reference.source}: expected two or more samples in a common window, "
             f"got {len(inside[coarse])}; {spans}{wanted}"

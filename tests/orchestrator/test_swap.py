@@ -1,5 +1,6 @@
 """Another FMU in the place of a component: which one, whether it fits, and what the system then does."""
 
+import json
 import re
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 from any_fmu.edit import caused, renamed
 from any_fmu.edit import edited as changed
 
-from orchestrator import Problem, assemble, load, run
+from orchestrator import Problem, assemble, commands, load, run
 from orchestrator.__main__ import main
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
@@ -242,6 +243,26 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
     assert f"{computed} determines offset itself: what the system sets is left out" in told
     assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
+
+
+@pytest.mark.usefixtures("bench")
+def test_signals_that_a_swap_lost_are_not_compared(fmus):
+    """A reference of the usual system may name them; one that neither has is a mistake."""
+    plain = edited(fmus["gain"], "plain", renamed("offset"))
+    meta = '[signals.result]\nunit = "m"\n[signals."g.offset"]\nunit = "m"\n'
+    Path("m.toml").write_text(meta, encoding="utf-8")
+    Path("m.csv").write_text("time,result,g.offset\n0,0,2\n1,0,2\n", encoding="utf-8")
+    system, usual = Path("build/harvester.ssp").resolve(), (Path("none.csv"), Path("none.toml"))
+    options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "usual": usual, "rate": False}
+    commands.validate(system, None, Path("m.csv"), None, Path("out"), **options)
+    report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
+    assert "not compared, lost in a swap: g.offset" in str(report)
+    for file in ("m.toml", "m.csv"):
+        Path(file).write_text(
+            Path(file).read_text(encoding="utf-8").replace("offset", "ofset"), encoding="utf-8"
+        )
+    with pytest.raises(Problem, match=r"no signal g.ofset in the run"):
+        commands.validate(system, None, Path("m.csv"), None, Path("out"), **options)
 
 
 def test_an_input_that_is_new_is_told(oscillator, fmus):

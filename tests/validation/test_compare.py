@@ -128,7 +128,7 @@ def test_no_common_window_is_refused() -> None:
         Problem, match=r"ref.csv: expected two or more .* got 0; the run covers 0 to 1 s; the reference"
     ):
         compare(run, made(np.array([5.0, 6.0]), np.zeros(2)))
-    with pytest.raises(Problem, match="the window asked for ends at 3 s"):
+    with pytest.raises(Problem, match="the window asked for begins at 3 s"):
         compare(run, made(np.array([0.0, 1.0]), np.zeros(2), start=3.0))
 
 
