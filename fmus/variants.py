@@ -34,7 +34,7 @@ def lines(costs: Costs) -> Iterator[str]:
         yield ""
 
 
-LEAST = 0.05  # us: below, a cost is that of the call
+LEAST = 0.1  # us: below, a cost is that of the call
 
 
 def _sizes(sub: Subsystem) -> str:

@@ -11,6 +11,8 @@ from fmus.parameters import values
 from fmus.poses import parameter
 from fmus.reference import work_cycle
 from fmus.scenarios import COMMANDS, WORK_CYCLE
+from orchestrator import Problem
+from orchestrator import run as cosimulate
 
 MODEL = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
 BOOM_STICK, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "manipulator"))
@@ -209,3 +211,9 @@ def test_the_work_cycle_moves_like_a_harvester(cycle):
     active = np.abs(work_cycle()[1]) > BOOM_STICK["valve_dead_band"]
     assert 30.0 <= time[-1] <= 60.0
     assert np.mean(active.sum(axis=1) >= 2) > 0.3  # two or three functions at once for a third of the time
+
+
+def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes(fmu_dir):
+    """Full command within the dead band divides by zero: the first value asked for names the reason."""
+    with pytest.raises(Problem, match='"valve_full_command exceeds valve_dead_band" is violated at t = 0 s'):
+        cosimulate(fmu_dir / "harvester.ssp", stop=0.01, set={"swing.valve_full_command": 0.1})

@@ -129,7 +129,8 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
     """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
     tank, motor, speed = p.reservoir_pressure, p.engine, p.engine_no_load_speed
     for _ in range(_SWEEPS):
-        speed = engine.governed_speed(motor, _idle_load(p, speed), speed)
+        found = engine.governed_speed(motor, _idle_load(p, speed), speed)
+        speed = ca.fmax(p.engine_peak_speed, ca.fmin(found, p.engine_no_load_speed))  # some engine may not do
     (stroke_1, pressure_1), (stroke_2, pressure_2) = (pump.dead_head(d, speed, tank) for d in p.pumps)
     return {
         "supply_pressure": ca.fmax(pressure_1, pressure_2),
@@ -159,6 +160,8 @@ def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "relief_pressure exceeds pump_2_pressure_setting": p.relief_pressure - p.pump_2_pressure_setting,
         "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,
         "engine_rated_speed exceeds engine_peak_speed": p.engine_rated_speed - p.engine_peak_speed,
+        "engine_rated_torque exceeds what turns both pumps without flow": p.engine_rated_torque
+        - _idle_load(p, p.engine_rated_speed),
     }
 
 

@@ -317,6 +317,24 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     assert x[STATES.index("supply_pressure")] == pytest.approx(max(setting, setting + apart), abs=0.25 * band)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "fails"),
+    [
+        ("engine_rated_torque", 1.0, ["engine_rated_torque exceeds what turns both pumps without flow"]),
+        ("engine_no_load_speed", 2800.0, []),  # a governor so soft that its line is left
+        ("engine_rated_torque", 433.0, []),
+    ],
+)
+def test_an_engine_too_weak_for_its_pumps_is_told_in_words(name, value, fails):
+    """The start is finite for any engine; one that does not turn the pumps says so."""
+    p = constants(**{name: value})
+    x = rest(p)
+    assert np.isfinite(x).all()
+    found = ca.Function("r", [MODEL.x, MODEL.u, MODEL.p], [MODEL.require])(x, [0.0] * len(INPUTS), p)
+    bad = [s for s, v in zip(MODEL.statements, found.full()[:, 0], strict=True) if not v > 0]
+    assert bad == fails
+
+
 def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
     """Band, resistance and opening of the check valves halved, the rest faster: half the sag, order one."""
 

@@ -93,6 +93,14 @@ static double value_of(Core *core, int r) {
     return core->y[r - FIRST_OUTPUT];
 }
 
+/* Does the requirement hold? If not, a message. */
+static int required(Core *core, int i) {
+    if (core->require[i] > 0.0) return 1;
+    core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
+                 model_statements[i], core->s.time, core->require[i]);
+    return 0;
+}
+
 LOCAL int core_get(Core *core, unsigned reference, double *value) {
     if (reference >= NUMBER_OF_VARIABLES) {
         core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
@@ -101,6 +109,9 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
     }
     *value = value_of(core, (int)reference);
     if (isfinite(*value)) return 1;
+    core_outputs(core);
+    for (int i = 0; i < NREQUIRE; i++) /* perhaps the reason is known */
+        if (core->require[i] <= 0.0) return required(core, i);
     core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
                  model_variables[reference].name, *value, core->s.time);
     return 0;
@@ -233,11 +244,7 @@ LOCAL int core_sound(Core *core) {
         for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
             if (!core_get(core, r, &value)) return 0;
     for (int i = 0; i < NREQUIRE; i++)
-        if (!(core->require[i] > 0.0)) {
-            core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
-                         model_statements[i], core->s.time, core->require[i]);
-            return 0;
-        }
+        if (!required(core, i)) return 0;
     if (!all_finite(core->y, NY))
         for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
             if (!core_get(core, r, &value)) return 0;
