@@ -28,6 +28,7 @@ lint: $(TESTING)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.variants
 
 clean:
 	rm -rf build .venv

@@ -55,8 +55,12 @@ class Surroundings:
 
 
 def _capacitances(d: Drive, position: Scalar) -> tuple[Scalar, Scalar]:
-    head, rod = cylinder.volumes(position, d.stroke, *cylinder.areas(d.bore, d.rod), d.dead_volume)
-    return d.hose_capacitance + head / d.bulk_modulus, d.hose_capacitance + rod / d.bulk_modulus
+    head, rod = cylinder.areas(d.bore, d.rod)
+    at_head, at_rod = cylinder.volumes(0, d.stroke, head, rod, d.dead_volume)  # with the piston at x = 0
+    return (
+        d.hose_capacitance + at_head / d.bulk_modulus + head / d.bulk_modulus * position,
+        d.hose_capacitance + at_rod / d.bulk_modulus - rod / d.bulk_modulus * position,
+    )
 
 
 def valve_ports(d: Drive, x: Oil, u: Surroundings) -> tuple[PortFlow, PortFlow]:

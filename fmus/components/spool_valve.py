@@ -133,6 +133,7 @@ def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
 
 def _direct_port(
     pressure: Scalar,
+    source: Scalar,
     from_supply: Scalar,
     square: Scalar,
     leakage: Scalar,
@@ -142,17 +143,17 @@ def _direct_port(
 ) -> PortFlow:
     """Port whose edges lead directly into a chamber at this pressure P: flows from pressures.
 
-    Each edge passes G_leak dp, the one that is open (to the supply if `from_supply`, else to the tank)
-    also Q(K^2 dp), see `turbulent_factor`. At most one is open.
+    Each edge passes G_leak dp, the one that is open (to the supply if `from_supply`, else to the tank, with
+    the pressure `source` behind it) also Q(K^2 dp), see `turbulent_factor`. At most one is open.
     """
-    y = square * (ca.if_else(from_supply, supply_pressure, tank_pressure) - pressure)
+    y = square * (source - pressure)
     turbulent = y * turbulent_factor(y, transition_flow)
     supply, tank = leakage * (supply_pressure - pressure), leakage * (pressure - tank_pressure)
     return PortFlow(
         pressure,
         supply + ca.if_else(from_supply, turbulent, 0),
         tank - ca.if_else(from_supply, 0, turbulent),
-        supply - tank + turbulent,
+        leakage * (supply_pressure + tank_pressure - 2 * pressure) + turbulent,
     )
 
 
@@ -173,8 +174,13 @@ def direct_ports(
     edge = _square_gain(valve, ca.fabs(command), density)
     square = edge / (1 + line_resistance * edge)
     forward = command > 0
+    behind_a = ca.if_else(forward, supply_pressure, tank_pressure)
+    behind_b = supply_pressure + tank_pressure - behind_a  # the other one
     rest = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return _direct_port(pressure_a, forward, *rest), _direct_port(pressure_b, 1 - forward, *rest)
+    return (
+        _direct_port(pressure_a, behind_a, forward, *rest),
+        _direct_port(pressure_b, behind_b, 1 - forward, *rest),
+    )
 
 
 def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
