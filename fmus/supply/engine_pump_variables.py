@@ -67,7 +67,7 @@ class LineParameters:
     rail_capacitance: Annotated[
         Scalar,
         Quantity(
-            "m3/Pa", "Capacitance of the line from the check valves to the drives", 1e-12, minimum=1e-16
+            "m3/Pa", "Capacitance of the line from the check valves to the drives", 1e-12, minimum=1e-13
         ),
     ]
     check_resistance: Annotated[
