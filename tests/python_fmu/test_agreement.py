@@ -15,7 +15,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.export.build import build
 from fmus.export.proof import STEP, data_file
 from fmus.export.python.build import build_python
-from fmus.export.python.instance import of_subsystem
+from fmus.export.python.instance import Refused, of_subsystem
 from fmus.levers import LEVERS
 from fmus.machine import FAMILIES
 from fmus.parameters import values
@@ -105,3 +105,13 @@ def test_two_builds_are_equal(tmp_path, name):
     other = replace(numbers, p={**numbers.p, first: 1.01 * numbers.p[first]})
     three = build_python(sub, tmp_path / "three", numbers=other)
     assert read_model_description(str(one)).guid != read_model_description(str(three)).guid
+
+
+def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
+    """Full command within the dead band divides by zero: the first value asked for names the reason."""
+    run = of_subsystem(SUBS["swing"])
+    run.setup(0.0, None, None)
+    run.assign(valve_full_command=0.1)
+    run.enter()
+    with pytest.raises(Refused, match='"valve_full_command exceeds valve_dead_band" is violated at t = 0 s'):
+        run["supply_flow"]

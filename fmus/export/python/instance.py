@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -159,7 +159,18 @@ class Instance:
                 self._not_finite(self.variables[r], value)
         return found
 
+    def _requirements(self) -> Iterator[tuple[str, float]]:
+        self._outputs()
+        return zip(self.model.statements, self._require.tolist(), strict=True)
+
+    def _violated(self, statement: str, value: float) -> NoReturn:
+        when = f"at t = {self.state.time:.9g} s"
+        refuse(f'requirement "{statement}" is violated {when}: {value:.6g}, expected > 0')
+
     def _not_finite(self, v: Variable, value: float) -> NoReturn:
+        for statement, found in self._requirements():  # perhaps the reason is known
+            if found <= 0:
+                self._violated(statement, found)
         refuse(f"{v.name} is {value:g} at t = {self.state.time:.9g} s, expected a finite number")
 
     def known(self, r: int) -> Variable:
@@ -233,11 +244,9 @@ class Instance:
         self.start()
         y, s = self._outputs(), self.state
         self._finite(s.x, self.ends[1])
-        for statement, value in zip(self.model.statements, self._require.tolist(), strict=True):
-            if not value > 0.0:
-                refuse(
-                    f'requirement "{statement}" is violated at t = {s.time:.9g} s: {value:.6g}, expected > 0'
-                )
+        for statement, value in self._requirements():
+            if not value > 0:
+                self._violated(statement, value)
         self._finite(y, self.ends[3])
         self._watch()
 
