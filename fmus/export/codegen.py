@@ -15,7 +15,7 @@ DEFAULT_TOLERANCE = 1e-6
 
 
 _ORDER = (  # the others follow
-    *("model", "adjoint", "rosenbrock", "kutta", "solver"),
+    *("model", "adjoint", "motion", "rosenbrock", "kutta", "solver"),
     *("core", "snapshot", "instance"),
 )
 

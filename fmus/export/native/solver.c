@@ -13,30 +13,6 @@ enum { MOST_STEPS = 1000000, SHORTEST_REST = 8, LONGEST_REST = 1024 };
 
 static const double DIAGONAL = 4.0; /* 1 / gamma of RODAS */
 
-LOCAL void motion_move(const Motion *motion, double tau, double *u) {
-    const double t = tau - motion->origin;
-    for (int k = 0; k < motion->count; k++) {
-        const int i = motion->moving[k];
-        const double *m = motion->slope[i];
-        u[i] = motion->at[i] + t * (m[0] + t * (m[1] + t * m[2]));
-    }
-}
-
-LOCAL void motion_value(const Motion *motion, double tau, double *u) {
-    memcpy(u, motion->at, NU * sizeof *u);
-    motion_move(motion, tau, u);
-}
-
-LOCAL void motion_slope(const Motion *motion, double tau, double *du) {
-    const double t = tau - motion->origin;
-    memset(du, 0, NU * sizeof *du);
-    for (int k = 0; k < motion->count; k++) {
-        const int i = motion->moving[k];
-        const double *m = motion->slope[i];
-        du[i] = m[0] + t * (2 * m[1] + t * 3 * m[2]);
-    }
-}
-
 /* Weighted root mean square of the error estimate; the largest part goes to the report. */
 static double error_norm(const double *x, const Work *w, double tolerance, Report *report) {
     double sum = 0.0, largest = -1.0;

@@ -3,16 +3,7 @@
 #ifndef SOLVER_H
 #define SOLVER_H
 
-#include "model.h"
-
-/* Inputs over the step: at[i] + sum over k of slope[i][k] (tau - origin)^(k+1), tau [s] since its start. */
-typedef struct {
-    double at[ROOM(NU)];
-    double slope[ROOM(NU)][3];
-    int moving[ROOM(NU)]; /* indices of the `count` inputs with a slope */
-    int count;
-    double origin;
-} Motion;
+#include "motion.h"
 
 /* Called after each accepted inner step, with the states at tau; it may change the motion of the inputs
    from there on, and returns where to stop: tau or later, `length` to go on to the end. */
@@ -49,11 +40,6 @@ typedef struct {
     int worst;    /* index of the state with the largest error, or of the derivative that is not finite */
     double error; /* its error over the tolerance */
 } Report;
-
-/* Value of all inputs at tau; of those that move, where the others are there already; slope of all. */
-LOCAL void motion_value(const Motion *motion, double tau, double *u);
-LOCAL void motion_move(const Motion *motion, double tau, double *u);
-LOCAL void motion_slope(const Motion *motion, double tau, double *du);
 
 /* One step of size h from x at tau, where w->u are the inputs, w->f0 is dx/dt and, for the implicit method,
    w->lu and w->ft are made: new states in w->x, estimate of their error in w->error. The explicit method tells
