@@ -83,6 +83,6 @@ BOOM_STICK = Subsystem(
     initial=initial,
     require=require,
     values=Path(__file__).with_name("parameters.toml"),
-    validity="below the first mode of the longest hose, 60 to 80 Hz; spool faster than the motion",
+    validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
     terminals=TERMINALS,
 )
