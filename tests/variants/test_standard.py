@@ -46,6 +46,12 @@ def test_fmpy_finds_no_problem(case):
     assert validate_fmu(str(path)) == []
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_fmpy_finds_no_problem_in_fmi_3(fmi3_dir, name):
+    """The same for the native FMUs of FMI 3.0."""
+    assert validate_fmu(str(native(name, fmi3_dir))) == []
+
+
 def test_variables_say_their_units(case):
     """Every variable of the model description has the unit of its declaration, and the file defines it."""
     _, sub, path = case
