@@ -180,8 +180,8 @@ def output_derivatives(bench: Bench) -> Iterator[Said]:
         along.append([(b - a) / player.step for a, b in zip(before, values.get(), strict=True)])
         told.append(player.instance.slopes([v.reference for v in flat]))
     for v, d, left, right in zip(flat, told[1], along[1], along[2], strict=True):
-        # what a solver leaves undecided in a step, at a hundredth of a usual tolerance, is no slope
-        slack = 3 * abs(right - left) + 0.2 * abs(right) + 1e-8 * v.nominal / player.step
+        # a solver's tolerance off the slow motion, a stiff model has quite another derivative: no fault
+        slack = 3 * abs(right - left) + 0.2 * abs(right) + 1e-5 * v.nominal / player.step
         if not abs(d - (left + right) / 2) <= slack:
             text = f"the derivative of {v.name} is {d:.6g} at t = {player.time - player.step:.6g} s"
             yield "error", f"{text}, its slope along the run {(left + right) / 2:.6g}"
