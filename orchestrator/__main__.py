@@ -239,11 +239,12 @@ def parameters(
 def signals(
     system: System = SYSTEM,
     kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only input, output or parameter.")] = None,
+    swap: Swap = None,
 ) -> None:
     """List the variables of a system with unit and meaning."""
     from orchestrator import commands
 
-    commands.signals(system, kind)
+    commands.signals(system, kind, commands.swaps(swap or []))
 
 
 @app.command()
@@ -307,7 +308,8 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="What to show, such as '*_pressure'; repeatable; default: speeds, pressures and angles.",
+            help="What to show, such as '*_pressure*'; repeatable; default: speeds, pressures and angles."
+            " The summary covers all signals.",
         ),
     ] = None,
     start: Annotated[
@@ -320,7 +322,7 @@ def compare(
         Path, typer.Option(metavar="DIR", help="Where comparison.png and comparison.json go.")
     ] = BUILD,
 ) -> None:
-    """Compare traces of runs: error of each signal against one of them, cost, and a picture."""
+    """Compare traces of runs: difference of each signal from one of them, cost, and a picture."""
     from orchestrator import commands
 
     commands.compare(traces, out, against=against, signals=signals or (), start=start, stop=stop)

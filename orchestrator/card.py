@@ -15,6 +15,7 @@ ESTIMATE = "change when the step is halved; at order 2 the error is 4/3 of it"
 STILL = 1e-6  # of the nominal value: what moves less stands still
 ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
 IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
+LITTLE = 1e-2  # of the busiest bond: of what exchanges less the residual counts, not its share
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,11 @@ class Card:
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
-        least = max(REST, *(IDLE * b.exchanged for b in self.bonds))
-        if bond.exchanged <= least:
+        most = max(b.exchanged for b in self.bonds)
+        if bond.exchanged <= max(REST, IDLE * most):
             return "", "", "no exchange"
-        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", f"{bond.relative:.1e}"
+        share = f"{bond.relative:.1e}" if bond.exchanged >= LITTLE * most else "-"
+        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", share
 
     def text(self) -> str:
         """The card as lines of text."""
@@ -84,8 +86,10 @@ class Card:
         if self.inside:
             each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
             lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
-        if self.bonds:
-            lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], _bond_rows(self))]
+        if busy := [row for row in _bond_rows(self) if row[1]]:
+            lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], busy)]
+        elif self.bonds:
+            lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
             lines += ["", ESTIMATE, *_table(head, [_error_row(e) for e in self.worst])]

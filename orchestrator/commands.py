@@ -47,7 +47,7 @@ def validate(
     """
     from rich.console import Console
 
-    from orchestrator.judge import judge
+    from orchestrator.judge import another_model, judge
     from orchestrator.validation import read_reference, summary
     from orchestrator.validation.layout import Layout, read_layout
     from orchestrator.validation.matching import by_variable
@@ -59,6 +59,11 @@ def validate(
     result = simulated(system, scenario, trace, **options)
     if reference and not scenario and not options.get("parameters"):
         result = _noted(result, "no --scenario given: ran what the system plays by itself")
+    if scenario and not reference:
+        doubt = f"which may be of another scenario than {scenario}"
+        result = _noted(result, f"no --reference given: judged against {against.title}, {doubt}")
+    if told := another_model(result.system, against):
+        result = _noted(result, told)
     result, against = _without_lost(result, against)
     write(result.trace, trace)
     write_facts(result, trace, {"scenario": scenario, **options})
@@ -169,11 +174,11 @@ def _what(result: Result, out: Path) -> str:
     return f"{out}: {len(trace.signals)} signals, {len(trace.time)} rows{every}"
 
 
-def signals(system: Path, kind: str | None = None) -> None:
-    """Print the variables of a system."""
+def signals(system: Path, kind: str | None = None, swap: Mapping[str, str] | None = None) -> None:
+    """Print the variables of a system, `swap` as in `simulated`."""
     from orchestrator.signals import lines
 
-    print("\n".join(lines(load(_there(system)), kind)))
+    print("\n".join(lines(load(_there(system)).swapped(swap or {}), kind)))
 
 
 def swaps(texts: Iterable[str]) -> dict[str, str]:

@@ -81,7 +81,8 @@ class Drive:
 
     def _replaced(self, system: System, component: str) -> str:
         fed = [c.target for c in system.connections if c.source.component == component]
-        left = ", ".join(str(port) for port in fed if port not in self.columns)
+        followed = {*self.columns, *self._rates(system)}  # slopes follow from the columns
+        left = ", ".join(str(port) for port in fed if port not in followed)
         rest = f"; without it these keep their start values: {left}" if left else ""
         return f"the scenario replaces {component}{rest}"
 

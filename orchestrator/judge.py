@@ -48,8 +48,18 @@ def judge(
         ghost=layout.motion(ghost),
         warnings=result.card.warnings,
         notes=result.card.notes,
+        caution=another_model(result.system, reference),
     )
     return validation, *reporting.write_report(out / "report.html", report)
+
+
+def another_model(system: System, reference: Reference) -> str:
+    """What to say where a swapped system is compared with a simulation; empty where there is nothing."""
+    swapped = [name for name, component in system.components.items() if component.replaced]
+    if not swapped or reference.about.get("kind") != "simulation":
+        return ""
+    verb = "is" if len(swapped) == 1 else "are"
+    return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
 
 
 def describe(component: Component) -> reporting.Component:
@@ -112,7 +122,8 @@ def card(result: Result) -> Mapping[str, Any]:
 
 
 def _bond(residual: str, exchanged: str, share: str) -> str:
-    return f"{share} ({residual} J of {exchanged} J)" if exchanged else share
+    joules = f"{residual} J of {exchanged} J"
+    return share if not exchanged else joules if share == "-" else f"{share} ({joules})"
 
 
 def _figures(validation: Validation) -> tuple[FigureSpec, ...]:

@@ -5,10 +5,15 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from orchestrator.trace import Trace
+
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
 KEPT = 1000  # messages kept per component; the rest is only counted
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_NAME = re.compile(r"([\w.\[\]]+) = ")  # a message that begins with a variable and its value
 _TIME = re.compile(rf"\bt = {_NUMBER.pattern}")
 
 
@@ -51,22 +56,36 @@ class Log:
         texts = list(dict.fromkeys(m.text for m in recent))
         return "".join(f"; it says: {text}" for text in texts)
 
-    def warnings(self) -> list[str]:
-        """One line per message that is not mere information; those that differ in numbers only are merged."""
+    def warnings(self, trace: Trace | None = None) -> list[str]:
+        """One line per message that is not mere information; those that differ in numbers only are merged.
+
+        trace   the record: a message tells a value when it was noticed, the record may have larger ones
+        """
         alike: dict[str, list[Message]] = {}
         for m in self.messages:
             if m.status != "ok":
                 alike.setdefault(_NUMBER.sub("#", m.text), []).append(m)
-        lines = [_merged(group) for group in alike.values()]
+        lines = [_merged(group, trace) for group in alike.values()]
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
 
 
-def _merged(alike: list[Message]) -> str:
-    """Messages that differ in numbers only, as the one whose first differing number is the largest."""
+def _merged(alike: list[Message], trace: Trace | None) -> str:
+    """Messages that differ in numbers only, as the first of them."""
+    first, largest = alike[0], _largest(alike[0], trace)
     if len(alike) == 1:
-        return f"{alike[0]}"
-    rows = [[abs(float(x)) for x in _NUMBER.findall(_TIME.sub("", m.text))] for m in alike]
-    varying = next((column for column in zip(*rows, strict=True) if len(set(column)) > 1), ())
-    top = alike[varying.index(max(varying))] if varying else alike[0]
-    count = f"the largest of {len(alike)}" if varying else f"{len(alike)} times"
-    return f"{top.component}: {top.text} ({count}, first at t = {alike[0].time:.6g} s)"
+        return f"{first}{f' ({largest})' if largest else ''}"
+    varying = len({_TIME.sub("", m.text) for m in alike}) > 1
+    at = f"t = {first.time:.6g} s"
+    count = f"the first of {len(alike)}, at {at}" if varying else f"{len(alike)} times, first at {at}"
+    return f"{first.component}: {first.text} ({'; '.join(filter(None, (count, largest)))})"
+
+
+def _largest(message: Message, trace: Trace | None) -> str:
+    """The largest magnitude in the record of the variable that a message is about."""
+    match = _NAME.match(message.text)
+    name = f"{message.component}.{match[1]}" if match else ""
+    if trace is None or name not in trace.signals or not len(trace.time):
+        return ""
+    row = int(np.argmax(np.abs(trace[name])))
+    value = f"{trace[name][row]:.6g} {trace.units.get(name, '')}".rstrip()
+    return f"largest recorded: {value} at t = {trace.time[row]:.6g} s"

@@ -221,7 +221,7 @@ class _Job:
             simulated=done * loop.times.step,
             wall=time.perf_counter() - began,
             bonds=tuple(loop.monitor.energies()),
-            warnings=tuple(line for log in logs for line in log.warnings()),
+            warnings=tuple(line for log in logs for line in log.warnings(trace)),
             inside={name: slave.busy for name, slave in loop.network.slaves.items()},
             notes=self.system.notes + self._left_out() + loop.network.order.notes + loop.times.notes,
         )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.card import FLOOR
 from orchestrator.comparison.runs import Run, Source, gather
@@ -16,16 +17,17 @@ from orchestrator.validation.compare import Row, Validation
 from orchestrator.validation.compare import compare as against_reference
 from orchestrator.validation.metrics import constant
 from orchestrator.validation.reference import Reference, Signal
-from orchestrator.validation.units import Exponents, parse
+from orchestrator.validation.units import Exponents, linear, parse
 
 # What signals of a unit are called together; the first three are looked at unless the user names signals.
 QUANTITIES = {"speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m"}
 QUANTITIES |= {"acceleration": "m/s2", "angular acceleration": "rad/s2"}
 QUANTITIES |= {"force": "N", "torque": "N.m", "flow": "m3/s", "power": "W", "voltage": "V"}
 USUAL = ("speed", "pressure", "angle")
-# A signal that moves less than this share of the widest of its quantity is at rest: an error over its range
-# says nothing about the machine.
+# A signal that moves less than this share of the widest of its quantity is at rest: a difference over its
+# range says nothing about the machine.
 REST = 1e-3
+CONSTANT = "reference constant"
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,20 @@ class Comparison:
         return found
 
     def worst(self, label: str, quantity: str) -> Row | None:
-        """The signal of a quantity with the largest NRMSE among those that move."""
+        """The signal of a quantity with the largest NRMSE among those that move in either run.
+
+        Where the reference does not move, NRMSE is over the range of the other run; then CONSTANT is a note.
+        """
         rows = [row for row in self.against[label].rows if row.group == quantity]
-        widest = max((float(np.ptp(row.reference)) for row in rows), default=0.0)
-        least = max(REST * widest, FLOOR)
-        moving = [r for r in rows if not constant(r.reference) and np.ptp(r.reference) > least]
+        ranges = [_range(values) for row in rows for values in (row.reference, row.simulation)]
+        least = max(REST * max(ranges, default=0.0), FLOOR)
+        moving = [found for row in rows if (found := _moving(row, least))]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
+
+    def largest(self, label: str, quantity: str) -> Row:
+        """The signal of a quantity with the largest difference, whether it moves or not."""
+        rows = [row for row in self.against[label].rows if row.group == quantity]
+        return max(rows, key=lambda r: r.metrics.maximum_error * linear(r.unit, rows[0].unit, r.signal)[0])
 
 
 def compare(
@@ -90,6 +100,19 @@ def compare(
     truth = Reference(reference.trace.time, recorded, reference.file or reference.label, start, stop)
     found = {run.label: _against(truth, run) for run in runs if run is not reference}
     return Comparison(tuple(runs), reference, found, _chosen(runs, common, signals), _notes(runs, common))
+
+
+def _range(values: NDArray[np.float64]) -> float:
+    return 0.0 if constant(values) else float(np.ptp(values))
+
+
+def _moving(row: Row, least: float) -> Row | None:
+    """The row if one of its runs moves, its NRMSE over the range of that run."""
+    if _range(row.reference) > least:
+        return row
+    span = _range(row.simulation)
+    metrics = replace(row.metrics, nrmse=row.metrics.rmse / span) if span > least else None
+    return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT)) if metrics else None
 
 
 def _against(truth: Reference, run: Run) -> Validation:

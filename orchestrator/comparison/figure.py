@@ -1,4 +1,4 @@
-"""Signals of several runs over each other, and below each the error against the reference."""
+"""Signals of several runs over each other, and below each the difference from the reference."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def chosen(comparison: Comparison) -> list[str]:
 
 
 def _distinct(rows: Sequence[Row], most: int) -> list[Row]:
-    """The rows with the largest errors, without those that look like one before."""
+    """The rows with the largest differences, without those that look like one before."""
     found: list[Row] = []
     for row in sorted(rows, key=lambda r: -r.metrics.maximum_error):
         if len(found) < most and not any(_alike(row, other) for other in found):
@@ -67,7 +67,7 @@ def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for place, name in enumerate(names):
         _curves(axes[2 * place], comparison, name)
-        _errors(axes[2 * place + 1], comparison, name)
+        _differences(axes[2 * place + 1], comparison, name)
     axes[-1].set_xlabel("time [s]", color=PALETTE.ink)
     axes[-1].set_xlim(*comparison.window)
     _legend(figure, comparison)
@@ -87,7 +87,7 @@ def _curves(axes: Axes, comparison: Comparison, name: str) -> None:
     axes.set_title(name, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
 
 
-def _errors(axes: Axes, comparison: Comparison, name: str) -> None:
+def _differences(axes: Axes, comparison: Comparison, name: str) -> None:
     """Run - reference, on a scale of its own."""
     frame(axes)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
@@ -95,11 +95,11 @@ def _errors(axes: Axes, comparison: Comparison, name: str) -> None:
     for run in _others(comparison):
         row = comparison.against[run.label][name]
         unit = finer(row.unit)
-        error = (row.simulation - row.reference) * linear(row.unit, unit, name)[0]
-        largest = max(largest, float(np.abs(error).max()))
-        axes.plot(*decimate(row.time, error), **_style(comparison, run) | {"linewidth": 0.9})
+        difference = (row.simulation - row.reference) * linear(row.unit, unit, name)[0]
+        largest = max(largest, float(np.abs(difference).max()))
+        axes.plot(*decimate(row.time, difference), **_style(comparison, run) | {"linewidth": 0.9})
     axes.set_ylim(-1.2 * largest or -1, 1.2 * largest or 1)
-    axes.set_ylabel(f"error\n[{unit or '1'}]", color=PALETTE.ink, fontsize=8)
+    axes.set_ylabel(f"difference\n[{unit or '1'}]", color=PALETTE.ink, fontsize=7)
     axes.locator_params(axis="y", nbins=3)
 
 

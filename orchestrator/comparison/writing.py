@@ -26,11 +26,11 @@ def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path]:
 
 
 def data(comparison: Comparison) -> Mapping[str, Any]:
-    """All numbers: of each run its cost, the error of each common signal, the worst of each quantity."""
+    """All numbers: of each run its cost, the difference of each common signal, the worst of each quantity."""
     return {
         "reference": comparison.reference.label,
         "shown": list(comparison.signals),
-        "runs": {run.label: _about(run) | _errors(comparison, run.label) for run in comparison.runs},
+        "runs": {run.label: _about(run) | _differences(comparison, run.label) for run in comparison.runs},
         "notes": list(comparison.notes),
     }
 
@@ -54,7 +54,7 @@ def _about(run: Run) -> dict[str, Any]:
     }
 
 
-def _errors(comparison: Comparison, label: str) -> dict[str, Any]:
+def _differences(comparison: Comparison, label: str) -> dict[str, Any]:
     if label not in comparison.against:
         return {}
     found = comparison.against[label]
@@ -63,6 +63,7 @@ def _errors(comparison: Comparison, label: str) -> dict[str, Any]:
         "window [s]": list(found.window),
         "notes": list(found.notes),
         "worst": worst,
+        "largest": {q: comparison.largest(label, q).signal for q in comparison.quantities()},
         "signals": {row.signal: _row(row) for row in found.rows},
     }
 

@@ -15,7 +15,7 @@ from orchestrator.errors import Problem
 from orchestrator.interface import Interface, Variable
 from orchestrator.swap.start import listed
 from orchestrator.swap.uses import Use, carrying, uses
-from orchestrator.system import FEW, Component, Port, System
+from orchestrator.system import Component, Port, System
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 # what a port may be in the new FMU to do the work of the old one: more may change than before, not less
@@ -62,7 +62,7 @@ def fit(system: System, old: Component, new: Component) -> Fit:
     free = {n: v for n, v in new.interface.variables.items() if n not in used}
     faults = {name: fault for name, use in needed.items() if (fault := _fault(use, new.interface, free))}
     if faults:
-        told = _few(list(faults.values()))
+        told = "; ".join(faults.values())
         raise Problem(f"swap {new.name}: {new.source} does not fit: {told}{_way_out(system, new, faults)}")
     found = {name: new.interface.variables[name] for name in needed}
     bare = [name for name, v in found.items() if v.unit is None and needed[name].unit]
@@ -111,11 +111,6 @@ def _mismatch(use: Use, found: Variable) -> str:
 def _article(causality: str) -> str:
     kind = "local variable" if causality == "local" else causality
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _few(faults: list[str]) -> str:
-    more = f"; and {len(faults) - FEW} more" if len(faults) > FEW else ""
-    return f"{'; '.join(faults[:FEW])}{more}"
 
 
 def _way_out(system: System, new: Component, faults: Iterable[str]) -> str:

@@ -17,6 +17,11 @@ def find(system_file: Location | None, component: str, chosen: str | Path) -> Lo
         if not path.exists():
             raise Problem(f"{where}: no such file")
         return Location(path)
+    if path.suffix.lower() == ".py":
+        makes = f"{MAKE} {chosen} makes one"
+        raise Problem(f"{where}: {chosen} is a Python file, expected an {SUFFIX} file: {makes}")
+    if any(mark in str(chosen) for mark in "/\\,"):
+        raise Problem(f"{where}: expected the name of a variant or a path that ends in {SUFFIX}")
     if system_file is None:
         raise Problem(
             f"{where}: the system has no file to look for variants beside, expected a path to an .fmu"

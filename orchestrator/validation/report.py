@@ -62,6 +62,7 @@ class Report:
     motion, ghost   the machine's motion in the run and in the reference
     warnings        what the run reported, one line each
     notes           remarks on the run
+    caution         what to know before the verdict is read
     """
 
     title: str
@@ -76,6 +77,7 @@ class Report:
     ghost: Motion | None = None
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
+    caution: str = ""
 
 
 def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:

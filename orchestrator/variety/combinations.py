@@ -87,6 +87,22 @@ def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
 HEAD = ("reached s", "us per ms", "x real time", "residual", "change", "warnings")
 
 
+COLUMNS = (
+    "reached [s]",
+    "inside all FMUs [us per ms]",
+    "times real time",
+    "residual [share]",
+    "change [share]",
+    "warnings",
+)
+
+
+def figures(row: Row) -> tuple[str, ...]:
+    """The figures of a row as plain numbers, empty where there are none."""
+    numbers = (row.reached, row.inside, row.factor, row.residual, row.change, row.warnings)
+    return tuple("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
+
+
 def cells(row: Row) -> tuple[str, ...]:
     """The figures of a row as text."""
     return (

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from math import prod
 from pathlib import Path
 
 from orchestrator.commands import folder
 from orchestrator.errors import Problem
 from orchestrator.ssp import load
-from orchestrator.variety.combinations import HEAD, cells, combinations
+from orchestrator.variety.combinations import COLUMNS, HEAD, cells, combinations, figures
 from orchestrator.variety.cost import inside
 
 STEP = 1e-3  # communication step [s]
@@ -27,21 +28,35 @@ def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, 
 
 
 def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[str], out: Path) -> bool:
-    """Run every combination, print a table and write it to `out`; True when all came to the end."""
+    """Run every combination, print a table and write it to `out`; True when all came to the end.
+
+    The file is complete after each row, also when the user ends it early.
+    """
     if not system.exists():
         raise Problem(f"{system}: no such file; make it with: {MAKE}")
     folder(out.parent)
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
-    print("  ".join(n.ljust(w) for n, w in zip(variants, widths, strict=True)), *(f"{h:>12}" for h in HEAD))
-    complete = True
+    total, done, complete = prod(map(len, variants.values())), 0, True
+    count = len(f"{total}/{total}")
+    head = "  ".join(n.ljust(w) for n, w in zip(variants, widths, strict=True))
+    print(" " * count, head, *(f"{h:>12}" for h in HEAD))
     with out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*variants, *HEAD, "failure"])
-        for row in combinations(load(system), variants, watch, **RUN):
-            chosen, figures = list(row.variants.values()), cells(row)
-            named = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
-            print(named, *(f"{cell:>12}" for cell in figures), row.failure, flush=True)
-            writer.writerow([*chosen, *figures, row.failure])
-            complete = complete and not row.failure
-    print(f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range")
+        writer.writerow([*variants, *COLUMNS, "failure"])
+        try:
+            for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
+                chosen = list(row.variants.values())
+                named = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
+                place = f"{done}/{total}".rjust(count)
+                print(place, named, *(f"{cell:>12}" for cell in cells(row)), row.failure, flush=True)
+                writer.writerow([*chosen, *figures(row), row.failure])
+                file.flush()
+                complete = complete and not row.failure
+        except KeyboardInterrupt:
+            print(f"\n{done} of {total} combinations, in {out}")
+            raise
+    print(
+        f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
+        " us per ms is the sum over the steps of all FMUs, calls from Python included"
+    )
     return complete

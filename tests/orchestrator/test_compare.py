@@ -62,6 +62,49 @@ def test_a_signal_at_rest_is_not_the_worst():
     assert re.search(r"arm.rest +-, 3 deg/s$", text(still), re.MULTILINE)
 
 
+def test_a_constant_reference_counts_where_the_other_run_moves():
+    """NRMSE is then over the range of the other run, and marked; only what moves in neither is left out."""
+    found = compare({"usual": trace(rest=1.0), "other": trace(0.01, rest=1.0 + 0.5 * SPEED)})
+    worst = found.worst("other", "speed")
+    span = np.ptp(0.5 * SPEED)
+    assert worst.signal == "arm.rest"
+    assert worst.metrics.nrmse == pytest.approx(np.sqrt(np.mean((0.5 * SPEED) ** 2)) / span, rel=1e-12)
+    told = text(found)
+    assert "arm.rest (reference constant)" in told
+    assert "note: reference constant: its NRMSE is over the range of the other run" in told
+    alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}
+    assert "none of them moves" not in text(compare(alone))
+    assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None
+
+
+def test_the_largest_difference_is_that_of_all_signals():
+    """Not of the one with the largest NRMSE; also in the table and where units differ."""
+    units = {"a": "Pa", "b": "Pa", "c": "bar"}
+    runs = {
+        name: Trace(
+            TIME,
+            {"a": 1e5 + 1e4 * (SPEED + k), "b": PRESSURE + k * 5e4, "c": PRESSURE / 1e5 + 0.7 * k},
+            units,
+        )
+        for k, name in enumerate(("usual", "other"))
+    }
+    found = compare(runs)
+    assert found.worst("other", "pressure").signal == "a"
+    assert found.largest("other", "pressure").signal == "c"
+    assert re.search(r"^pressure +3 .*% +a +0.7 bar +c$", text(found), re.MULTILINE)
+
+
+def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
+    """The name of the FMU beside that of the run; the reference costs once itself."""
+    results = {
+        name: run(str(fmus["gain"]), step=0.1, stop=1.0, swap=swap)
+        for name, swap in (("usual", {}), ("other", {"gain": fmus["gain"]}))
+    }
+    told = text(compare(results))
+    assert re.search(r"^usual +0.1 s +\S+ +\S+ +\S+ +1  gain \S+$", told, re.MULTILINE)
+    assert re.search(r"^other \(gain=gain\) +0.1 s", told, re.MULTILINE)
+
+
 def test_against_names_the_reference():
     """By its name, or by its file; the default is the first."""
     runs = {"one": trace(), "two": trace(0.1), "three": trace(0.3)}

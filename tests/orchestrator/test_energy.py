@@ -97,12 +97,20 @@ def test_bond_in_other_units_counts_in_watts():
     assert bond.scale == pytest.approx(1e5 * 1e-3 / 60, rel=1e-15)  # one product, rounding only
 
 
+def card_of(bonds):
+    """The card of a run with these bonds."""
+    return Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, bonds=bonds)
+
+
 def test_a_bond_at_rest_has_no_share():
-    """What two rounding errors exchange is nothing; beside it the share is told, the same everywhere."""
-    bonds = (BondEnergy("idle", -1e-33, 1e-33, 2e-29), BondEnergy("busy", 1e-3, 1e-3, 2e4))
-    card = Card("jacobi", 1e-3, 1e-3, 10, 0.01, 1.0, bonds=bonds)
-    assert [card.bond(b) for b in bonds] == [("", "", "no exchange"), ("0.001", "2e+04", "5.0e-08")]
-    assert [line.split()[-1] for line in card.text().splitlines()[-2:]] == ["exchange", "5.0e-08"]
+    """What two rounding errors exchange is left out; beside little exchange there is no share."""
+    idle = BondEnergy("idle", -1e-33, 1e-33, 2e-29)
+    bonds = (idle, BondEnergy("busy", 1e-3, 1e-3, 2e4), BondEnergy("calm", 1e-3, 1e-3, 0.4))
+    card, figures = card_of(bonds), [("0.001", "2e+04", "5.0e-08"), ("0.001", "0.4", "-")]
+    assert [card.bond(b) for b in bonds] == [("", "", "no exchange"), *figures]
+    rows = [line.split() for line in card.text().splitlines()[-2:]]
+    assert rows == [["busy", *figures[0]], ["calm", *figures[1]]]
+    assert card_of((idle,)).text().endswith("\n\nno power bond exchanges energy")
 
 
 def test_named_bonds_must_be_opposite_connections(bounce):

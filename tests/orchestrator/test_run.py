@@ -197,7 +197,7 @@ def test_warnings_of_the_fmus_stand_in_the_card(fmus):
 
 
 def test_warnings_that_differ_in_numbers_only_are_merged():
-    """The one with the largest number stands for all, whatever its sign; times are no such numbers."""
+    """The first stands for all, as a value that was noticed; times are no such numbers."""
     log = Log("m")
     for log.time, force in ((0.5, 2.0), (1.5, -30.5), (2.5, 4e0)):
         log.add(WARNING, f"fmi2DoStep: force = {force:g} N at t = {log.time} s is above 1 N")
@@ -205,10 +205,15 @@ def test_warnings_that_differ_in_numbers_only_are_merged():
     log.add(WARNING, "the step was cut at t = 1.0 s")
     log.add(WARNING, "the step was cut at t = 2.0 s")
     assert log.warnings() == [
-        "m: force = -30.5 N at t = 1.5 s is above 1 N (the largest of 3, first at t = 0.5 s)",
+        "m: force = 2 N at t = 0.5 s is above 1 N (the first of 3, at t = 0.5 s)",
         "m at t = 2.5 s: void = 3e-7 m3",
         "m: the step was cut at t = 1.0 s (2 times, first at t = 2.5 s)",
     ]
+    forces = np.array([0.0, -758.0, 60.0])
+    record = Trace(np.array([0.0, 1.0, 2.0]), {"m.force": forces, "void": forces}, {"m.force": "N"})
+    peak, void, _ = log.warnings(record)
+    assert peak.endswith("(the first of 3, at t = 0.5 s; largest recorded: -758 N at t = 1 s)")
+    assert void == "m at t = 2.5 s: void = 3e-7 m3"  # of another component
 
 
 def test_card_counts_and_times(oscillator):

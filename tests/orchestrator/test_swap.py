@@ -73,7 +73,15 @@ def test_variants_lie_beside_the_system(bench):
         ({"g": "rough"}, "g_rough.fmu; there are coarse, fine; harvester build makes the variants"),
         ({"h": "fine"}, "swap h=fine: no component 'h'; there are g"),
         ({"g": "none.fmu"}, "swap g=none.fmu: no such file"),
-        ({"g": "build/harvester.ssp"}, "swap g=build/harvester.ssp: no file "),
+        (
+            {"g": "build/harvester.ssp"},
+            "swap g=build/harvester.ssp: expected the name of a variant or a path",
+        ),
+        (
+            {"g": "fine,h=fine"},
+            "swap g=fine,h=fine: expected the name of a variant or a path that ends in .fmu",
+        ),
+        ({"g": "my.py"}, "my.py is a Python file, expected an .fmu file: harvester build my.py makes one"),
     ],
 )
 def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
@@ -159,15 +167,19 @@ def test_what_does_not_fit_is_told_in_one_line(fmus, oscillator, changes, messag
     assert told == f"swap b: {faulty} does not fit: {message}"
 
 
-def test_many_faults_are_counted(fmus3):
-    """The first ones are told, the others counted."""
+def test_many_faults_are_all_told(fmus3):
+    """Every port, and every wire to cut, in one line."""
     ports = ("float32", "int8", "uint8", "int16", "uint16", "uint32")
     wires = [f"p.{port}_out -> q.{port}_in" for port in ports]
     system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, wires)
-    with pytest.raises(
-        Problem, match=r"input uint8_in, got none; expected .*, got none; and 2 more; to do w"
-    ):
+    with pytest.raises(Problem) as caught:
         system.swapped({"q": fmus3["source"]})
+    expected = [f"expected input {port}_in, got none" for port in ports]
+    expected[0] = "expected input float32_in [m], got none"
+    told, _, way_out = str(caught.value).partition("; to do without: ")
+    assert told.endswith("; ".join(expected))
+    assert way_out == " ".join(f"--cut q.{port}_in" for port in ports)
+    assert "\n" not in told
 
 
 def test_an_input_may_be_missing_if_its_wire_is_cut(fmus, oscillator):
@@ -263,6 +275,54 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
         )
     with pytest.raises(Problem, match=r"no signal g.ofset in the run"):
         commands.validate(system, None, Path("m.csv"), None, Path("out"), **options)
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
+    """Said in the terminal and on the first page of the report; a measurement is of no model."""
+    made = 'title = "T"\norigin = "o"\nmade_by = "m"\nsolver = "s"\nrelative_tolerance = 1e-9\n'
+    made += 'date = 2024-01-01\nchange = "c"\n'
+    Path("m.csv").write_text("time,result\n0,2\n1,2\n", encoding="utf-8")
+    options = {
+        "swap": {"g": "fine"},
+        "step": 0.5,
+        "stop": 1.0,
+        "usual": (Path("none.csv"), Path("none.toml")),
+    }
+    note = "g is swapped: the reference is of another model, expect a difference"
+    for kind, expected in (("simulation", True), ("measurement", False)):
+        about = f'[reference]\nkind = "{kind}"\n{made}'
+        Path("m.toml").write_text(f'{about}[signals.result]\nunit = "m"\n', encoding="utf-8")
+        system = Path("build/harvester.ssp").resolve()
+        commands.validate(system, None, Path("m.csv"), None, Path("out"), rate=False, **options)
+        assert (f"note: {note}" in capsys.readouterr().out) is expected
+        page = Path("out/report.html").read_text(encoding="utf-8")
+        assert (f"<p>G{note[1:]}.</p>" in page) is expected
+        assert "a simulation of the same equations" not in page
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
+    """The usual reference is of another scenario."""
+    Path("m.toml").write_text('[signals.result]\nunit = "m"\n', encoding="utf-8")
+    Path("m.csv").write_text("time,result\n0,2\n1,2\n", encoding="utf-8")
+    Path("u.csv").write_text("time,command\n0,0\n1,0\n", encoding="utf-8")
+    Path("l.toml").write_text('title = "T"', encoding="utf-8")
+    usual, system = (Path("m.csv"), Path("l.toml")), Path("build/harvester.ssp").resolve()
+    commands.validate(system, Path("u.csv"), None, None, Path("out"), usual=usual, rate=False, step=0.5)
+    note = "no --reference given: judged against m.csv, which may be of another scenario than u.csv"
+    assert f"note: {note}" in capsys.readouterr().out
+    assert note in Path("out/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("bench")
+def test_signals_of_a_swapped_system_are_listed(capsys, fmus):
+    """Those of the FMU in the place."""
+    edited(fmus["gain"], "more", renamed("offset", "shift")).rename("more.fmu")
+    assert main(["signals", "--kind", "parameter", "--swap", "g=more.fmu"]) == 0
+    printed = capsys.readouterr().out
+    assert "g.shift" in printed
+    assert "g.offset" not in printed
 
 
 def test_an_input_that_is_new_is_told(oscillator, fmus):

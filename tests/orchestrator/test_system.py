@@ -232,3 +232,11 @@ def test_a_column_silences_a_component_without_inputs(fmus):
     np.testing.assert_array_equal(result.trace["p.u"], [0.0, 0.5, 1.0])
     np.testing.assert_array_equal(result.trace["q.u"], 0.0)
     assert result.card.notes == ("the scenario replaces s; without it these keep their start values: q.u",)
+
+
+def test_the_slope_of_a_driven_input_is_not_lost(fmus):
+    """A declared rate input follows from the column that drives its input: the note does not name it."""
+    source = fmus.make("source", "source_bare", units={"y": None})
+    system = assemble({"s": source, "d": fmus["drift"]}, ["s.y -> d.u", "s.y -> d.u_rate"])
+    ramp = Trace(np.array([0.0, 1.0]), {"d.u": np.array([0.0, 1.0])})
+    assert run(system, ramp, step=0.5).card.notes == ("the scenario replaces s",)

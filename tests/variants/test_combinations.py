@@ -107,8 +107,30 @@ def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):
     with out.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["swing"] for row in rows] == ["lumped", "quasistatic"]
-    assert all(row["reached s"] == "0.1" and row["failure"] == "" for row in rows)
+    assert all(row["reached [s]"] == "0.1" and row["failure"] == "" for row in rows)
+    numbers = [name for name in rows[0] if name not in ("swing", "failure")]
+    assert all(float(row[name]) >= 0 for row in rows for name in numbers)  # plain, units in the header
+    assert float(rows[0]["change [share]"]) == 0
+    assert "1/2 lumped" in printed
+    assert "us per ms is the sum over the steps of all FMUs, calls from Python included" in printed
     assert all(variant in printed for variant in few["swing"])
+
+
+def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkeypatch):
+    """Exit status 130; the rows so far are in the file."""
+
+    def interrupted(*arguments, **options):
+        yield next(combinations(*arguments, **options))
+        raise KeyboardInterrupt
+
+    few = {"swing": {"lumped": 0, "quasistatic": 0}}
+    monkeypatch.setattr("fmus.machine.FAMILIES", few)
+    monkeypatch.setattr("orchestrator.variety.command.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
+    monkeypatch.setattr("orchestrator.variety.command.combinations", interrupted)
+    out = tmp_path / "table.csv"
+    assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 130
+    assert f"\n1 of 2 combinations, in {out}\n" in capsys.readouterr().out
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 2
 
 
 SAMPLE = [
