@@ -166,16 +166,6 @@ def test_outputs_and_states_of_one_name_get_their_component():
     assert list(quantities(whole.outputs)) == ["a_y", "a_aim", "b_y", "b_aim"]
 
 
-def test_parameters_of_one_heading_stand_together():
-    """As a tool shows them, whichever component they come from."""
-    headings = [q.group for q in quantities(HARVESTER.parameters).values()]
-    changes = [
-        heading for heading, before in zip(headings, ["", *headings], strict=False) if heading != before
-    ]
-    assert len(changes) == len(set(headings))
-    assert {"Valve", "Oil", "Boom cylinder", "Friction"} <= set(changes)
-
-
 def test_totals_are_sums():
     """One output of the name, without a component."""
     whole = chain(part("a"), part("b"), totals=("aim",), hidden=("a.y", "b.y"), texts={"aim": "All aims"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -213,6 +214,15 @@ def test_a_step_that_fails_says_why(tmp_path, capsys, lines, message):
     assert text.count("\n") == 1
 
 
+@pytest.fixture
+def interruptible():
+    """SIGINT raises KeyboardInterrupt, also where the tests run in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("where", [STEP, "return {}"], ids=["step", "start"])
 def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
     """As in a model in C: the message says so, and the program is interrupted, too."""
