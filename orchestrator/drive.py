@@ -79,9 +79,15 @@ class Drive:
             if port.variable in rates:
                 yield Port(port.component, rates[port.variable])
 
+    def _slopes(self, system: System) -> Iterator[Port]:
+        """The inputs that are rates of driven ones by their names, where a run gives the slope itself."""
+        for port in self.columns:
+            if port.variable in system.components[port.component].interface.sloped:
+                yield Port(port.component, f"{port.variable}_rate")
+
     def _replaced(self, system: System, component: str) -> str:
         fed = [c.target for c in system.connections if c.source.component == component]
-        followed = {*self.columns, *self._rates(system)}  # slopes follow from the columns
+        followed = {*self.columns, *self._rates(system), *self._slopes(system)}
         left = ", ".join(str(port) for port in fed if port not in followed)
         rest = f"; without it these keep their start values: {left}" if left else ""
         return f"the scenario replaces {component}{rest}"

@@ -312,7 +312,7 @@ def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
     commands.validate(system, Path("u.csv"), None, None, Path("out"), usual=usual, rate=False, step=0.5)
     note = "no --reference given: judged against m.csv, which may be of another scenario than u.csv"
     assert f"note: {note}" in capsys.readouterr().out
-    assert note in Path("out/report.html").read_text(encoding="utf-8")
+    assert note in Path("out/report.json").read_text(encoding="utf-8")
 
 
 @pytest.mark.usefixtures("bench")

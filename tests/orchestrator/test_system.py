@@ -1,9 +1,12 @@
 """Systems made in Python: connections, units, start values, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, assemble, run
+from orchestrator.drive import drive
 from orchestrator.units import Linear, Unit, conversion
 
 
@@ -235,8 +238,18 @@ def test_a_column_silences_a_component_without_inputs(fmus):
 
 
 def test_the_slope_of_a_driven_input_is_not_lost(fmus):
-    """A declared rate input follows from the column that drives its input: the note does not name it."""
+    """A rate input follows from the column that drives its input: the note does not name it.
+
+    Be it declared or known by its name where the run gives slopes; where it gives none, the rate is lost.
+    """
     source = fmus.make("source", "source_bare", units={"y": None})
-    system = assemble({"s": source, "d": fmus["drift"]}, ["s.y -> d.u", "s.y -> d.u_rate"])
     ramp = Trace(np.array([0.0, 1.0]), {"d.u": np.array([0.0, 1.0])})
+    system = assemble({"s": source, "d": fmus["drift"]}, ["s.y -> d.u", "s.y -> d.u_rate"])
     assert run(system, ramp, step=0.5).card.notes == ("the scenario replaces s",)
+    component = system.components["d"]
+    lost = "the scenario replaces s; without it these keep their start values: d.u_rate"
+    for interpolates, note in ((True, "the scenario replaces s"), (False, lost)):
+        face = replace(component.interface, rates={}, interpolates=interpolates)
+        known = {**system.components, "d": replace(component, interface=face)}
+        whole = replace(system, components=known)
+        assert drive(whole, ramp).released(whole).notes == (note,)
