@@ -57,7 +57,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     assert "scenario" not in capsys.readouterr().out
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    assert "note: the scenario replaces levers; " in capsys.readouterr().out
+    assert "note: the scenario replaces levers\n" in capsys.readouterr().out
     own, given = (read(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
     np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
