@@ -501,7 +501,11 @@ def test_dry_friction_holds_the_arm_against_a_small_push(extra, moves):
     for name in ("rigid", "friction"):
         v = variant(name)
         push = {"boom_force": v.u["boom_force"] + extra}
-        run = solve_ivp(lambda _, x: v(x, **push)[0], (0, 1.0), v.start(), "Radau", rtol=1e-7, atol=1e-9)  # noqa: B023
+
+        def rate(_, x, v=v, push=push):
+            return v(x, **push)[0]
+
+        run = solve_ivp(rate, (0, 1.0), v.start(), "Radau", rtol=1e-7, atol=1e-9)
         ends[name] = v(run.y[:, -1], **push)[1]["boom_position"] - v(v.start())[1]["boom_position"]
     assert ends["rigid"] > 5e-3
     assert (ends["friction"] > 5e-3) == moves
