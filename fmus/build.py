@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from shutil import copyfile
@@ -35,16 +36,25 @@ def build_machine(
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.platforms`; by default the one this runs on
     """
-    subs = [*ALL.values(), HARVESTER]
-    folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
-    built = build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms)
-    more = build_all(others, {f: d / VARIANTS for f, d in folders.items()}, STEP, WORK_CYCLE_STOP, platforms)
+    subs = [*ALL.values(), HARVESTER, *others]
+    folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
+    under = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
-    for fmi, place in folders.items():
-        fmus = dict(zip((sub.name for sub in subs), built[fmi], strict=True))
-        paths += [*built[fmi], write_system(place, fmus, STEP, fmi), *more[fmi]]
-        for part, variants in FAMILIES.items():
-            paths.append(place / VARIANTS / f"{part}_{next(iter(variants))}.fmu")
-            copyfile(fmus[part], paths[-1])
+    for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, under).items():
+        fmus = dict(zip((sub.name for sub in subs), built, strict=True))
+        usual = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
+        paths += [*built, write_system(folders[fmi], fmus, STEP, fmi), *usual]
     return paths
+
+
+def _copied(fmu: Path, variant: str) -> Path:
+    """The FMU of a part once more among the variants; there is the whole file or the one before."""
+    path = fmu.parent / VARIANTS / f"{fmu.stem}_{variant}.fmu"
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        copyfile(fmu, part)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path

@@ -39,12 +39,20 @@ def build_all(
     step: float = 1e-3,
     stop: float = 10.0,
     platforms: Sequence[str] | None = None,
+    under: Mapping[str, str] | None = None,
 ) -> dict[int, list[Path]]:
     """Build several FMUs, those of FMI version 2 into folders[2] and of 3 into folders[3]; their paths.
 
     All compilers run side by side, and nothing is written before the last one is done.
+
+    under   name of a subsystem -> folder in that folder
     """
-    orders = [(Path(out), package(sub, fmi, step, stop)) for fmi, out in folders.items() for sub in subs]
+    below = under or {}
+    orders = [
+        (Path(out) / below.get(sub.name, ""), package(sub, fmi, step, stop))
+        for fmi, out in folders.items()
+        for sub in subs
+    ]
     paths = iter(_write(orders, platforms))
     return {fmi: [next(paths) for _ in subs] for fmi in folders}
 
