@@ -13,27 +13,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orchestrator.assembly import assemble
-    from orchestrator.card import Card
     from orchestrator.errors import Problem
-    from orchestrator.simulation import Interrupted, Result, RunFailed, run
-    from orchestrator.ssp import load
-    from orchestrator.system import System
-    from orchestrator.trace import Trace, read, write
+    from orchestrator.files.trace import Trace, read, write
+    from orchestrator.runs.card import Card
+    from orchestrator.runs.simulation import Interrupted, Result, RunFailed, run
+    from orchestrator.system.assembly import assemble
+    from orchestrator.system.ssp import load
+    from orchestrator.system.system import System
 
 _WHERE = {
-    "Card": "card",
-    "Interrupted": "simulation",
+    "Card": "runs.card",
+    "Interrupted": "runs.simulation",
     "Problem": "errors",
-    "Result": "simulation",
-    "RunFailed": "simulation",
-    "System": "system",
-    "Trace": "trace",
-    "assemble": "assembly",
-    "load": "ssp",
-    "read": "trace",
-    "run": "simulation",
-    "write": "trace",
+    "Result": "runs.simulation",
+    "RunFailed": "runs.simulation",
+    "System": "system.system",
+    "Trace": "files.trace",
+    "assemble": "system.assembly",
+    "load": "system.ssp",
+    "read": "files.trace",
+    "run": "runs.simulation",
+    "write": "files.trace",
 }
 
 __all__ = [

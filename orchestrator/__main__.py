@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from orchestrator.commands.interrupt import ends_clean
 from orchestrator.errors import Problem
-from orchestrator.interrupt import ends_clean
 
 app = typer.Typer(
     add_completion=False,
@@ -120,7 +120,7 @@ def run(
     ] = False,
 ) -> None:
     """Co-simulate a system and record all its outputs and inputs."""
-    from orchestrator import commands
+    from orchestrator.commands import commands
 
     commands.run(
         system,
@@ -169,7 +169,7 @@ def build(
 ) -> None:
     """Build the FMUs of the parts, of the whole, and harvester.ssp; or one of a model in Python."""
     from fmus.export.platforms import select
-    from orchestrator import commands
+    from orchestrator.commands import commands
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
@@ -242,7 +242,7 @@ def signals(
     swap: Swap = None,
 ) -> None:
     """List the variables of a system with unit and meaning."""
-    from orchestrator import commands
+    from orchestrator.commands import commands
 
     commands.signals(system, kind, commands.swaps(swap or []))
 
@@ -273,7 +273,7 @@ def validate(
 ) -> None:
     """Co-simulate and compare with a reference. Writes a report; exit status 1 if a limit is missed."""
     from fmus.build import data
-    from orchestrator import commands
+    from orchestrator.commands import commands
 
     passed = commands.validate(
         system,
@@ -323,7 +323,7 @@ def compare(
     ] = BUILD,
 ) -> None:
     """Compare traces of runs: difference of each signal from one of them, cost, and a picture."""
-    from orchestrator import commands
+    from orchestrator.commands import commands
 
     commands.compare(traces, out, against=against, signals=signals or (), start=start, stop=stop)
 

@@ -11,8 +11,8 @@ import pytest
 from work_cycle import SIGNALS
 
 from orchestrator import load, run
-from orchestrator.masters import MASTERS
-from orchestrator.network import Link, Network
+from orchestrator.coupling.masters import MASTERS
+from orchestrator.coupling.network import Link, Network
 
 # the same algorithm on the same FMUs: only the times of the steps differ, by rounding, and with them the
 # inner steps of the solvers; measured 5e-12 over 10 s, and 4e-10 where the run itself is unstable

@@ -13,8 +13,9 @@ import pytest
 from fmus.build import data
 from fmus.machine import ALL, FAMILIES
 from fmus.poses import POSES
-from orchestrator import commands, read
+from orchestrator import read
 from orchestrator.__main__ import main
+from orchestrator.commands import commands
 
 REFERENCE = data("reference/work_cycle.csv")
 

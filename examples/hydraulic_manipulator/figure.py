@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import Reference
 
 BLUE, ORANGE, GREY = "#06406b", "#c25a00", "#8a9099"

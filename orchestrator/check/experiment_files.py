@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from orchestrator.archive import Location
 from orchestrator.errors import Problem
-from orchestrator.xml import Element, child, children, local, parse
+from orchestrator.files.archive import Location
+from orchestrator.files.xml import Element, child, children, local, parse
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{PLACE}/fmi-ls-manifest.xml"

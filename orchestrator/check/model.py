@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orchestrator.check.finding import some
-from orchestrator.xml import child, children, local
+from orchestrator.files.xml import child, children, local
 
 Element = Any  # lxml ships no types
 

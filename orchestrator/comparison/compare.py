@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.card import FLOOR
 from orchestrator.comparison.runs import Run, Source, gather
 from orchestrator.errors import Problem, suggest
+from orchestrator.runs.card import FLOOR
 from orchestrator.validation.compare import Row, Validation
 from orchestrator.validation.compare import compare as against_reference
 from orchestrator.validation.metrics import constant

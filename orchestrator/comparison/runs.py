@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.errors import Problem
-from orchestrator.sidecar import Facts, facts, read_facts
-from orchestrator.simulation import Result
-from orchestrator.trace import Trace, read
+from orchestrator.files.sidecar import Facts, facts, read_facts
+from orchestrator.files.trace import Trace, read
+from orchestrator.runs.simulation import Result
 from orchestrator.validation.reference import read_reference
 
 Source = str | Path | Trace | Result

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.errors import Problem, UnknownSignal
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation.metrics import Metrics, measure
 from orchestrator.validation.reference import Reference, Signal
 from orchestrator.validation.tolerance import Tolerance

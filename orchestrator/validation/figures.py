@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import wording
 from orchestrator.validation.compare import Row, Validation
 from orchestrator.validation.units import convert, linear, shown

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.errors import Problem, UnknownSignal
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation.figures import FigureSpec, Panel
 from orchestrator.validation.motion import Motion
 

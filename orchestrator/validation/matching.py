@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 
 
 def by_variable(trace: Trace, wanted: Iterable[str]) -> Trace:

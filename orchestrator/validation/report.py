@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import wording
 from orchestrator.validation.compare import Row, Validation
 from orchestrator.validation.embed import embed

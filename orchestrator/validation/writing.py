@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation.tolerance import Tolerance
 
 

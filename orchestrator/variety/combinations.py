@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from orchestrator.errors import Problem
-from orchestrator.simulation import Result, RunFailed, run
-from orchestrator.system import System
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
+from orchestrator.runs.simulation import Result, RunFailed, run
+from orchestrator.system.system import System
 
 NAN = float("nan")
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from math import prod
 from pathlib import Path
 
-from orchestrator.commands import folder
+from orchestrator.commands.commands import folder
 from orchestrator.errors import Problem
-from orchestrator.ssp import load
+from orchestrator.system.ssp import load
 from orchestrator.variety.combinations import COLUMNS, HEAD, cells, combinations, figures
 from orchestrator.variety.cost import inside
 

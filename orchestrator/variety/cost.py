@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.simulation import open_slave, run
-from orchestrator.slave import Slave
-from orchestrator.system import Component, System
+from orchestrator.runs.simulation import open_slave, run
+from orchestrator.slaves.slave import Slave
+from orchestrator.system.system import Component, System
 
 Spent = dict[str, list[tuple[int, int]]]  # of each component: time of each step and of an empty call [ns]
 

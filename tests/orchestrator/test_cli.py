@@ -160,7 +160,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
 INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
-from orchestrator.recorder import Recorder
+from orchestrator.runs.recorder import Recorder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 settle = Recorder.settle
 def interrupt(self):

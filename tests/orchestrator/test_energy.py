@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, System, assemble, run
-from orchestrator.bonds import find_bonds, named_bond
-from orchestrator.card import Card
-from orchestrator.energy import BondEnergy
-from orchestrator.interface import Interface, Variable
-from orchestrator.system import Component, Connection, Port
-from orchestrator.units import Unit
+from orchestrator.runs.card import Card
+from orchestrator.runs.energy import BondEnergy
+from orchestrator.system.bonds import find_bonds, named_bond
+from orchestrator.system.interface import Interface, Variable
+from orchestrator.system.system import Component, Connection, Port
+from orchestrator.system.units import Unit
 
 UNITS = {
     "N": Unit("N", (1, 1, -2, 0, 0, 0, 0, 0)),

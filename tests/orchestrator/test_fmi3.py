@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from any_fmu.models import WIDTHS
 
-from orchestrator import Problem, Trace, assemble, library, load, run
-from orchestrator.archive import Location
-from orchestrator.callbacks import named
-from orchestrator.description import read_interface
-from orchestrator.fmu import FmuSlave
-from orchestrator.signals import lines
+from orchestrator import Problem, Trace, assemble, load, run
+from orchestrator.files.archive import Location
+from orchestrator.slaves import library
+from orchestrator.slaves.callbacks import named
+from orchestrator.slaves.fmu import FmuSlave
+from orchestrator.system.description import read_interface
+from orchestrator.system.signals import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, load
-from orchestrator.archive import Location
-from orchestrator.description import read_interface
-from orchestrator.fmu import FmuSlave, pointer
-from orchestrator.library import Library
+from orchestrator.files.archive import Location
+from orchestrator.slaves.fmu import FmuSlave, pointer
+from orchestrator.slaves.library import Library
+from orchestrator.system.description import read_interface
 
 
 def opened(path, name="it"):

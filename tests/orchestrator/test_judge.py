@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, System, Trace, assemble, load, run
-from orchestrator.judge import card, describe, judge, parameters
+from orchestrator.commands.judge import card, describe, judge, parameters
 from orchestrator.validation import FigureSpec, Panel, Reference, Signal, Tolerance
 from orchestrator.validation.layout import Layout, MovingPoint
 

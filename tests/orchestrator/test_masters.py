@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
-from orchestrator.archive import Location
-from orchestrator.dependencies import output_order, sequence
-from orchestrator.description import read_interface
+from orchestrator.files.archive import Location
+from orchestrator.system.dependencies import output_order, sequence
+from orchestrator.system.description import read_interface
 
 
 def worst(result, exact):

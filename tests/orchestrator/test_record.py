@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, RunFailed, assemble, run
-from orchestrator.grid import thinned
+from orchestrator.coupling.grid import thinned
 
 
 def whole_and_thin(system, record_step, **options):

@@ -5,11 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, progress, run
-from orchestrator.card import Card, compare
-from orchestrator.interface import Interface, Variable
-from orchestrator.log import WARNING, Log
-from orchestrator.system import Component, System
+from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, run
+from orchestrator.runs import progress
+from orchestrator.runs.card import Card, compare
+from orchestrator.slaves.log import WARNING, Log
+from orchestrator.system.interface import Interface, Variable
+from orchestrator.system.system import Component, System
 
 
 class Mock:

@@ -9,8 +9,9 @@ import pytest
 from any_fmu.edit import caused, renamed
 from any_fmu.edit import edited as changed
 
-from orchestrator import Problem, assemble, commands, load, run
+from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
+from orchestrator.commands import commands
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"

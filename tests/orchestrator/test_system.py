@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.drive import drive
-from orchestrator.units import Linear, Unit, conversion
+from orchestrator.coupling.drive import drive
+from orchestrator.system.units import Linear, Unit, conversion
 
 
 def gained(fmus, source_unit, target_unit, *linear):

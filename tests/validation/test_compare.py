@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import Reference, Signal, Tolerance, Validation, compare, read_reference
 
 Edit = Callable[[str, str], Path]

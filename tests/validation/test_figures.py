@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import FigureSpec, Panel, Validation, compare, draw, read_reference
 from orchestrator.validation import embed as embedding
 from orchestrator.validation.figures import decimate, png, svg

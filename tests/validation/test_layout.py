@@ -9,7 +9,7 @@ import pytest
 
 from fmus.build import data
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import FigureSpec, Panel
 from orchestrator.validation.layout import Layout, read_layout
 

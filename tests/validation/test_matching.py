@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation.matching import by_variable
 
 TIME = np.array([0.0, 1.0])

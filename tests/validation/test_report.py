@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import (
     Component,
     FigureSpec,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import (
     Reference,
     Signal,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orchestrator.errors import Problem
-from orchestrator.trace import Trace
+from orchestrator.files.trace import Trace
 from orchestrator.validation import Origin, Tolerance, compare, read_reference, write_reference
 
 ORIGIN = Origin(

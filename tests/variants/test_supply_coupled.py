@@ -10,7 +10,7 @@ from fmus.machine import DRIVES, FAMILIES, SUPPLY_WIRES, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.scenarios import COMMANDS, PROGRAMS, sample
 from orchestrator import load, run
-from orchestrator.bonds import find_bonds
+from orchestrator.system.bonds import find_bonds
 
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
 

@@ -9,7 +9,7 @@ from orchestrator.check.model import whole
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Element, Subject
 from orchestrator.check.unpack import DESCRIPTION
-from orchestrator.xml import flag
+from orchestrator.files.xml import flag
 
 RULES = Table()
 SPELLINGS = {

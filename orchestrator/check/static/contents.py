@@ -10,7 +10,7 @@ from orchestrator.check.finding import Finding, note, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 from orchestrator.check.unpack import DESCRIPTION
-from orchestrator.xml import children, local
+from orchestrator.files.xml import children, local
 
 RULES = Table()
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}

@@ -11,7 +11,7 @@ from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
 from orchestrator.check.unpack import DESCRIPTION
-from orchestrator.xml import local
+from orchestrator.files.xml import local
 
 RULES = Table()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}

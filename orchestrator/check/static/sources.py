@@ -11,7 +11,7 @@ from orchestrator.check.static.description import violations
 from orchestrator.check.static.platforms import TUPLE
 from orchestrator.check.subject import Subject, read_xml
 from orchestrator.check.unpack import DESCRIPTION
-from orchestrator.xml import child, children
+from orchestrator.files.xml import child, children
 
 RULES = Table()
 BUILD = "sources/buildDescription.xml"

@@ -9,7 +9,7 @@ from orchestrator.check.finding import Finding, error, note
 from orchestrator.check.registry import Table
 from orchestrator.check.static.description import violations
 from orchestrator.check.subject import Element, Subject, read_xml
-from orchestrator.xml import children
+from orchestrator.files.xml import children
 
 RULES = Table()
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"

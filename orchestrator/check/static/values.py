@@ -9,7 +9,7 @@ from orchestrator.check.finding import Finding, error, warning
 from orchestrator.check.model import NATURAL, WHOLE, Variable
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
-from orchestrator.xml import children
+from orchestrator.files.xml import children
 
 RULES = Table()
 

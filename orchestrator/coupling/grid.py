@@ -1,0 +1,122 @@
+"""Communication points: an integer step count times the step, and which of them are recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import isfinite
+
+from orchestrator.errors import Problem
+from orchestrator.files.trace import Trace
+from orchestrator.system.system import System
+
+STEP = 1e-3  # [s], when nobody suggests one
+RECORD = 5e-3  # [s], record interval of the command line: 200 Hz, the sampling rate of the paper
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Point n is start + n * step, n = 0..steps; every `every`-th and the last are recorded. Times in [s]."""
+
+    start: float
+    step: float
+    steps: int
+    every: int = 1
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stop(self) -> float:
+        return self.start + self.steps * self.step
+
+    @property
+    def rows(self) -> int:
+        """How many points are recorded."""
+        return self.steps // self.every + 1 + (self.steps % self.every > 0)
+
+    def finer(self) -> Grid:
+        """Half the step, the same points recorded."""
+        return replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
+
+    def coarser(self) -> Grid:
+        """Twice the step, recorded at as many of the same points as it has, and at its own last one."""
+        every = self.every if self.every % 2 else self.every // 2
+        return replace(self, step=2 * self.step, steps=self.steps // 2, every=every)
+
+
+def grid(
+    system: System,
+    scenario: Trace | None,
+    step: float | None,
+    start: float | None,
+    stop: float | None,
+    record_step: float | None = None,
+) -> Grid:
+    """The communication points from what the user gave and, where nothing was given, what is suggested."""
+    begin = next((t for t in (start, system.start) if t is not None), 0.0)
+    step = communication_step(system, step)
+    end = stop
+    if end is None and scenario is not None and len(scenario.time) > 1 and scenario.time[-1] > begin:
+        end = float(scenario.time[-1])
+    if end is None:
+        end = system.stop
+    if end is None:
+        stops = (c.interface.stop for c in system.components.values())
+        end = max((t for t in stops if t is not None), default=None)
+    points = _whole_steps(begin, end, step)
+    points = replace(points, every=_every(record_step, step))
+    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def communication_step(system: System, step: float | None) -> float:
+    """The step [s] given, else the smallest that an FMU suggests, else 1 ms."""
+    if step is not None:
+        return step
+    return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)
+
+
+def thinned(step: float) -> float | None:
+    """Record interval [s] of the command line: the most steps that fit into 5 ms; None: every step."""
+    if not 0 < step < RECORD:
+        return None
+    return int(RECORD / step + 1e-6) * step
+
+
+def _every(record_step: float | None, step: float) -> int:
+    """How many steps lie between recorded points."""
+    if record_step is None:
+        return 1
+    ratio = record_step / step
+    every = round(ratio) if isfinite(ratio) else 0
+    if every < 1 or abs(ratio - every) > 1e-6 * every:
+        raise Problem(f"record step: expected a multiple of the step {step:g} s, got {record_step:g} s")
+    return every
+
+
+def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
+    """What to say when the run is longer than its scenario."""
+    first, last = float(scenario.time[0]), float(scenario.time[-1])
+    notes = []
+    if points.start < first - points.step:
+        notes.append(f"the scenario begins at {first:g} s; until there its first values are held")
+    if points.stop > last + points.step:
+        notes.append(f"the scenario ends at {last:g} s; after that its last values are held")
+    return tuple(notes)
+
+
+def _whole_steps(start: float, end: float | None, step: float) -> Grid:
+    if end is None:
+        raise Problem("no stop time: neither the system nor its FMUs suggest one, give --stop")
+    for name, value in (("start time", start), ("stop time", end), ("step", step)):
+        if not isfinite(value):
+            raise Problem(f"{name}: expected a finite time, got {value:g} s")
+    if not step > 0:
+        raise Problem(f"step: expected a positive time, got {step:g} s")
+    if not end > start:
+        raise Problem(f"stop time: expected more than the start time {start:g} s, got {end:g} s")
+    steps = int((end - start) / step + 1e-6)
+    if steps < 1:
+        raise Problem(f"step: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
+    reached = start + steps * step
+    if abs(end - reached) > 1e-6 * step:
+        note = f"{end - start:g} s is no multiple of the step: the run ends at {reached:.9g} s"
+        return Grid(start, step, steps, notes=(note,))
+    return Grid(start, step, steps)

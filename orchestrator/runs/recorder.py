@@ -1,0 +1,114 @@
+"""Recording a run: one row of values per recorded point, in memory laid out beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.coupling.grid import Grid
+from orchestrator.coupling.network import Network
+from orchestrator.errors import Problem
+from orchestrator.files.trace import Trace
+from orchestrator.system.system import Outlet, Port
+
+BLOCK = 256  # points between two calls of `settle`, at most
+
+
+class _Rows:
+    """Points in time: `time` [s] of shape (n,), real and whole numbers of shape (n, signals)."""
+
+    def __init__(self, rows: int, reals: int, wholes: int) -> None:
+        self.time = np.zeros(rows)
+        self.reals = np.zeros((rows, reals))
+        self.wholes = np.zeros((rows, wholes), dtype=np.int32)
+
+    def take(self, first: int, other: _Rows, rows: NDArray[np.intp]) -> None:
+        """Copy rows of another table to the places from `first` on."""
+        place = slice(first, first + len(rows))
+        self.time[place] = other.time[rows]
+        self.reals[place] = other.reals[rows]
+        self.wholes[place] = other.wholes[rows]
+
+
+class Recorder:
+    """Collects everything that has a place in a network, or the chosen ports.
+
+    Looks at every communication point; keeps those that the grid records, and always the latest one.
+    """
+
+    def __init__(self, network: Network, times: Grid, chosen: Sequence[Port] | None = None) -> None:
+        self._network, self._every = network, times.every
+        index = [*network.real.index, *network.whole.index]
+        self._ports = list(chosen) if chosen is not None else _ordered(network, index)
+        ports = self._ports if chosen is not None else index  # all: as they stand in the banks
+        self._real = [p for p in ports if p in network.real.index]
+        self._whole = [p for p in ports if p in network.whole.index]
+        self._real_places = network.real.places(self._real) if chosen is not None else slice(None)
+        self._whole_places = network.whole.places(self._whole)
+        self._fresh = _Rows(BLOCK, len(self._real), len(self._whole))  # not yet settled
+        self._kept = _room(times.rows + 1, len(self._real), len(self._whole))
+        self._filled = self._rows = self.points = 0
+
+    def add(self, t: float) -> None:
+        """Note the values at time t [s]."""
+        row, fresh = self._filled, self._fresh
+        fresh.time[row] = t
+        fresh.reals[row] = self._network.real.values[self._real_places]
+        if self._whole:
+            fresh.wholes[row] = self._network.whole.values[self._whole_places]
+        self._filled = row + 1
+
+    def settle(self) -> None:
+        """Keep what is due of the points since the last call; a number that is not finite ends the record."""
+        finite = np.isfinite(self._fresh.reals[: self._filled])
+        if finite.all():
+            return self._keep()
+        row, column = np.argwhere(~finite)[0]
+        self._filled = int(row)
+        self._keep()
+        value, t = self._fresh.reals[row, column], self._fresh.time[row]
+        raise Problem(f"{self._real[column]}: expected a finite value, got {value} at t = {t:.9g} s")
+
+    def _keep(self) -> None:
+        """The due points; below them stands the latest one until the next is due."""
+        n = self._filled
+        if n == 0:
+            return
+        due = np.arange(-self.points % self._every, n, self._every)
+        self._kept.take(self._rows, self._fresh, np.append(due, n - 1))
+        self._rows, self.points, self._filled = self._rows + len(due), self.points + n, 0
+
+    def trace(self, outlets: Sequence[Outlet] = ()) -> Trace:
+        """What was recorded so far, together with the outputs of the whole system."""
+        self._keep()
+        n = self._rows + (self.points > 0 and (self.points - 1) % self._every > 0)
+        columns: dict[Port, NDArray[np.float64]] = {}
+        columns |= {p: self._kept.reals[:n, i].copy() for i, p in enumerate(self._real)}
+        columns |= {p: self._kept.wholes[:n, i].astype(np.float64) for i, p in enumerate(self._whole)}
+        signals = {str(p): columns[p] for p in self._ports}
+        units = {str(p): u.name for p in self._ports if (u := self._network.system.variable(p).unit)}
+        for outlet in outlets:
+            if outlet.source in columns:
+                signals[outlet.name] = outlet.map.factor * columns[outlet.source] + outlet.map.offset
+                units |= {outlet.name: outlet.unit.name} if outlet.unit else {}
+        return Trace(self._kept.time[:n].copy(), signals, units)
+
+
+def _room(rows: int, reals: int, wholes: int) -> _Rows:
+    """Room for all points to keep."""
+    try:
+        return _Rows(rows, reals, wholes)
+    except MemoryError:
+        many = f"{rows:.3g} points of {reals + wholes} signals"
+        raise Problem(f"{many} do not fit into memory; choose a longer record step or stop earlier") from None
+
+
+def _ordered(network: Network, ports: list[Port]) -> list[Port]:
+    """Ports by component, outputs before inputs, each in the order of declaration."""
+    place = {}
+    for i, component in enumerate(network.system.components.values()):
+        for j, v in enumerate(component.interface.variables.values()):
+            place[Port(component.name, v.name)] = (i, v.causality == "input", j)
+    return sorted(ports, key=place.__getitem__)

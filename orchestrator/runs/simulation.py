@@ -1,0 +1,257 @@
+"""One call that runs a system: open the FMUs, initialise, step, record, judge, close."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from orchestrator.coupling.drive import Drive, drive
+from orchestrator.coupling.grid import Grid, grid
+from orchestrator.coupling.initialise import initialise
+from orchestrator.coupling.masters import find
+from orchestrator.coupling.network import Network
+from orchestrator.errors import Problem
+from orchestrator.files.archive import Location
+from orchestrator.files.trace import Trace, read
+from orchestrator.runs.card import Card, compare
+from orchestrator.runs.energy import Monitor
+from orchestrator.runs.progress import Progress
+from orchestrator.runs.recorder import BLOCK, Recorder
+from orchestrator.slaves.log import Message
+from orchestrator.slaves.slave import Slave
+from orchestrator.system.bonds import Bond, find_bonds, named_bond
+from orchestrator.system.interface import Value
+from orchestrator.system.parameters import with_sets
+from orchestrator.system.system import Component, System
+
+Opener = Callable[[Component], Slave]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run leaves behind.
+
+    trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
+    card       the accuracy card
+    messages   what the FMUs logged
+    complete   False when the run ended early; the trace then holds what was recorded until there
+    """
+
+    system: System
+    trace: Trace
+    card: Card
+    messages: tuple[Message, ...] = ()
+    complete: bool = True
+
+
+class RunFailed(Problem):
+    """A run that ended early because of a problem; `result` holds what was recorded."""
+
+    def __init__(self, problem: Problem, result: Result) -> None:
+        super().__init__(str(problem))
+        self.result = result
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run that the user stopped; `result` holds what was recorded."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__()
+        self.result = result
+
+
+def open_slave(component: Component) -> Slave:
+    """An instance of the component's FMU."""
+    if component.source is None:
+        raise Problem(f"{component.name}: has no FMU file")
+    from orchestrator.slaves.fmu import FmuSlave
+
+    return FmuSlave(component.name, component.interface, component.source)
+
+
+def run(
+    system: System | str | Path,
+    scenario: Trace | str | Path | Location | None = None,
+    master: str = "gauss-seidel",
+    step: float | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    parameters: Sequence[str | Path] = (),
+    set: Mapping[str, Value | str] | None = None,
+    record: Sequence[str] | None = None,
+    record_step: float | None = None,
+    bonds: Iterable[tuple[str, str]] | None = None,
+    tolerance: float | None = None,
+    error_estimate: bool = False,
+    progress: bool = False,
+    open: Opener = open_slave,
+) -> Result:
+    """Co-simulate a system.
+
+    system          a System, or the path of an .ssp, .ssd or .fmu file
+    scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
+                    component.variable, or all component inputs of one name; a column replaces the connection
+                    to its input
+    master          "jacobi" or "gauss-seidel"
+    step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
+    start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
+    swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
+    parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
+    set             start values {name: value}, in the units of the FMU, before a swap, named like the columns
+                    of a scenario
+    record          names of the signals to record; default: all outputs, all inputs that are fed and all that
+                    are inputs of the system, fed or not
+    record_step     interval between recorded points [s], a multiple of the step; the first and the last point
+                    are always recorded; default: every communication point
+    bonds           power bonds as pairs of input names; default: found from the units
+    tolerance       relative tolerance handed to the FMUs
+    error_estimate  run again at half and at twice the step to estimate the error of each signal at the
+                    recorded points
+    progress        show a progress bar when the run takes longer than a second
+    open            makes the slave of a component (for tests and other kinds of components)
+
+    Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
+    """
+    from orchestrator.system.ssp import load
+
+    whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
+    whole = with_sets(whole, parameters).with_start(set or {})
+    driven = _scenario(whole, scenario)
+    if driven:
+        whole = driven[0].released(whole)
+        whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
+    times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
+    job = _Job(whole, driven[0] if driven else None, master, record, bonds, tolerance, open)
+    result = job.run(times, progress)
+    return replace(result, card=_estimate(job, times, result, progress)) if error_estimate else result
+
+
+def _estimate(job: _Job, times: Grid, result: Result, progress: bool) -> Card:
+    """The card of a complete run with error estimates; what happens to the other runs does not harm it."""
+    try:
+        fine = job.run(times.finer(), progress).trace
+        coarse = None
+        if times.steps >= 4:
+            with suppress(RunFailed):
+                coarse = job.run(times.coarser(), progress).trace
+    except RunFailed as failed:
+        note = f"no error estimate, the run at half the step failed: {failed}"
+        return replace(result.card, notes=(*result.card.notes, note))
+    except Interrupted:
+        raise Interrupted(result) from None
+    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
+    shown = result.trace.select(name for name in nominals if name in result.trace.signals)
+    errors = compare(fine, shown, coarse, nominals)
+    told = () if errors else ("no error estimate: no output moves",)
+    return replace(result.card, errors=errors, notes=(*result.card.notes, *told))
+
+
+def _scenario(system: System, scenario: Trace | str | Path | Location | None) -> tuple[Drive, Trace] | None:
+    if scenario is None:
+        return None
+    trace = scenario if isinstance(scenario, Trace) else read(scenario)
+    label = "scenario" if isinstance(scenario, Trace) else str(scenario)
+    return drive(system, trace, label), trace
+
+
+@dataclass
+class _Job:
+    """One system and one way to run it, on any time grid."""
+
+    system: System
+    drive: Drive | None
+    master: str
+    record: Sequence[str] | None
+    bonds: Iterable[tuple[str, str]] | None
+    tolerance: float | None
+    open: Opener
+
+    def run(self, times: Grid, progress: bool) -> Result:
+        """Open all FMUs, run, close them whatever happens."""
+        prepare = find(self.master)
+        chosen = None if self.record is None else [self.system.port(name) for name in self.record]
+        with ExitStack() as stack:
+            slaves: dict[str, Slave] = {}
+            for name, component in self.system.components.items():
+                slaves[name] = self.open(component)
+                stack.callback(slaves[name].close)
+            probes = self.system.exposed if chosen is None else chosen
+            network = Network(self.system, slaves, self.drive, probes)
+            driven = self.drive.initial(self.system, times.start) if self.drive else {}
+            initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
+            monitor = Monitor(network, self._bonds())
+            recorder = Recorder(network, times, chosen)
+            bar = stack.enter_context(Progress(times.stop - times.start, progress))
+            loop = _Loop(network, recorder, monitor, times, bar)
+            return self._judge(loop, lambda: loop.go(prepare(network)))
+
+    def _left_out(self) -> tuple[str, ...]:
+        faces = {name: c.interface for name, c in self.system.components.items()}
+        return tuple(f"{name}: {face.left_out}" for name, face in faces.items() if face.refused)
+
+    def _bonds(self) -> list[Bond]:
+        if self.bonds is None:
+            return find_bonds(self.system)
+        return [named_bond(self.system, *pair) for pair in self.bonds]
+
+    def _judge(self, loop: _Loop, go: Callable[[], None]) -> Result:
+        """Run, and make a result of it even when it ends early."""
+        began = time.perf_counter()
+        try:
+            go()
+        except KeyboardInterrupt:
+            raise Interrupted(self._result(loop, began, False)) from None
+        except Problem as problem:
+            raise RunFailed(problem, self._result(loop, began, False)) from problem
+        return self._result(loop, began, True)
+
+    def _result(self, loop: _Loop, began: float, complete: bool) -> Result:
+        logs = [s.log for s in loop.network.slaves.values()]
+        trace = loop.recorder.trace(list(self.system.outputs.values()))
+        done = max(loop.recorder.points - 1, 0)
+        card = Card(
+            master=self.master,
+            step=loop.times.step,
+            record_step=loop.times.every * loop.times.step,
+            steps=done,
+            simulated=done * loop.times.step,
+            wall=time.perf_counter() - began,
+            bonds=tuple(loop.monitor.energies()),
+            warnings=tuple(line for log in logs for line in log.warnings(trace)),
+            inside={name: slave.busy for name, slave in loop.network.slaves.items()},
+            notes=self.system.notes + self._left_out() + loop.network.order.notes + loop.times.notes,
+        )
+        messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
+        return Result(self.system, trace, card, tuple(messages), complete)
+
+
+@dataclass
+class _Loop:
+    """The loop over the communication steps."""
+
+    network: Network
+    recorder: Recorder
+    monitor: Monitor
+    times: Grid
+    bar: Progress
+
+    def go(self, step: Callable[[float, float], None]) -> None:
+        """From the start to the stop time; the recorder sees the first instant and every step."""
+        times, record = self.times, self.recorder.add
+        self.network.exchange(times.start)
+        self.monitor.begin()
+        record(times.start)
+        self.recorder.settle()
+        t = times.start
+        for first in range(1, times.steps + 1, BLOCK):
+            for n in range(first, min(first + BLOCK, times.steps + 1)):
+                after = times.start + n * times.step
+                step(t, after - t)
+                t = after
+                record(t)
+            self.recorder.settle()
+            self.bar.update(t - times.start)

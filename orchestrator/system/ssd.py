@@ -1,0 +1,216 @@
+"""The structure in a .ssd file as flat tables: components, connectors, connections, bindings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from orchestrator.errors import Problem, suggest
+from orchestrator.files.archive import Location
+from orchestrator.files.xml import Element, child, children, flag, local, number, parse, transformation, units
+from orchestrator.system.interface import FLOATS
+from orchestrator.system.units import Linear, Unit
+
+SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
+SINKS = ("input", "parameter", "structuralParameter")
+FMU, SSD, SSP = "application/x-fmu-sharedlibrary", "application/x-ssp-definition", "application/x-ssp-package"
+SOURCE, SINK = "source", "sink"
+
+
+class Node(NamedTuple):
+    """A connector; `owner` is the path of its component or system, empty for the outermost system."""
+
+    owner: str
+    connector: str
+
+    def __str__(self) -> str:
+        return f"{self.owner}.{self.connector}" if self.owner else self.connector
+
+
+class Hop(NamedTuple):
+    """What feeds a connector."""
+
+    source: Node
+    map: Linear
+    suppressed: bool
+
+
+class Binding(NamedTuple):
+    """A ParameterBinding of the component or system at `owner`, found in `file`."""
+
+    owner: str
+    element: Element
+    file: Location
+
+
+@dataclass
+class Flat:
+    """All systems of an SSP in flat tables."""
+
+    name: str
+    file: Location
+    sources: dict[str, Location] = field(default_factory=dict)  # component path -> FMU
+    systems: set[str] = field(default_factory=set)
+    kinds: dict[Node, str] = field(default_factory=dict)
+    units: dict[Node, Unit] = field(default_factory=dict)
+    hops: dict[Node, Hop] = field(default_factory=dict)
+    arrays: set[Node] = field(default_factory=set)
+    bindings: list[Binding] = field(default_factory=list)  # innermost first
+    known_units: dict[str, Unit] = field(default_factory=dict)
+    start: float | None = None
+    stop: float | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def connectors(self, owner: str, *kinds: str) -> list[Node]:
+        """Connectors of one component or system, of some kinds."""
+        return [n for n, kind in self.kinds.items() if n.owner == owner and kind in kinds]
+
+
+def read_ssd(file: Location) -> Flat:
+    """Read a .ssd file and every system inside it."""
+    root = parse(file, "SystemStructureDescription")
+    flat = Flat(root.get("name") or "system", file)
+    if not (root.get("version") or "").startswith(("1.", "2.")):
+        flat.notes.append(f"{file}: SSP version {root.get('version')} is read as version 2.0")
+    experiment = child(root, "DefaultExperiment")
+    if experiment is not None:
+        flat.start = number(file, experiment, "startTime") if "startTime" in experiment.attrib else None
+        flat.stop = number(file, experiment, "stopTime") if "stopTime" in experiment.attrib else None
+    _read_root(flat, file, root, "")
+    return flat
+
+
+def _read_root(flat: Flat, file: Location, root: Element, path: str) -> None:
+    flat.known_units |= units(file, root)
+    system = child(root, "System")
+    if system is None:
+        raise Problem(f"{file}: expected a System inside {local(root)}, got none")
+    _Reader(flat, file).system(system, path, {})
+
+
+class _Reader:
+    """Walks the elements of one .ssd file."""
+
+    def __init__(self, flat: Flat, file: Location) -> None:
+        self._flat, self._file = flat, file
+
+    def system(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> None:
+        """A system: its elements first, so that bindings come innermost first."""
+        self._flat.systems.add(path)
+        self._connectors(element, path)
+        inner = {
+            d.get("name"): _join(path, d.get("name"))
+            for d in children(element, "SignalDictionaries", "SignalDictionary")
+        }
+        known = {**dictionaries, **inner}
+        owners: dict[str, str] = {}
+        for part in children(element, "Elements"):
+            for e in part:
+                if local(e):
+                    owners[e.get("name")] = self._element(e, path, known)
+        for c in children(element, "Connections", "Connection"):
+            self._connection(c, path, owners)
+        self._bindings(element, path)
+
+    def _element(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> str:
+        """One element of a system; returns the owner of its connectors."""
+        kind, name = local(element), element.get("name")
+        full = _join(path, name)
+        if kind == "System":
+            self.system(element, full, dictionaries)
+        elif kind == "Component":
+            self._component(element, full)
+        elif kind == "SignalDictionaryReference":
+            dictionary = element.get("dictionary")
+            if dictionary not in dictionaries:
+                raise Problem(f"{self._file}: {full}: no signal dictionary named {dictionary!r}")
+            return f"{dictionaries[dictionary]}()"  # no component has such a name
+        return full
+
+    def _component(self, element: Element, full: str) -> None:
+        kind, source = element.get("type") or FMU, self._file.beside(element.get("source") or "")
+        implementation = element.get("implementation") or "any"
+        if implementation not in ("any", "CoSimulation"):
+            raise Problem(f"{self._file}: component {full}: expected CoSimulation, got {implementation}")
+        if kind == FMU:
+            self._flat.sources[full] = source
+        elif kind in (SSD, SSP):
+            file = source if kind == SSD else source.member("SystemStructure.ssd")
+            _read_root(self._flat, file, parse(file, "SystemStructureDescription"), full)
+        else:
+            raise Problem(f"{self._file}: component {full}: expected an FMU, got type {kind}")
+        self._connectors(element, full)
+        self._bindings(element, full)
+
+    def _connectors(self, element: Element, owner: str) -> None:
+        for connector in children(element, "Connectors", "Connector"):
+            node = Node(owner, connector.get("name"))
+            self._flat.kinds[node] = connector.get("kind")
+            if child(connector, "Dimension") is not None:
+                self._flat.arrays.add(node)
+            for name in (e.get("unit") for e in connector if local(e) in FLOATS):
+                if name:
+                    self._flat.units[node] = self._flat.known_units.get(name, Unit(name))
+
+    def _bindings(self, element: Element, owner: str) -> None:
+        for binding in children(element, "ParameterBindings", "ParameterBinding"):
+            self._flat.bindings.append(Binding(owner, binding, self._file))
+
+    def _connection(self, element: Element, path: str, owners: Mapping[str, str]) -> None:
+        """One connection; its direction follows from the kinds of the connectors, not from start and end."""
+        ends = [self._end(element, side, path, owners) for side in ("start", "end")]
+        (start, first), (end, last) = ends
+        where = f"{self._file}: connection {start} -> {end}"
+        if first is not None and first == last:
+            raise Problem(f"{where}: expected one source and one sink, got two connectors of kind {first}")
+        if first == SINK or last == SOURCE:
+            start, end = end, start
+        if end in self._flat.hops:
+            raise Problem(f"{where}: {end} is fed twice, also by {self._flat.hops[end].source}")
+        linear, table = transformation(self._file, element)
+        if table:
+            linear = _as_linear(table, where)
+        self._flat.hops[end] = Hop(start, linear, flag(element, "suppressUnitConversion"))
+
+    def _end(
+        self, element: Element, side: str, path: str, owners: Mapping[str, str]
+    ) -> tuple[Node, str | None]:
+        """One end of a connection and its role there."""
+        name, connector = element.get(f"{side}Element"), element.get(f"{side}Connector")
+        if name is not None and name not in owners:
+            raise Problem(
+                f"{self._file}: connection to {name}.{connector}: no element {name!r}{suggest(name, owners)}"
+            )
+        node = Node(path if name is None else owners[name], connector)
+        if node in self._flat.arrays or element.get(f"{side}Indices"):
+            raise Problem(f"{self._file}: connection to {node}: expected a scalar, arrays are not supported")
+        kind = self._flat.kinds.get(node)
+        if kind is None and node.owner in self._flat.systems:
+            known = [n.connector for n in self._flat.kinds if n.owner == node.owner]
+            label = node.owner or self._flat.name
+            raise Problem(f"{self._file}: {label} has no connector {connector!r}{suggest(connector, known)}")
+        if kind not in (*SOURCES, *SINKS):
+            return node, None
+        return node, SOURCE if (kind in SOURCES) != (name is None) else SINK
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
+def _as_linear(table: Mapping[str, str], where: str) -> Linear:
+    """A mapping of boolean or integer values on a connection, where it is a straight line."""
+    words = {"true": "1", "false": "0"}
+    try:
+        points = sorted((float(words.get(a, a)), float(words.get(b, b))) for a, b in table.items())
+    except ValueError:
+        points = []
+    if len(points) == 1:
+        return Linear(0.0, points[0][1])
+    if len(points) >= 2:
+        (x0, y0), (x1, y1) = points[0], points[1]
+        line = Linear((y1 - y0) / (x1 - x0), y0 - (y1 - y0) / (x1 - x0) * x0)
+        if all(line(x) == y for x, y in points):
+            return line
+    raise Problem(f"{where}: this mapping of values is not supported on a connection")

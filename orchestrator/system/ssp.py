@@ -1,0 +1,96 @@
+"""Reading SSP 1.0 and 2.0: a .ssp archive, an unpacked one, a .ssd file, or a single .fmu.
+
+Nested systems (also those in other .ssd and .ssp files) are flattened: components are named by their path,
+and each component input is traced back through the connectors of systems to the output that feeds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from orchestrator.errors import Problem
+from orchestrator.files.archive import Location
+from orchestrator.system.assembly import connection, open_component
+from orchestrator.system.ssd import SINKS, Flat, Node, read_ssd
+from orchestrator.system.ssv import apply
+from orchestrator.system.system import Connection, Inlet, Outlet, Port, System
+from orchestrator.system.units import IDENTITY, Linear, Unit
+from orchestrator.system.wires import Wire, find_wires
+
+DEFINITION = "SystemStructure.ssd"
+
+
+def load(path: str | Path) -> System:
+    """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU."""
+    file = Location(Path(path))
+    suffix = file.path.suffix.lower()
+    if not file.path.exists():
+        raise Problem(f"{file}: no such file")
+    if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
+        return single(file)
+    if suffix == ".ssp" or file.is_folder:
+        return _load_ssd(file.member(DEFINITION))
+    if suffix == ".ssd":
+        return _load_ssd(file)
+    raise Problem(f"{file}: expected a .ssp, .ssd or .fmu file")
+
+
+def single(fmu: Location) -> System:
+    """A system of one FMU, whose inputs are those of the system."""
+    component = open_component(fmu.path.stem, fmu)
+    inputs = [v for v in component.interface.of("input") if v.kind != "String"]
+    inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
+    start = component.interface.start
+    return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
+
+
+def _load_ssd(ssd: Location) -> System:
+    flat = read_ssd(ssd)
+    components = {name: open_component(name, fmu) for name, fmu in flat.sources.items()}
+    try:
+        return _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
+    except Problem as problem:
+        raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
+
+
+def _flatten(flat: Flat, system: System) -> System:
+    """Connections, inlets, outlets and start values of the flat system."""
+    notes = list(flat.notes)
+    wires = find_wires(flat, system)
+    maps = [(wire, wire.map(flat, system, notes)) for wire in wires]
+    inputs = {n.connector: _inlet(flat, system, n, maps) for n in flat.connectors("", *SINKS)}
+    start = apply(flat, system, wires, notes)
+    components = {name: replace(c, start=start[name]) for name, c in system.components.items()}
+    return replace(
+        system,
+        components=components,
+        connections=tuple(c for wire, linear in maps for c in _connection(flat, system, wire, linear)),
+        inputs=inputs,
+        outputs={o.name: o for wire, linear in maps for o in _outlet(flat, system, wire, linear)},
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _connection(flat: Flat, system: System, wire: Wire, linear: Linear) -> list[Connection]:
+    if wire.nodes[0].owner in flat.sources and wire.nodes[-1].owner in flat.sources:
+        return [connection(system, wire.source, wire.target, linear)]
+    return []
+
+
+def _outlet(flat: Flat, system: System, wire: Wire, linear: Linear) -> list[Outlet]:
+    first, last = wire.nodes[0], wire.nodes[-1]
+    if first.owner in flat.sources and last.owner not in flat.sources:
+        unit = flat.units.get(last) or system.variable(wire.source).unit
+        return [Outlet(last.connector, unit, wire.source, linear)]
+    return []
+
+
+def _inlet(flat: Flat, system: System, node: Node, maps: list[tuple[Wire, Linear]]) -> Inlet:
+    """An input of the outermost system; without a unit of its own it has that of the inputs it feeds."""
+    targets = tuple(
+        (w.target, m) for w, m in maps if w.nodes[0] == node and w.nodes[-1].owner in flat.sources
+    )
+    units: set[Unit | None] = {system.variable(port).unit for port, _ in targets}
+    own = flat.units.get(node) or (units.pop() if len(units) == 1 else None)
+    return Inlet(node.connector, own, targets)
