@@ -7,8 +7,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 TESTING := .venv/testing
+PEERS := .venv/peers
 
-.PHONY: demo test test-long lint bench clean
+.PHONY: demo test test-long lint bench bench-peers clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -30,6 +31,9 @@ bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
 
+bench-peers: $(PEERS)
+	$(BIN)/python -m benchmarks.peers
+
 clean:
 	rm -rf build .venv
 
@@ -41,4 +45,8 @@ $(INSTALLED): pyproject.toml
 
 $(TESTING): $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	touch $@
+
+$(PEERS): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
 	touch $@

@@ -1,0 +1,83 @@
+"""`python -m benchmarks.peers`: measures, prints the tables, writes build/peers.json."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.peers.cases import Case, cases
+from benchmarks.peers.inside import inside
+from benchmarks.peers.machine import describe
+from benchmarks.peers.measure import Job, jobs
+from benchmarks.peers.report import plain, table
+from benchmarks.peers.settings import SETTINGS, Setting
+from benchmarks.peers.tools import find
+
+NOTES = """us/step: time of a communication step of 1 ms, the loop over the steps alone, median of the runs, \
+with all coupling signals recorded as each tool does it (not rec.: without). Then the error over the step. \
+ms/s: time for a simulated second at the step that gives the error in the heading. Recording: FMPy all \
+connectors in memory, Ecos a CSV file of six decimals, libcosim a time series in memory, ours in memory with \
+the accuracy card."""
+
+
+def main() -> None:
+    """Measure what was asked for."""
+    asked = _arguments()
+    console = Console(width=max(160, Console().width), markup=False, highlight=False)
+    settings = [s for s in SETTINGS if not asked.only or any(word in s.label for word in asked.only)]
+    settings = _installed(settings, console)
+    about = describe()
+    console.print("\n".join(f"{name}: {value}" for name, value in about.items()), NOTES, sep="\n\n")
+    told = {"machine": about, "repeats": asked.repeats, "cases": {}}
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases(Path(folder)):
+            if not asked.case or case.name in asked.case:
+                told["cases"][case.name] = _measured(case, settings, asked.repeats, console)
+    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    asked.out.write_text(json.dumps(told, indent=1), encoding="utf-8")
+    console.print(f"written: {asked.out}")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--case", action="append", help="wired, cut or oscillator; all by default")
+    parser.add_argument("--only", action="append", help="a part of the names of settings; all by default")
+    parser.add_argument("--out", type=Path, default=Path("build/peers.json"))
+    return parser.parse_args()
+
+
+def _installed(settings: Sequence[Setting], console: Console) -> list[Setting]:
+    """Those whose tool can be loaded; the others are told."""
+    missing = {}
+    for tool in dict.fromkeys(s.tool for s in settings):
+        try:
+            find(tool)
+        except (ImportError, OSError) as reason:
+            missing[tool] = reason
+            console.print(f"left out: {tool}: {reason}")
+    return [s for s in settings if s.tool not in missing]
+
+
+def _measured(case: Case, settings: Sequence[Setting], repeats: int, console: Console) -> dict[str, object]:
+    """All runs of a case; its table is printed."""
+    todo: list[Job] = list(jobs(case, settings))
+    for _ in track(range(repeats), description=case.name, console=console, transient=True):
+        for job in todo:
+            job.repeat()
+    found = {s.label: [job for job in todo if job.setting is s] for s in settings}
+    console.print(table(case, settings, found))
+    spent = inside(case)
+    parts = ", ".join(f"{part} {time:.2f}" for part, time in spent.items())
+    console.print(f"inside the FMUs, us per step, called from C: {sum(spent.values()):.2f} ({parts})\n")
+    return {**plain(case, settings, found), "inside_us_per_step": spent}
+
+
+if __name__ == "__main__":
+    main()

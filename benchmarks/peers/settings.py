@@ -1,0 +1,55 @@
+"""What is run: tools, their options, and the communication steps in each case. Extend the tables here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+USUAL = 1e-3  # s; here the cost of a step is compared, with and without recording
+
+# case -> steps [s]; the times that errors are taken at are multiples of each
+PLAIN = {
+    "wired": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 8e-3, 1e-2),
+    "cut": (1e-4, 2e-4, 5e-4, 1e-3),
+    "oscillator": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2),
+}
+# FMPy takes a fraction of a millisecond for a step
+SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3)}
+ONCE = {case: (USUAL,) for case in PLAIN}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One tool with one set of options.
+
+    tool      a module of `tools`
+    values    case -> values of the option `vary`; a case that is not there is left out
+    options   of the tool's `run`; for ours those of `orchestrator.run`
+    vary      the option that goes through the values, from the finest to the coarsest
+    """
+
+    label: str
+    tool: str
+    values: Mapping[str, tuple[float, ...]]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    vary: str = "step"
+
+    @property
+    def ours(self) -> bool:
+        """Not a peer."""
+        return self.tool == "ours"
+
+
+PEERS = (
+    Setting("FMPy", "fmpy_ssp", SLOW),
+    Setting("Ecos", "ecos", PLAIN),
+    Setting("Ecos, one thread", "ecos", ONCE, {"threads": 1}),
+    Setting("libcosim, no worker", "libcosim", PLAIN, {"workers": 0}),
+    Setting("libcosim, 1 worker", "libcosim", ONCE, {"workers": 1}),
+)
+OURS = (
+    Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}),
+    Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}),
+)
+SETTINGS = PEERS + OURS

@@ -1,0 +1,32 @@
+"""Our own orchestrator, with its record, accuracy card and energy monitor.
+
+Without recording it has none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from benchmarks.peers.tools import Run, nothing
+from orchestrator import System, load
+from orchestrator import run as simulate
+
+
+def run(system: Path, stop: float, record: Sequence[str], judged: Sequence[str], **options: Any) -> Run:
+    """One run; `options` go to `orchestrator.run`."""
+    if not record:
+        options["bonds"] = ()
+    result = simulate(loaded(system), stop=stop, record=list(record), **options)
+    card, trace = result.card, result.trace
+    if not record:
+        return nothing(card.wall, card.steps)
+    return Run(card.wall, card.steps, trace.time, {name: trace[name] for name in judged})
+
+
+@cache
+def loaded(system: Path) -> System:
+    """Read once."""
+    return load(system)
