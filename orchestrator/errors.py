@@ -14,6 +14,18 @@ class Unsupported(Problem):
     """A variable of a kind that cannot be used here, such as an array."""
 
 
+class Discarded(Problem):
+    """An FMU did only part of a step: up to `reached` [s], NaN if it does not say."""
+
+    reached = float("nan")
+
+
+class Ended(Problem):
+    """An FMU asks to end the simulation at `reached` [s]."""
+
+    reached = float("nan")
+
+
 class UnknownSignal(Problem, KeyError):
     """A name that no signal has; a KeyError too, because traces are looked up like mappings."""
 

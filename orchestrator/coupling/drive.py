@@ -20,11 +20,16 @@ class Table:
     """Columns over time: linear between the samples, held before the first and after the last."""
 
     def __init__(self, time: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
-        """time: shape (n,) [s], strictly increasing. columns: shape (n, k)."""
+        """time: shape (n,) [s], strictly increasing. columns: shape (n, k).
+
+        arrays   times, and of each interval values at its anchor, slopes and the anchor [s]
+        """
         slopes = np.diff(columns, axis=0) / np.diff(time)[:, None]
         hold = np.zeros((1, columns.shape[1]))
         self._slopes = np.concatenate([hold, slopes, hold])
         self._base = np.concatenate([columns[:1], columns])
+        first = time[:1].astype(np.float64)
+        self.arrays = time.astype(np.float64), self._base, self._slopes, np.concatenate([first, time])
         self._time = time.tolist()
         self._anchor = [self._time[0], *self._time]
         self._row = 0

@@ -4,94 +4,39 @@ All Real variables that are exchanged or recorded stand in one float64 array, al
 A component's variables that are read (or set) together stand side by side, so that each get or set is one
 call into the FMU on a slice. The exchange at a communication point runs through the stages of
 `dependencies.output_order`: read the outputs that are known, carry them over, set the inputs they feed.
+
+Between communication points the inputs that a master moves follow the polynomials of `signal.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.coupling.bank import Bank, Block, Link
 from orchestrator.coupling.drive import Drive
-from orchestrator.slaves.slave import Buffer, Call, Slave, access
+from orchestrator.coupling.driver import Driver
+from orchestrator.coupling.part import Part
+from orchestrator.coupling.signal import DRIVEN, NO_SLOPE, Signal
+from orchestrator.slaves.slave import Call, Slave
+from orchestrator.system.bonds import find_bonds
 from orchestrator.system.dependencies import Order, output_order
 from orchestrator.system.system import Connection, Port, System
 
-
-@dataclass(frozen=True)
-class Block:
-    """Variables of one component and one kind that are read or set in the same stages; a slice of a bank."""
-
-    component: str
-    kind: str
-    stages: tuple[int, ...]
-    ports: tuple[Port, ...]
-    first: int
-
-
-DRIVEN = -1  # the stage of inputs that a scenario sets, before all others
-
-
-class Bank:
-    """One array of values and where each port stands in it."""
-
-    def __init__(self, dtype: Any) -> None:
-        self.blocks: list[Block] = []
-        self.index: dict[Port, int] = {}
-        self.values: Buffer = np.zeros(0, dtype)
-
-    def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
-        """Append ports, grouped into blocks."""
-        groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
-        for port, when in stages.items():
-            groups.setdefault((port.component, access(system.variable(port)), when), []).append(port)
-        added = []
-        for (component, kind, when), ports in groups.items():
-            added.append(Block(component, kind, when, tuple(ports), len(self.index)))
-            self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
-        self.blocks += added
-        self.values = np.zeros(len(self.index), self.values.dtype)
-        return added
-
-    def slice(self, block: Block) -> Buffer:
-        """The values of one block, as a view."""
-        return self.values[block.first : block.first + len(block.ports)]
-
-    def places(self, ports: Iterable[Port]) -> NDArray[np.intp]:
-        """Positions of ports in `values`."""
-        return np.array([self.index[p] for p in ports], dtype=np.intp)
-
-
-class Link:
-    """Connections as index arrays into a bank."""
-
-    def __init__(self, bank: Bank, connections: Sequence[Connection]) -> None:
-        self.source = bank.places(c.source for c in connections)
-        self.target = bank.places(c.target for c in connections)
-        self._bank = bank.values
-        self._factor = np.array([c.map.factor for c in connections]).astype(bank.values.dtype)
-        self._offset = np.array([c.map.offset for c in connections]).astype(bank.values.dtype)
-        self._plain = bool(np.all(self._factor == 1) and np.all(self._offset == 0))
-
-    def arriving(self) -> Buffer:
-        """What the targets should receive now, shape (n,)."""
-        values = self._bank[self.source]
-        return values if self._plain else values * self._factor + self._offset
-
-    def carry(self) -> None:
-        """Copy the sources to the targets."""
-        self._bank[self.target] = self.arriving()
+FIRST = -1  # the stage of inputs that a scenario sets, before all others
 
 
 class Network:
     """Slaves, their exchanged values, and the calls that move them.
 
     real, whole   banks of the Real values and of all others (Integer, Enumeration, Boolean)
-    slopes        slope [1/s] that the master gave to each Real input for the current step, NaN where it gave
-                  none; aligned with real.values
+    parts         the components in the order of the system
+    signals       inputs that move inside a step
+    used          shape (2, real values): what moving inputs were at both ends of the step, else NaN
+    moving        the inputs of the signals
+    carried       inputs that the FMUs move by themselves, from a rate input or as one
+    length        of the step before [s]; 0 at the start
     """
 
     def __init__(
@@ -100,54 +45,162 @@ class Network:
         slaves: Mapping[str, Slave],
         drive: Drive | None = None,
         probes: Iterable[Port] = (),
+        factors: Mapping[str, int] | None = None,
     ) -> None:
         self.system, self.slaves, self.drive = system, slaves, drive
         self.order: Order = output_order(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.real, self.whole = Bank(np.float64), Bank(np.int32)
         reads, writes = self._place(probes)
-        self.slopes = np.full(len(self.real.values), np.nan)
-        self._exchange = self._compile(reads, writes)
-        self._driver = Driver(self, drive) if drive else None
-        self._stepped: list[Callable[[float], None]] = []
-        self._settled: list[Call] = []
+        self.used = np.full((2, len(self.real.values)), np.nan)
+        self.parts = [Part(slave, self.used) for slave in slaves.values()]
+        for name, part in zip(slaves, self.parts, strict=True):
+            part.factor = (factors or {}).get(name, 1)
+        self.exchange_calls = self._compile(reads, writes)
+        self.driver = Driver(self, drive) if drive else None
+        self.signals: list[Signal] = []
+        self.moving, self.carried = set[Port](), set[Port]()
+        self._driven: list[Signal] = []
+        self.slopes = np.zeros(0)
+        self.length = 0.0
+        self._kept = self.real.values.copy(), self.whole.values.copy()
 
     # ---- what masters call
 
-    def tilt(self, t: float, h: float) -> None:
-        """Give driven inputs their slope over the coming step, where the FMU can use it."""
-        if self._driver:
-            self._driver.tilt(t, h)
-
     def exchange(self, t: float) -> None:
         """Set driven inputs to their value at t, then bring all outputs and inputs up to date."""
-        if self._driver:
-            self._driver.put(t)
-        for call in self._exchange:
+        if self.driver:
+            self.driver.put(t)
+        for call in self.exchange_calls:
             call()
+
+    def begin(self, t: float) -> None:
+        """Make everything known at the start of the run."""
+        self.exchange(t)
+        self.tell()
+        for s in self.signals:
+            s.begin(*self._source(s))
+
+    def ahead(self, t: float, h: float) -> None:
+        """Look up what driven inputs will be at the end of the step from t to t + h."""
+        if self.driver:
+            self.driver.look(t + h)
+            for s, value in zip(self._driven, self.driver.coming, strict=True):
+                s.value1 = value
+
+    def arrive(self, h: float, maker: int | None = None) -> float:
+        """Note what the sources (of one component) are at the end of the step, after `Part.read`.
+
+        Returns the largest change since they were noted last, see `Signal.arrive`.
+        """
+        change = 0.0
+        for s in self.signals:
+            if s.maker != DRIVEN and maker in (None, s.maker):
+                change = max(change, s.arrive(*self._source(s), h, self.length))
+        return change
+
+    def tell(self) -> None:
+        """Read the slopes of all outputs that move an input."""
+        for part in self.parts:
+            if part.tell:
+                part.tell()
 
     def settle(self, t: float, h: float) -> None:
         """End the step from t to t + h, for which all components have stepped."""
-        for stepped in self._stepped:
-            stepped(h)
         self.exchange(t + h)
-        for settled in self._settled:
-            settled()
+        self.tell()
+        self.arrive(h)
 
-    def watch(self, stepped: Callable[[float], None], settled: Call) -> None:
-        """After each step call `stepped(h)` before the inputs change, and `settled()` after."""
-        self._stepped.append(stepped)
-        self._settled.append(settled)
+    def accept(self, h: float) -> None:
+        """The end of the step is the beginning of the next one."""
+        for s in self.signals:
+            s.accept(h)
+        self.length = h
 
-    def read_again(self, component: str) -> list[Call]:
-        """Calls that read all connected outputs of a component, for masters that step one by one."""
-        sources = {c.source for c in self.connections}
-        blocks = [(bank, b) for bank in (self.real, self.whole) for b in bank.blocks]
-        return [
-            self.reader(bank, b) for bank, b in blocks if b.component == component and sources & set(b.ports)
-        ]
+    def keep(self) -> None:
+        """Remember the beginning of a step, to be able to repeat it."""
+        self._kept[0][:], self._kept[1][:] = self.real.values, self.whole.values
+        for part in self.parts:
+            part.keep()
 
-    # ---- building
+    def restore(self) -> None:
+        """Go back to the beginning of the step."""
+        self.real.values[:], self.whole.values[:] = self._kept
+        for part in self.parts:
+            part.restore()
+
+    def _source(self, s: Signal) -> tuple[float, float]:
+        """Value and slope of a source now, in the input's unit."""
+        if s.maker == DRIVEN:
+            return float(self.real.values[s.target]), 0.0
+        value = float(self.real.values[s.source]) * s.factor + s.offset
+        return value, 0.0 if s.slope == NO_SLOPE else float(self.slopes[s.slope]) * s.factor
+
+    # ---- building: what moves inside a step
+
+    def move(self, connections: Sequence[Connection], degree: int, slopes: bool) -> None:
+        """Let these inputs move at polynomials up to `degree`; called once, by the master that moves them.
+
+        slopes   the slopes of the sources are wanted
+        """
+        found = [c for c in connections if self._continuous(c.target) and self._continuous(c.source)]
+        found = [c for c in found if self.system.variable(c.target).causality == "input"]
+        self.carried = self._carried({c.target for c in found})
+        wired = {c.target: c for c in found if c.target not in self.carried}
+        driven = self.driver.moving if self.driver else []
+        told = self._read_slopes([c.source for c in wired.values()] if slopes else [])
+        names = list(self.slaves)
+        for name, part in zip(names, self.parts, strict=True):
+            ports = [p for p in [*wired, *driven] if p.component == name]
+            mine = [self._signal(p, wired.get(p), degree, told, names) for p in ports]
+            part.follow([p.variable for p in ports], mine)
+            self.signals += mine
+        self.moving = {*wired, *driven}
+        by_target = {s.target: s for s in self.signals}
+        self._driven = [by_target[self.real.index[p]] for p in driven]
+
+    def _continuous(self, port: Port) -> bool:
+        variable = self.system.variable(port)
+        return variable.is_real and variable.variability == "continuous"
+
+    def _carried(self, moved: set[Port]) -> set[Port]:
+        """Inputs that move by themselves, with a rate input, or that merely are the rate of a moved one."""
+        fed = {c.target for c in self.connections}
+        power = {p for bond in find_bonds(self.system) for p in (bond.effort, bond.flow)}
+        carried = set[Port]()
+        for name, slave in self.slaves.items():
+            for u, rate in slave.interface.rates.items():
+                port, speed = Port(name, u), Port(name, rate)
+                if u not in slave.interface.sloped and speed in fed:
+                    carried.add(port)
+                if port in moved and port not in carried and speed not in power:
+                    carried.add(speed)
+        return carried
+
+    def _signal(
+        self, port: Port, wire: Connection | None, degree: int, told: Mapping[Port, int], names: list[str]
+    ) -> Signal:
+        follows = self.slaves[port.component].follows(port.variable, degree if wire else 1)
+        target = self.real.index[port]
+        if wire is None:
+            return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, follows, 1)
+        source, maker = self.real.index[wire.source], names.index(wire.source.component)
+        slope = told.get(wire.source, NO_SLOPE)
+        return Signal(target, source, wire.map.factor, wire.map.offset, maker, slope, follows, degree)
+
+    def _read_slopes(self, sources: Iterable[Port]) -> dict[Port, int]:
+        """Arrange for the slopes of outputs to be read; returns their places among `slopes`."""
+        able = [p for p in dict.fromkeys(sources) if self.slaves[p.component].interface.slopes >= 1]
+        able.sort(key=lambda p: list(self.slaves).index(p.component))
+        self.slopes = np.zeros(len(able))
+        for name, part in zip(self.slaves, self.parts, strict=True):
+            mine = [i for i, p in enumerate(able) if p.component == name]
+            if mine:
+                into = self.slopes[mine[0] : mine[-1] + 1]
+                part.tell = part.slave.slope_reader([able[i].variable for i in mine], into)
+        return {p: i for i, p in enumerate(able)}
+
+    # ---- building: the exchange
 
     def bank(self, port: Port) -> Bank:
         """The bank that holds this port's value."""
@@ -158,7 +211,7 @@ class Network:
         last = max(self.order.count - 1, 0)
         outputs = {p: s for p, s in self.order.stages.items() if self.system.variable(p).kind != "String"}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        inputs |= {p: (DRIVEN,) for p in (self.drive.columns if self.drive else ())}
+        inputs |= {p: (FIRST,) for p in (self.drive.columns if self.drive else ())}
         outputs |= {p: (last,) for p in probes if p not in outputs and p not in inputs}
         reads, writes = [], []
         for bank in (self.real, self.whole):
@@ -177,7 +230,7 @@ class Network:
             for bank in (self.real, self.whole):
                 links = [c for c in self.connections if stage in self.order.stages[c.source]]
                 links = [c for c in links if self.bank(c.source) is bank]
-                calls += [Link(bank, links).carry] if links else []
+                calls += [Link(bank, links)] if links else []
             calls += [self.writer(bank, b) for bank, b in writes if stage in b.stages]
         return calls
 
@@ -191,63 +244,10 @@ class Network:
         names = [p.variable for p in block.ports]
         return self.slaves[block.component].writer(names, bank.slice(block))
 
-
-class Driver:
-    """The scenario bound to the inputs it drives."""
-
-    def __init__(self, network: Network, drive: Drive) -> None:
-        self._table = drive.table
-        self._writers = [
-            network.writer(bank, b)
-            for bank in (network.real, network.whole)
-            for b in bank.blocks
-            if DRIVEN in b.stages
+    def read_again(self, component: str) -> list[Call]:
+        """Calls that read all connected outputs of a component, for masters that step one by one."""
+        sources = {c.source for c in self.connections}
+        blocks = [(bank, b) for bank in (self.real, self.whole) for b in bank.blocks]
+        return [
+            self.reader(bank, b) for bank, b in blocks if b.component == component and sources & set(b.ports)
         ]
-        ports = [p for p in drive.columns if network.system.variable(p).is_real]
-        others = [p for p in drive.columns if p not in ports]
-        self._real, self._whole = network.real.values, network.whole.values
-        self._targets, self._held = network.real.places(ports), network.whole.places(others)
-        self._columns = np.array([drive.columns[p][0] for p in ports], dtype=np.intp)
-        self._held_columns = np.array([drive.columns[p][0] for p in others], dtype=np.intp)
-        self._factor = np.array([drive.columns[p][1].factor for p in ports])
-        self._offset = np.array([drive.columns[p][1].offset for p in ports])
-        self._tilts = self._slope_writers(network, ports)
-        self._ahead: tuple[float | None, NDArray[np.float64]] = (None, np.zeros(0))  # for when, the values
-
-    def _slope_writers(
-        self, network: Network, ports: list[Port]
-    ) -> list[tuple[NDArray[np.intp], Buffer, Call]]:
-        """Per interpolating component: positions among `ports`, buffer of slopes, call."""
-        found = []
-        for name, slave in network.slaves.items():
-            sloped = slave.interface.sloped
-            mine = [i for i, p in enumerate(ports) if p.component == name and p.variable in sloped]
-            if mine:
-                buffer = np.zeros(len(mine))
-                call = slave.slope_writer([ports[i].variable for i in mine], buffer)
-                found.append((np.array(mine, dtype=np.intp), buffer, call))
-        return found
-
-    def _at(self, t: float) -> NDArray[np.float64]:
-        """Values of the driven Real inputs at t."""
-        values: NDArray[np.float64] = self._table.at(t)[self._columns] * self._factor + self._offset
-        return values
-
-    def put(self, t: float) -> None:
-        """Set the driven inputs to their value at t."""
-        when, values = self._ahead
-        self._real[self._targets] = values if when == t else self._at(t)
-        if len(self._held):
-            self._whole[self._held] = np.rint(self._table.sample(t)[self._held_columns])
-        for write in self._writers:
-            write()
-
-    def tilt(self, t: float, h: float) -> None:
-        """Give the slopes over [t, t + h] to the FMUs that use them."""
-        if self._tilts:
-            ahead = self._at(t + h)
-            self._ahead = (t + h, ahead)
-            slopes = (ahead - self._real[self._targets]) / h
-            for mine, buffer, write in self._tilts:
-                buffer[:] = slopes[mine]
-                write()

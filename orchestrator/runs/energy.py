@@ -48,62 +48,65 @@ class BondEnergy:
 
 
 class Monitor:
-    """Watches the bonds of a network during a run; `energies` gives the sums so far."""
+    """Watches the bonds of a network during a run; `energies` gives the sums so far.
+
+    readers   calls that read back the bond inputs that the master does not move into `seen`
+    """
 
     def __init__(self, network: Network, bonds: list[Bond]) -> None:
         ports = [p for b in bonds for p in (b.effort, b.flow)]
-        self._bonds, self._network, self._values = bonds, network, network.real.values
-        self._places = network.real.places(ports)
-        self._sloped: NDArray[np.bool_] | None = None  # which bond inputs the master gives slopes to
-        by_component = sorted(range(len(ports)), key=lambda i: _group(network, ports[i]))
-        self._seen, self._spread = np.zeros(len(ports)), np.argsort(by_component)
-        self._readers = _readers(network, [ports[i] for i in by_component], self._seen)
-        self._step = np.zeros(ROWS)
-        self._first, self._last, self._true = (np.zeros((ROWS, len(ports))) for _ in range(3))
+        self._bonds, self._values, self._used = bonds, network.real.values, network.used
+        self.places = network.real.places(ports)
+        self.moved = np.array([p in network.moving for p in ports], dtype=bool)
+        back = sorted((p for p in ports if p not in network.moving), key=lambda p: _group(network, p))
+        self.seen = np.zeros(len(back))
+        self.spread = np.array([back.index(p) if p in back else -1 for p in ports], dtype=np.intp)
+        self.readers = _readers(network, back, self.seen)
+        self.step = np.zeros(ROWS)
+        self.first, self.last, self.true = (np.zeros((ROWS, len(ports))) for _ in range(3))
         self._before = np.zeros(len(ports))
-        self._rows = 0
+        self.rows = 0
         self._sums = np.zeros((3, len(bonds)))
-        if bonds:
-            network.watch(self._stepped, self._settled)
 
     def begin(self) -> None:
         """Note the true values at the start of the run."""
-        self._before = self._values[self._places]
+        self._before = self._values[self.places]
 
-    def _stepped(self, h: float) -> None:
-        """After a step, before new inputs are set: what the FMUs worked with."""
-        for read in self._readers:
+    def stepped(self, h: float) -> None:
+        """After a step of length h, before new inputs are set: note what the FMUs worked with."""
+        if not self._bonds:
+            return
+        for read in self.readers:
             read()
-        row = self._rows
-        self._step[row] = h
-        self._first[row] = self._values[self._places]
-        self._last[row] = self._seen[self._spread]
-        if self._sloped is None:
-            self._sloped = ~np.isnan(self._network.slopes[self._places])
-        if self._sloped.any():
-            moved = self._first[row] + h * self._network.slopes[self._places]
-            self._last[row, self._sloped] = moved[self._sloped]
+        row = self.rows
+        self.step[row] = h
+        self.first[row] = np.where(self.moved, self._used[0, self.places], self._values[self.places])
+        back = self.seen[self.spread] if len(self.seen) else 0.0
+        self.last[row] = np.where(self.moved, self._used[1, self.places], back)
 
-    def _settled(self) -> None:
-        """After new inputs are set: what would have been true."""
-        self._true[self._rows] = self._values[self._places]
-        self._rows += 1
-        if self._rows == ROWS:
-            self._sum()
+    def settled(self) -> None:
+        """After new inputs are set: note what would have been true."""
+        if not self._bonds:
+            return
+        self.true[self.rows] = self._values[self.places]
+        self.rows += 1
+        if self.rows == ROWS:
+            self.sum()
 
-    def _sum(self) -> None:
-        n, self._rows = self._rows, 0
-        end = self._true[:n]
+    def sum(self) -> None:
+        """Add up the steps since the last time."""
+        n, self.rows = self.rows, 0
+        end = self.true[:n]
         start = np.concatenate([self._before[None], end])[:n]
         self._before = end[-1].copy() if n else self._before
-        h = 0.5 * self._step[:n, None]
-        made = h * (_residual(start, self._first[:n]) + _residual(end, self._last[:n]))
+        h = 0.5 * self.step[:n, None]
+        made = h * (_residual(start, self.first[:n]) + _residual(end, self.last[:n]))
         power = np.abs(start[:, 0::2] * start[:, 1::2]) + np.abs(end[:, 0::2] * end[:, 1::2])
         self._sums += np.array([made.sum(axis=0), np.abs(made).sum(axis=0), (h * power).sum(axis=0)])
 
     def energies(self) -> list[BondEnergy]:
         """The energies of all bonds up to now."""
-        self._sum()
+        self.sum()
         return [BondEnergy(b.name, *(b.scale * self._sums[:, i])) for i, b in enumerate(self._bonds)]
 
 

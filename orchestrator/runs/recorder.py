@@ -36,6 +36,9 @@ class Recorder:
     """Collects everything that has a place in a network, or the chosen ports.
 
     Looks at every communication point; keeps those that the grid records, and always the latest one.
+
+    fresh    the points since the last call of `settle`, `filled` of them
+    places   of the recorded Real values in the bank; None for all
     """
 
     def __init__(self, network: Network, times: Grid, chosen: Sequence[Port] | None = None) -> None:
@@ -45,40 +48,40 @@ class Recorder:
         ports = self._ports if chosen is not None else index  # all: as they stand in the banks
         self._real = [p for p in ports if p in network.real.index]
         self._whole = [p for p in ports if p in network.whole.index]
-        self._real_places = network.real.places(self._real) if chosen is not None else slice(None)
-        self._whole_places = network.whole.places(self._whole)
-        self._fresh = _Rows(BLOCK, len(self._real), len(self._whole))  # not yet settled
+        self.places = network.real.places(self._real) if chosen is not None else None
+        self.whole_places = network.whole.places(self._whole)
+        self.fresh = _Rows(BLOCK, len(self._real), len(self._whole))
         self._kept = _room(times.rows + 1, len(self._real), len(self._whole))
-        self._filled = self._rows = self.points = 0
+        self.filled = self._rows = self.points = 0
 
     def add(self, t: float) -> None:
         """Note the values at time t [s]."""
-        row, fresh = self._filled, self._fresh
+        row, fresh, values = self.filled, self.fresh, self._network.real.values
         fresh.time[row] = t
-        fresh.reals[row] = self._network.real.values[self._real_places]
+        fresh.reals[row] = values if self.places is None else values[self.places]
         if self._whole:
-            fresh.wholes[row] = self._network.whole.values[self._whole_places]
-        self._filled = row + 1
+            fresh.wholes[row] = self._network.whole.values[self.whole_places]
+        self.filled = row + 1
 
     def settle(self) -> None:
         """Keep what is due of the points since the last call; a number that is not finite ends the record."""
-        finite = np.isfinite(self._fresh.reals[: self._filled])
+        finite = np.isfinite(self.fresh.reals[: self.filled])
         if finite.all():
             return self._keep()
         row, column = np.argwhere(~finite)[0]
-        self._filled = int(row)
+        self.filled = int(row)
         self._keep()
-        value, t = self._fresh.reals[row, column], self._fresh.time[row]
+        value, t = self.fresh.reals[row, column], self.fresh.time[row]
         raise Problem(f"{self._real[column]}: expected a finite value, got {value} at t = {t:.9g} s")
 
     def _keep(self) -> None:
         """The due points; below them stands the latest one until the next is due."""
-        n = self._filled
+        n = self.filled
         if n == 0:
             return
         due = np.arange(-self.points % self._every, n, self._every)
-        self._kept.take(self._rows, self._fresh, np.append(due, n - 1))
-        self._rows, self.points, self._filled = self._rows + len(due), self.points + n, 0
+        self._kept.take(self._rows, self.fresh, np.append(due, n - 1))
+        self._rows, self.points, self.filled = self._rows + len(due), self.points + n, 0
 
     def trace(self, outlets: Sequence[Outlet] = ()) -> Trace:
         """What was recorded so far, together with the outputs of the whole system."""

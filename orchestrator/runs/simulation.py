@@ -11,15 +11,18 @@ from pathlib import Path
 from orchestrator.coupling.drive import Drive, drive
 from orchestrator.coupling.grid import Grid, grid
 from orchestrator.coupling.initialise import initialise
-from orchestrator.coupling.masters import find
+from orchestrator.coupling.masters import plan
 from orchestrator.coupling.network import Network
+from orchestrator.coupling.settings import Coupling
+from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.card import Card, compare
 from orchestrator.runs.energy import Monitor
+from orchestrator.runs.march import March, marching
 from orchestrator.runs.progress import Progress
-from orchestrator.runs.recorder import BLOCK, Recorder
+from orchestrator.runs.recorder import Recorder
 from orchestrator.slaves.log import Message
 from orchestrator.slaves.slave import Slave
 from orchestrator.system.bonds import Bond, find_bonds, named_bond
@@ -75,7 +78,7 @@ def open_slave(component: Component) -> Slave:
 def run(
     system: System | str | Path,
     scenario: Trace | str | Path | Location | None = None,
-    master: str = "gauss-seidel",
+    master: str | Coupling = "gauss-seidel",
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,
@@ -88,6 +91,7 @@ def run(
     tolerance: float | None = None,
     error_estimate: bool = False,
     progress: bool = False,
+    native: bool = True,
     open: Opener = open_slave,
 ) -> Result:
     """Co-simulate a system.
@@ -96,7 +100,7 @@ def run(
     scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
                     component.variable, or all component inputs of one name; a column replaces the connection
                     to its input
-    master          "jacobi" or "gauss-seidel"
+    master          "jacobi", "gauss-seidel", "hermite", or a Coupling with all that can be chosen
     step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
     swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
@@ -112,6 +116,7 @@ def run(
     error_estimate  run again at half and at twice the step to estimate the error of each signal at the
                     recorded points
     progress        show a progress bar when the run takes longer than a second
+    native          False: the loop in Python, which gives the same numbers and is slower
     open            makes the slave of a component (for tests and other kinds of components)
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
@@ -125,7 +130,8 @@ def run(
         whole = driven[0].released(whole)
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
     times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
-    job = _Job(whole, driven[0] if driven else None, master, record, bonds, tolerance, open)
+    coupling = master if isinstance(master, Coupling) else Coupling(master)
+    job = _Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, native, open)
     result = job.run(times, progress)
     return replace(result, card=_estimate(job, times, result, progress)) if error_estimate else result
 
@@ -164,15 +170,15 @@ class _Job:
 
     system: System
     drive: Drive | None
-    master: str
+    coupling: Coupling
     record: Sequence[str] | None
     bonds: Iterable[tuple[str, str]] | None
     tolerance: float | None
+    native: bool
     open: Opener
 
     def run(self, times: Grid, progress: bool) -> Result:
         """Open all FMUs, run, close them whatever happens."""
-        prepare = find(self.master)
         chosen = None if self.record is None else [self.system.port(name) for name in self.record]
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}
@@ -180,14 +186,16 @@ class _Job:
                 slaves[name] = self.open(component)
                 stack.callback(slaves[name].close)
             probes = self.system.exposed if chosen is None else chosen
-            network = Network(self.system, slaves, self.drive, probes)
+            network = Network(self.system, slaves, self.drive, probes, self.coupling.factors)
+            sweep = Sweep(network, plan(self.system, self.coupling))
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
             monitor = Monitor(network, self._bonds())
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
             loop = _Loop(network, recorder, monitor, times, bar)
-            return self._judge(loop, lambda: loop.go(prepare(network)))
+            march = marching(network, sweep, times, recorder, monitor, self.native)
+            return self._judge(loop, lambda: loop.go(march))
 
     def _left_out(self) -> tuple[str, ...]:
         faces = {name: c.interface for name, c in self.system.components.items()}
@@ -214,7 +222,7 @@ class _Job:
         trace = loop.recorder.trace(list(self.system.outputs.values()))
         done = max(loop.recorder.points - 1, 0)
         card = Card(
-            master=self.master,
+            master=self.coupling.text,
             step=loop.times.step,
             record_step=loop.times.every * loop.times.step,
             steps=done,
@@ -239,19 +247,11 @@ class _Loop:
     times: Grid
     bar: Progress
 
-    def go(self, step: Callable[[float, float], None]) -> None:
+    def go(self, march: March) -> None:
         """From the start to the stop time; the recorder sees the first instant and every step."""
-        times, record = self.times, self.recorder.add
-        self.network.exchange(times.start)
-        self.monitor.begin()
-        record(times.start)
+        march.begin()
         self.recorder.settle()
-        t = times.start
-        for first in range(1, times.steps + 1, BLOCK):
-            for n in range(first, min(first + BLOCK, times.steps + 1)):
-                after = times.start + n * times.step
-                step(t, after - t)
-                t = after
-                record(t)
+        while march.done < self.times.steps:
+            march.block()
             self.recorder.settle()
-            self.bar.update(t - times.start)
+            self.bar.update(march.t - self.times.start)

@@ -9,7 +9,7 @@ from typing import Any
 
 from orchestrator.errors import Problem
 from orchestrator.slaves.callbacks import Environment, callbacks2
-from orchestrator.slaves.calls import Calls
+from orchestrator.slaves.calls import Calls, stopped
 from orchestrator.slaves.library import Library
 from orchestrator.slaves.log import DISCARD, Log
 from orchestrator.system.interface import Interface
@@ -30,6 +30,7 @@ class Fmi2:
     types = TYPES
     results: tuple[Any, ...] = ()
     flags = ctypes.c_uint32(0)
+    places: tuple[int, ...] = ()
 
     def __init__(self, interface: Interface, log: Log) -> None:
         self._interface, self._name = interface, log.component.encode()
@@ -62,15 +63,11 @@ class Fmi2:
 
     def stepped(self, calls: Calls, status: int) -> None:
         """Judge a step whose status is not OK."""
-        calls.judge(status, "the step", self._how_far(calls) if status == DISCARD else "")
-
-    def _how_far(self, calls: Calls) -> str:
-        """What a discarded step says about itself."""
+        if status != DISCARD:
+            return calls.judge(status, "the step")
         reached, ended = ctypes.c_double(float("nan")), ctypes.c_int(0)
         with suppress(Problem):
             calls.function("GetRealStatus")(LAST_TIME, ctypes.byref(reached))
         with suppress(Problem):
             calls.function("GetBooleanStatus")(TERMINATED, ctypes.byref(ended))
-        if ended.value:
-            return f" (the FMU asks to end the simulation at t = {reached.value:.9g} s)"
-        return f" (the FMU got as far as t = {reached.value:.9g} s)"
+        raise stopped(calls, status, reached.value, bool(ended.value))

@@ -10,10 +10,11 @@ import os
 from pathlib import Path
 from typing import Any
 
+from orchestrator.errors import Problem
 from orchestrator.slaves.callbacks import Environment, logger3
-from orchestrator.slaves.calls import Calls, ready
+from orchestrator.slaves.calls import Calls, ready, stopped
 from orchestrator.slaves.library import Library
-from orchestrator.slaves.log import WARNING, Log
+from orchestrator.slaves.log import DISCARD, WARNING, Log
 from orchestrator.system.interface import Interface
 
 EVENT, TERMINATE, EARLY = range(3)  # bytes of `flags`
@@ -39,9 +40,9 @@ class Fmi3:
         self.release = self._environment.release
         self.flags, self._reached = ctypes.c_uint32(0), ctypes.c_double(float("nan"))
         first = ctypes.addressof(self.flags)
-        booleans = [ctypes.c_void_p(first + byte) for byte in (EVENT, TERMINATE, EARLY)]
-        reached = ctypes.c_void_p(ctypes.addressof(self._reached))
-        self.results = tuple(map(ready, (*booleans, reached)))
+        booleans = [first + byte for byte in (EVENT, TERMINATE, EARLY)]
+        self.places = *booleans, ctypes.addressof(self._reached)
+        self.results = tuple(ready(ctypes.c_void_p(place)) for place in self.places)
 
     def instantiate(self, library: Library, folder: Path, verbose: bool) -> int | None:
         """The handle of a new instance."""
@@ -75,14 +76,12 @@ class Fmi3:
         """Judge a step whose status is not OK or which wants something."""
         event, terminate, early, _ = bytes(self.flags)
         self.flags.value = 0
+        if status == DISCARD or terminate:
+            raise stopped(calls, status, self._reached.value, bool(terminate))
         if status:
             calls.judge(status, "the step")
-        if terminate:
-            calls.fail("the step", f"is the last: the FMU asks to end the simulation at {self._where()}")
         if early:
-            calls.fail("the step", f"ended early at {self._where()}, which was not allowed")
+            where = f"t = {self._reached.value:.9g} s"
+            raise Problem(calls.told("the step", f"ended early at {where}, which was not allowed"))
         if event:
             self._log.add(WARNING, "the FMU asks for event handling, which it was told to do itself")
-
-    def _where(self) -> str:
-        return f"t = {self._reached.value:.9g} s"

@@ -10,20 +10,24 @@ import ctypes
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
+from orchestrator.slaves.access import Access, Stepping, fitting
 from orchestrator.slaves.calls import Calls
 from orchestrator.slaves.fmi2 import Fmi2
 from orchestrator.slaves.fmi3 import Fmi3
 from orchestrator.slaves.library import Library
 from orchestrator.slaves.log import ERROR, Log
 from orchestrator.slaves.slave import Buffer, Call, access
-from orchestrator.slaves.values import address, converted, fitting, packed, pointer, prepared, unpacked
+from orchestrator.slaves.values import address, packed, unpacked
 from orchestrator.system.interface import Interface, Value
 
 LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -34,7 +38,7 @@ class Standard(Protocol):
 
     prefix, state, thaw, slopes   how functions are called
     types                         word in a function's name -> ctypes type
-    results                       further arguments of fmiXDoStep, for what it says about a step
+    results, places               further arguments of fmiXDoStep, for what it says about a step; addresses
     flags                         not zero after a step that wants something
     """
 
@@ -44,6 +48,7 @@ class Standard(Protocol):
     slopes: str
     types: dict[str, Any]
     results: tuple[Any, ...]
+    places: tuple[int, ...]
     flags: ctypes.c_uint32
     release: Callable[[], None]
 
@@ -62,7 +67,8 @@ class FmuSlave:
 
     def __init__(self, name: str, interface: Interface, fmu: Location) -> None:
         self.name, self.interface, self.log = name, interface, Log(name)
-        self._label = f"{name} ({fmu})"
+        self._label, self._source = f"{name} ({fmu})", fmu
+        self._cubic: bool | None = None
         self._stepping, self._final = False, 1  # final: no step will be repeated
         self.busy = 0.0
         self._undo = ExitStack()
@@ -126,54 +132,95 @@ class FmuSlave:
 
     # ---- values
 
-    def _references(self, variables: Sequence[str]) -> tuple[Any, Any]:
+    def _references(self, variables: Sequence[str]) -> NDArray[np.uint32]:
+        return np.array([self.interface.variables[v].reference for v in variables], np.uint32)
+
+    def _listed(self, variables: Sequence[str]) -> tuple[Any, Any]:
+        """Value references as the first arguments of a call."""
         found = [self.interface.variables[v].reference for v in variables]
         return (ctypes.c_uint * len(found))(*found), ctypes.c_size_t(len(found))
 
-    def _access(self, verb: str, variables: Sequence[str], values: Buffer) -> tuple[Call, Buffer]:
-        """A call that gets or sets the variables, and the array that it works on."""
-        word, count = access(self.interface.variables[variables[0]]), len(variables)
-        own = fitting(values, count, self._fmi.types[word])
-        arguments = *self._references(variables), *self._fmi.array(address(own), count)
-        return self.calls.bound(verb + word, *arguments, of=variables), own
+    def _access(
+        self, name: str, variables: Sequence[str], values: Buffer, word: str, orders: Sequence[int] = ()
+    ) -> Access:
+        """The call of a function that gets or sets a row of variables of the type `word`."""
+        count, kind = len(variables), self._fmi.types[word]
+        own = fitting(values, count, kind)
+        given = [(ctypes.c_int * count)(*orders)] if orders else []
+        arguments = *self._listed(variables), *given, *self._fmi.array(address(own), count)
+        return Access(
+            call=self.calls.bound(name, *arguments, of=variables),
+            address=self.calls.address(name),
+            component=self.calls.handle.value or 0,
+            fmi=self.interface.fmi,
+            references=self._references(variables),
+            orders=np.array(orders, np.int32) if orders else None,
+            own=own,
+            values=values[:count],
+            sets=name.startswith("Set"),
+            names=variables,
+        )
 
-    def reader(self, variables: Sequence[str], into: Buffer) -> Call:
+    def reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that reads the variables into `into`, shape (n,)."""
-        read, own = self._access("Get", variables, into)
-        return read if own is into else converted(read, own, into, variables)
+        word = access(self.interface.variables[variables[0]])
+        return self._access(f"Get{word}", variables, into, word)
 
-    def writer(self, variables: Sequence[str], values: Buffer) -> Call:
+    def writer(self, variables: Sequence[str], values: Buffer) -> Access:
         """A call that sets the variables to what stands in `values`, shape (n,)."""
-        write, own = self._access("Set", variables, values)
-        return write if own is values else prepared(write, own, values, variables)
+        word = access(self.interface.variables[variables[0]])
+        return self._access(f"Set{word}", variables, values, word)
 
-    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Call:
+    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
-        return self._slopes(self._fmi.slopes, variables, into)
+        return self._access(self._fmi.slopes, variables, into, self._real, [1] * len(variables))
 
-    def slope_writer(self, variables: Sequence[str], slopes: Buffer) -> Call:
-        """A call that gives inputs the first time derivatives in `slopes`, shape (n,), for the next step.
+    def slope_writer(self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()) -> Access:
+        """A call that gives inputs the time derivatives in `slopes`, shape (n,), for the next step.
 
+        orders   of each derivative; default: all 1
         FMI 3.0 has no function for it; there the inputs that carry the derivatives are set.
         """
+        orders = orders or [1] * len(variables)
         if self.interface.interpolates:
-            return self._slopes("SetRealInputDerivatives", variables, slopes)
-        for v in variables:
-            if v not in self.interface.sloped:
-                raise Problem(f"{self.name}: {v}: the FMU takes no derivative of this input")
+            return self._access("SetRealInputDerivatives", variables, slopes, self._real, orders)
+        for v, order in zip(variables, orders, strict=True):
+            if v not in self.interface.sloped or order != 1:
+                raise Problem(f"{self.name}: {v}: the FMU takes no derivative of order {order} of this input")
         return self.writer([self.interface.rates[v] for v in variables], slopes)
 
-    def _slopes(self, name: str, variables: Sequence[str], values: Buffer) -> Call:
-        orders = (ctypes.c_int * len(variables))(*[1] * len(variables))
-        array = self._fmi.array(pointer(values, len(variables)), len(variables))
-        return self.calls.bound(name, *self._references(variables), orders, *array, of=variables)
+    @property
+    def _real(self) -> str:
+        return "Real" if self.interface.fmi == 2 else "Float64"
 
     def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Call:
         """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
-        given = *self._references(of), *self._references(by)
-        seeds = self._fmi.array(pointer(seed, len(by)), len(by))
-        changes = self._fmi.array(pointer(into, len(of)), len(of))
+        given = *self._listed(of), *self._listed(by)
+        seeds = self._fmi.array(address(fitting(seed, len(by), ctypes.c_double)), len(by))
+        changes = self._fmi.array(address(fitting(into, len(of), ctypes.c_double)), len(of))
         return self.calls.bound("GetDirectionalDerivative", *given, *seeds, *changes, of=of)
+
+    def follows(self, variable: str, degree: int) -> int:
+        """The highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3."""
+        if variable not in self.interface.sloped or degree == 0:
+            return 0
+        if degree == 1 or not self.interface.interpolates:
+            return 1
+        if self._cubic is None:
+            self._cubic = self._takes_third_derivatives(variable)
+        return 3 if self._cubic else 1
+
+    def _takes_third_derivatives(self, variable: str) -> bool:
+        """FMI 2.0 has no declaration for this: try it on an instance that nobody uses."""
+        if self.interface.only_one:
+            return False
+        with suppress(Problem), closing(FmuSlave(self.name, self.interface, self._source)) as trial:
+            trial.setup(0.0, 1.0, None)
+            trial.enter()
+            trial.exit()
+            trial.slope_writer([variable] * 3, np.zeros(3), [1, 2, 3])()
+            return trial.calls.worst == 0
+        return False
 
     def get(self, variable: str) -> Value:
         """The value of one variable."""
@@ -196,12 +243,12 @@ class FmuSlave:
     def _single(self, verb: str, variable: str, cell: Any) -> None:
         array = self._fmi.array(ctypes.c_void_p(ctypes.addressof(cell)), 1)
         word = access(self.interface.variables[variable])
-        self.calls.call(verb + word, *self._references([variable]), *array, of=[variable])
+        self.calls.call(verb + word, *self._listed([variable]), *array, of=[variable])
 
     # ---- steps
 
     def step(self, t: float, h: float) -> None:
-        """Advance from t to t + h [s]."""
+        """Advance from t to t + h [s]; raises Discarded and Ended, which say how far it got."""
         self.log.time = t
         began = perf_counter()
         status = self._step(ctypes.c_double(t), ctypes.c_double(h), self._final, *self._results)
@@ -209,12 +256,27 @@ class FmuSlave:
         if status or self._flags.value:
             self._fmi.stepped(self.calls, status)
 
+    def stepping(self) -> Stepping:
+        """What it takes to step from C."""
+        rolls, state = self.interface.rollback, self._fmi.state
+        return Stepping(
+            component=self.calls.handle.value or 0,
+            fmi=self.interface.fmi,
+            do_step=self.calls.address("DoStep"),
+            get_state=self.calls.address(f"Get{state}") if rolls else 0,
+            set_state=self.calls.address(f"Set{state}") if rolls else 0,
+            results=self._fmi.places,
+            flags=ctypes.addressof(self._flags) if self._fmi.places else 0,
+            judge=lambda status: self._fmi.stepped(self.calls, status),
+            clock=self.log.clock,
+        )
+
     # ---- rollback
 
-    def save(self) -> ctypes.c_void_p:
-        """A snapshot of the FMU's state; give it back with `forget`."""
+    def save(self, state: ctypes.c_void_p | None = None) -> ctypes.c_void_p:
+        """A snapshot of the FMU's state, written over an earlier one if given; give it back with `forget`."""
         self._final = 0
-        state = ctypes.c_void_p()
+        state = ctypes.c_void_p() if state is None else state
         self.calls.call(f"Get{self._fmi.state}", ctypes.byref(state))
         return state
 

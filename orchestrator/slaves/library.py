@@ -56,6 +56,10 @@ class Library:
         function.restype = result
         return function
 
+    def address(self, name: str) -> int:
+        """Where a function is in memory."""
+        return ctypes.cast(self.function(name), ctypes.c_void_p).value or 0  # type: ignore[arg-type]
+
     def close(self) -> None:
         """Unload the library."""
         freeLibrary(self._dll._handle)

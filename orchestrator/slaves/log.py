@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.files.trace import Trace
 
@@ -32,12 +33,21 @@ class Message:
 
 @dataclass
 class Log:
-    """The messages of one component, in order."""
+    """The messages of one component, in order; `clock`, shape (1,), holds the last communication point."""
 
     component: str
     messages: list[Message] = field(default_factory=list)
     dropped: int = 0
-    time: float = float("nan")
+    clock: NDArray[np.float64] = field(default_factory=lambda: np.full(1, np.nan))
+
+    @property
+    def time(self) -> float:
+        """The last communication point [s]."""
+        return float(self.clock[0])
+
+    @time.setter
+    def time(self, t: float) -> None:
+        self.clock[0] = t
 
     def add(self, status: int, text: str) -> None:
         """Keep a message, up to KEPT of them."""

@@ -74,6 +74,8 @@ def _interface(description: Any, root: Any) -> Interface:
         slopes=int(tool.maxOutputDerivativeOrder or 0),
         rollback=bool(tool.canGetAndSetFMUstate),
         serializes=bool(tool.canSerializeFMUstate),
+        only_one="canBeInstantiatedOnlyOncePerProcess" in able,
+        varies="canHandleVariableCommunicationStepSize" in able,
         directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
         start=_number(experiment, "startTime"),

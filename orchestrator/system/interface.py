@@ -68,6 +68,8 @@ class Interface:
     slopes        highest order of output derivatives it offers
     rollback      the FMU can save and restore its state
     serializes    it can turn a saved state into bytes
+    only_one      only one instance of it may exist in a process
+    varies        it takes steps of any length; else all have to be of the same
     directional   it offers directional derivatives
     start, step, stop, tolerance   of the experiment that the FMU suggests
     version, tool, text   of the FMU: its version, what made it, its description
@@ -85,6 +87,8 @@ class Interface:
     slopes: int = 0
     rollback: bool = False
     serializes: bool = False
+    only_one: bool = False
+    varies: bool = True
     directional: bool = False
     categories: tuple[str, ...] = ()
     start: float | None = None

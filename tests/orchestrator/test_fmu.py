@@ -1,5 +1,6 @@
 """One FMU: instances, failures, messages, rollback, slopes, clean-up."""
 
+import ctypes
 import tempfile
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import pytest
 
 from orchestrator import Problem, load
 from orchestrator.files.archive import Location
-from orchestrator.slaves.fmu import FmuSlave, pointer
+from orchestrator.slaves.access import fitting
+from orchestrator.slaves.fmu import FmuSlave
 from orchestrator.slaves.library import Library
 from orchestrator.system.description import read_interface
 
@@ -78,12 +80,12 @@ def test_a_failed_start_tells_what_the_fmu_says(each):
     ("version", "how", "message"),
     [
         (2, 2, r"the step failed at t = 0.2 s with status discard \(the FMU got as far as t = 0.2 s\)"),
-        (3, 2, r"the step failed at t = 0.2 s with status discard$"),
+        (3, 2, r"the step failed at t = 0.2 s with status discard \(the FMU got as far as t = 0.2 s\)"),
         (2, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
         (3, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
         (2, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
         (3, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
-        (2, 6, r"status discard \(the FMU asks to end the simulation at t = 0.2 s\)"),
+        (2, 6, r"the step at t = 0.2 s is the last: the FMU asks to end the simulation at t = 0.2 s"),
         (3, 6, r"the step at t = 0.2 s is the last: the FMU asks to end the simulation at t = 0.3 s"),
         (3, 7, r"the step at t = 0.2 s ended early at t = 0.25 s, which was not allowed"),
     ],
@@ -180,9 +182,9 @@ def test_readers_and_writers_use_slices_in_place(each):
 def test_buffers_must_fit():
     """A slice with gaps, or of another type, would be written beside."""
     with pytest.raises(ValueError, match="expected 2 contiguous values"):
-        pointer(np.zeros(4)[::2], 2)
+        fitting(np.zeros(4)[::2], 2, ctypes.c_double)
     with pytest.raises(ValueError, match="float32"):
-        pointer(np.zeros(2, np.float32), 2)
+        fitting(np.zeros(2, np.float32), 2, ctypes.c_double)
 
 
 def test_a_missing_function_is_named_when_it_is_needed(fmus):

@@ -1,23 +1,17 @@
-"""Jacobi: every component takes the same step with the inputs known at its start."""
+"""Jacobi: every component takes the same step with what is known at its start."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from orchestrator.coupling.masters.plan import Plan
+from orchestrator.coupling.settings import Coupling
+from orchestrator.system.system import System
 
-from orchestrator.coupling.network import Network
 
+def jacobi(system: System, coupling: Coupling) -> Plan:
+    """Sources are continued over the step by a polynomial of degree `order`; order of convergence: one more.
 
-def jacobi(network: Network) -> Callable[[float, float], None]:
-    """Inputs are held over the step; order 1.
-
-    An FMU may still move an input inside the step: by a slope it gets (driven inputs), or by a rate input.
+    At order 0 inputs are held, unless an FMU moves them itself by a rate input.
     """
-    steps = [slave.step for slave in network.slaves.values()]
-
-    def step(t: float, h: float) -> None:
-        network.tilt(t, h)
-        for advance in steps:
-            advance(t, h)
-        network.settle(t, h)
-
-    return step
+    order = coupling.extrapolation
+    moved = system.connections if order else ()
+    return Plan(range(len(system.components)), moved, order, degree=order)

@@ -1,0 +1,26 @@
+"""Hermite: the step is repeated until every input is the cubic between the ends of its source.
+
+Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
+sources are continued as Gauss-Seidel does it; each further pass starts again from the saved states, with the
+cubics to where the pass before it ended. When passes change nothing any more the input of every component is
+its source up to h^4, so the order of convergence is 4; docs/coupling.md has the measurements.
+"""
+
+from __future__ import annotations
+
+from orchestrator.coupling.masters.plan import Plan, turns
+from orchestrator.coupling.settings import Coupling
+from orchestrator.system.system import System
+
+
+def hermite(system: System, coupling: Coupling) -> Plan:
+    """At most `passes` passes, fewer when one changes all signals by less than the tolerance."""
+    return Plan(
+        turns(system),
+        system.connections,
+        coupling.extrapolation,
+        degree=3,
+        sequential=True,
+        passes=coupling.passes,
+        tolerance=coupling.tolerance,
+    )

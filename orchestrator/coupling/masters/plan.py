@@ -1,0 +1,42 @@
+"""What a master decides before a run; `sweep.py` carries it out at every step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from orchestrator.system.dependencies import sequence
+from orchestrator.system.system import Connection, System
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One way to take all components over a step.
+
+    turns        the components, by number, in the order in which they step
+    moved        the connections whose inputs move inside the step; the others are held
+    order        degree at which a source is continued that has not stepped yet
+    degree       degree at which both ends of a source are connected that has
+    sequential   the inputs of a component know what the sources before it in the order have done
+    passes       how often the step is computed at most; more than once needs rollback
+    tolerance    a further pass is made while the last one changed a signal by more, see `sweep.change`
+    """
+
+    turns: Sequence[int]
+    moved: Sequence[Connection]
+    order: int
+    degree: int
+    sequential: bool = False
+    passes: int = 1
+    tolerance: float = 0.0
+
+    @property
+    def sloped(self) -> bool:
+        """Are the slopes of sources wanted?"""
+        return self.order > 0 or self.degree > 1
+
+
+def turns(system: System) -> list[int]:
+    """The order, by number, in which components step one after the other."""
+    places = {name: i for i, name in enumerate(system.components)}
+    return [places[name] for name in sequence(system)]

@@ -1,0 +1,101 @@
+"""One component in a run: its slave, the inputs it is given as polynomials, and the outputs others need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orchestrator.coupling.polynomial import at, projected, shifted
+from orchestrator.coupling.signal import Signal
+from orchestrator.slaves.slave import Buffer, Call, Slave
+
+
+class Part:
+    """A component as masters see it.
+
+    signals   its inputs that move inside a step
+    reads     calls that bring the outputs that others use into the bank
+    tell      call that reads the slopes of those outputs, where the FMU tells them
+    newest    calls that set inputs which cannot move to their newest value, for masters that step one by one
+    factor    how many steps the FMU takes in one communication step
+    """
+
+    def __init__(self, slave: Slave, used: Buffer) -> None:
+        """used: shape (2, n): what Real inputs were at both ends of the step, where a master moved them."""
+        self.slave, self._used = slave, used
+        self.signals: list[Signal] = []
+        self.reads: Sequence[Call] = ()
+        self.newest: Sequence[Call] = ()
+        self.tell: Call | None = None
+        self.factor = 1
+        self.values, self.derivatives = np.zeros(0), np.zeros(0)
+        self.writers: list[Call] = []  # of values and derivatives
+        self.state: object = None
+
+    def follow(self, names: Sequence[str], signals: Sequence[Signal]) -> None:
+        """Let these inputs move; `names` of the variables."""
+        self.signals = list(signals)
+        if not signals:
+            return
+        face, slave = self.slave.interface, self.slave
+        moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
+        if self.factor > 1 or any(s.degree < s.wanted for s in signals):
+            self.values = np.zeros(len(signals))
+            self.writers.append(slave.writer(list(names), self.values))
+        rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]
+        self.derivatives = np.zeros(len(rows))
+        if rows:
+            names = [name for name, _ in rows]
+            orders = [order for _, order in rows]
+            write = slave.slope_writer(names, self.derivatives, orders if face.interpolates else [])
+            self.writers.append(write)
+
+    def give(self, begin: float, length: float, last: bool) -> None:
+        """Give the inputs their polynomials from `begin` [s] after the start of the step on."""
+        row = 0
+        for i, s in enumerate(self.signals):
+            c = projected(shifted(s.c, begin) if begin else s.c, s.degree, length)
+            if len(self.values):
+                self.values[i] = c[0]
+            for k in range(min(s.degree, s.wanted)):
+                self.derivatives[row] = (1.0, 2.0, 6.0)[k] * c[k + 1]
+                row += 1
+            if begin == 0.0:
+                self._used[0, s.target] = c[0]
+            if last:
+                self._used[1, s.target] = at(c, length)
+        for write in self.writers:
+            write()
+
+    def advance(self, t: float, h: float) -> None:
+        """Take the step from t to t + h [s], in as many steps of its own as `factor` tells."""
+        many = self.factor
+        for j in range(many):
+            begin, end = h * j / many, h * (j + 1) / many
+            self.give(begin, end - begin, j == many - 1)
+            now = t + begin
+            self.slave.step(now, t + end - now)
+
+    def read(self) -> None:
+        """Bring the outputs that others use, and their slopes, up to date."""
+        for read in self.reads:
+            read()
+        if self.tell:
+            self.tell()
+
+    # ---- rollback
+
+    def keep(self) -> None:
+        """Remember the state of the FMU."""
+        self.state = self.slave.save(self.state)
+
+    def restore(self) -> None:
+        """Go back to the state that was kept."""
+        self.slave.restore(self.state)
+
+    def forget(self) -> None:
+        """Free what was kept."""
+        if self.state is not None:
+            self.slave.forget(self.state)
+            self.state = None

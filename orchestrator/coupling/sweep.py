@@ -1,0 +1,83 @@
+"""One communication step as a plan says: the reference for native/sweep.c, which does the same in C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orchestrator.coupling.bank import Link
+from orchestrator.coupling.masters.plan import Plan
+from orchestrator.coupling.network import Network
+from orchestrator.coupling.part import Part
+from orchestrator.coupling.signal import DRIVEN
+from orchestrator.slaves.slave import Call
+
+
+class Sweep:
+    """Takes the components of a network over a step.
+
+    passes   how many passes the last step took
+    """
+
+    def __init__(self, network: Network, plan: Plan) -> None:
+        self.network, self.plan = network, plan
+        self.passes = 0
+        network.move(plan.moved, max(plan.order, plan.degree), plan.sloped)
+        if plan.sequential:
+            found = newest(network, plan.turns)
+            for part, name, calls in zip(network.parts, network.slaves, found, strict=True):
+                part.reads, part.newest = network.read_again(name), calls
+
+    def step(self, t: float, h: float) -> None:
+        """From t to t + h [s]; then all outputs are to be exchanged."""
+        network, plan = self.network, self.plan
+        network.ahead(t, h)
+        for n in range(plan.passes):
+            change = self._pass(t, h, n)
+            self.passes = n + 1
+            if n and change <= plan.tolerance:
+                break
+
+    def _pass(self, t: float, h: float, n: int) -> float:
+        """All components once; returns the largest change of a signal since the pass before."""
+        network, plan, change = self.network, self.plan, 0.0
+        stepped = set[int]()
+        for k in plan.turns:
+            part = network.parts[k]
+            if n and not part.signals:
+                continue  # nothing changes what it did
+            self._shape(part, h, stepped if n == 0 else None)
+            if n:
+                part.restore()
+            for call in part.newest:
+                call()
+            part.advance(t, h)
+            if plan.sequential:
+                part.read()
+                change = max(change, network.arrive(h, k))
+                stepped.add(k)
+        return change
+
+    def _shape(self, part: Part, h: float, stepped: set[int] | None) -> None:
+        """Make the polynomials of a component's inputs; stepped: whose end is known, None: everybody's."""
+        for s in part.signals:
+            if s.maker == DRIVEN:
+                s.interpolate(1, h)
+            elif stepped is None or s.maker in stepped:
+                s.interpolate(self.plan.degree, h)
+            else:
+                s.predict(self.plan.order, self.network.length)
+
+
+def newest(network: Network, turns: Sequence[int]) -> list[list[Call]]:
+    """Of each component, the calls that set inputs which cannot move to the newest value of their source."""
+    names, moving = list(network.slaves), network.moving | network.carried
+    found: list[list[Call]] = [[] for _ in names]
+    for i, k in enumerate(turns):
+        early = {names[j] for j in turns[:i]}
+        fed = [c for c in network.connections if c.target.component == names[k]]
+        held = [c for c in fed if c.source.component in early and c.target not in moving]
+        for bank in (network.real, network.whole):
+            links = [c for c in held if network.bank(c.target) is bank]
+            blocks = [b for b in bank.blocks if set(b.ports) & {c.target for c in links}]
+            found[k] += [Link(bank, links), *(network.writer(bank, b) for b in blocks)] if links else []
+    return found

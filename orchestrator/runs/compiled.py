@@ -1,0 +1,255 @@
+"""A run in C: fills the structures of native/run.h from a network, and offers what `March` offers."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.coupling import signal
+from orchestrator.coupling.bank import Link
+from orchestrator.coupling.driver import Driver
+from orchestrator.coupling.grid import Grid
+from orchestrator.coupling.network import Network
+from orchestrator.coupling.part import Part
+from orchestrator.coupling.sweep import Sweep
+from orchestrator.errors import Discarded, Problem
+from orchestrator.runs import layout, native
+from orchestrator.runs.energy import ROWS, Monitor
+from orchestrator.runs.march import March
+from orchestrator.runs.recorder import BLOCK, Recorder
+from orchestrator.slaves.access import Access, Stepping
+from orchestrator.slaves.slave import Call
+
+PATIENCE = 0.1  # [s], the longest time between two looks at the keyboard
+
+
+class Compiled(March):
+    """A run in progress whose steps are taken by native/march.c."""
+
+    def __init__(
+        self, network: Network, sweep: Sweep, times: Grid, recorder: Recorder, monitor: Monitor
+    ) -> None:
+        """Raises TypeError where a component is no FMU that C can call, see `stepping`."""
+        super().__init__(network, sweep, times, recorder, monitor)
+        self._accesses: dict[int, Access] = {}
+        self._alive: list[Any] = []  # what C has the addresses of
+        self._problem: BaseException | None = None
+        self._steppings = [stepping(part) for part in network.parts]
+        self._run = layout.Run()
+        self._march = native.library().march  # type: ignore[union-attr]
+        self._fill()
+
+    # ---- the run
+
+    def begin(self) -> None:
+        """Make everything known at the start, and record it."""
+        super().begin()
+        for mine, known in zip(self._signals, self._network.signals, strict=False):
+            mine.value, mine.slope0, mine.known = known.value, known.slope0, known.known
+        self._run.t = self.t
+
+    def block(self) -> None:
+        """Go on until as many points are to be recorded as fit into a block, or to the end."""
+        run = self._run
+        run.recorder.filled, run.monitor.rows = self._recorder.filled, self._monitor.rows
+        verdict = self._march(ctypes.byref(run))
+        self._recorder.filled, self._monitor.rows = run.recorder.filled, run.monitor.rows
+        self.t, self.done, self.steps, self.passes = run.t, run.done, run.steps, run.all_passes
+        for part, mine in zip(self._network.parts, self._parts, strict=True):
+            part.slave.busy, part.state = mine.busy, mine.state and ctypes.c_void_p(mine.state)
+        if verdict:
+            raise self._problem or Problem("the run stopped")
+        self._monitor.sum()
+
+    def _judge(self, where: int | None, part: int, status: int) -> int:
+        """Called from C: what to do after a status that is not OK."""
+        try:
+            if where in self._accesses:
+                self._accesses[where].judge(status)
+            elif where:
+                slave = self._network.parts[part].slave
+                slave.calls.judge(status, f"saving or restoring the state of {slave.name}")  # type: ignore[attr-defined]
+            else:
+                self._steppings[part].judge(status)
+        except Discarded as problem:
+            self._problem, self._run.reached = problem, problem.reached
+            return layout.DISCARDED
+        except BaseException as problem:
+            self._problem = problem
+            return layout.STOP
+        return layout.CONTINUE
+
+    # ---- filling the structures
+
+    def _fill(self) -> None:
+        run, network, plan, times = self._run, self._network, self._sweep.plan, self._times
+        kept = network.real.values.copy(), network.whole.values.copy()
+        run.real, run.whole = self._at(network.real.values), self._at(network.whole.values)
+        run.real_kept, run.whole_kept = self._at(kept[0]), self._at(kept[1])
+        run.used, run.slopes = self._at(network.used), self._at(network.slopes)
+        run.reals, run.wholes = len(kept[0]), len(kept[1])
+        run.exchange = self._program(network.exchange_calls)
+        self._signals = (layout.Signal * max(len(network.signals), 1))()
+        self._signals_of(network.signals)
+        run.signals, run.signal_count = self._signals, len(network.signals)
+        self._parts = (layout.Part * len(network.parts))(*map(self._part, network.parts, self._steppings))
+        run.parts, run.part_count = self._parts, len(network.parts)
+        if network.driver:
+            run.driver = ctypes.pointer(self._driver(network.driver))
+        run.monitor, run.recorder = self._monitored(), self._recorded()
+        run.turns = self._at(np.array(plan.turns, np.int32))
+        run.stepped = self._at(np.zeros(len(network.parts), np.uint8))
+        run.order, run.degree, run.passes = plan.order, plan.degree, plan.passes
+        run.sequential, run.tolerance = plan.sequential, plan.tolerance
+        run.start, run.step, run.t, run.patience = times.start, times.step, times.start, PATIENCE
+        run.total, run.keeps = times.steps, self._keeps
+        run.judge = layout.JUDGE(self._judge)
+
+    def _at(self, array: NDArray[Any]) -> int:
+        """The address of an array that C uses."""
+        if not array.flags.c_contiguous:
+            raise ValueError("expected a contiguous array")
+        self._alive.append(array)
+        return array.ctypes.data
+
+    def _program(self, calls: Sequence[Call]) -> layout.Program:
+        """Calls as instructions; a function that is neither an access nor a link cannot be one."""
+        instructions = (layout.Instruction * max(len(calls), 1))()
+        for instruction, call in zip(instructions, calls, strict=False):
+            what = self._instruction(call)
+            instruction.kind = layout.LINK if isinstance(call, Link) else layout.ACCESS
+            self._alive.append(what)
+            instruction.what = ctypes.addressof(what)
+        return layout.Program(len(calls), instructions)
+
+    def _instruction(self, call: Call) -> layout.Link | layout.Access:
+        if isinstance(call, Link):
+            return self._link(call)
+        if isinstance(call, Access):
+            return self._access(call)
+        raise TypeError(f"{call!r} cannot be called from C")
+
+    def _access(self, call: Access) -> layout.Access:
+        made = layout.Access(
+            function=call.address,
+            component=call.component,
+            references=self._at(call.references),
+            orders=None if call.orders is None else self._at(call.orders),
+            own=self._at(call.own),
+            values=self._at(call.values),
+            count=len(call.names),
+            fmi=call.fmi,
+            type=[np.dtype(kind) for kind in layout.TYPES].index(call.own.dtype),
+            bank=layout.REAL if call.values.dtype == np.float64 else layout.WHOLE,
+            sets=call.sets,
+        )
+        self._accesses[ctypes.addressof(made)] = call
+        return made
+
+    def _link(self, call: Link) -> layout.Link:
+        return layout.Link(
+            source=self._at(call.source),
+            target=self._at(call.target),
+            factor=None if call.plain else self._at(call.factor),
+            offset=None if call.plain else self._at(call.offset),
+            count=len(call.source),
+            bank=layout.REAL if call.values.dtype == np.float64 else layout.WHOLE,
+        )
+
+    def _signals_of(self, signals: Sequence[signal.Signal]) -> None:
+        for mine, one in zip(self._signals, signals, strict=False):
+            for name in (field[0] for field in layout.Signal._fields_):
+                if name != "c":
+                    setattr(mine, name, getattr(one, name))
+
+    def _part(self, part: Part, step: Stepping) -> layout.Part:
+        signals = self._network.signals
+        first = signals.index(part.signals[0]) if part.signals else 0
+        results = dict(zip(("event", "terminate", "early", "last"), step.results, strict=False))
+        return layout.Part(
+            component=step.component,
+            do_step=step.do_step,
+            get_state=step.get_state,
+            set_state=step.set_state,
+            flags=step.flags,
+            clock=self._at(step.clock),
+            fmi=step.fmi,
+            final=not self._keeps,
+            factor=part.factor,
+            first=first,
+            count=len(part.signals),
+            revalued=len(part.values) > 0,
+            values=self._at(part.values),
+            derivatives=self._at(part.derivatives),
+            writers=self._program(part.writers),
+            reads=self._program(part.reads),
+            newest=self._program(part.newest),
+            tell=self._program([part.tell] if part.tell else []),
+            **results,
+        )
+
+    def _driver(self, driver: Driver) -> layout.Driver:
+        table = driver.table
+        arrays = dict(
+            zip(("time", "base", "slopes", "anchor"), (self._at(a) for a in table.arrays), strict=True)
+        )
+        places = {s.target: i for i, s in enumerate(self._network.signals)}
+        signals = np.array([places[int(t)] for t in driver.targets], np.int32)
+        return layout.Driver(
+            **arrays,
+            samples=len(table.arrays[0]),
+            width=table.arrays[1].shape[1],
+            columns=self._at(driver.columns),
+            targets=self._at(driver.targets),
+            held_columns=self._at(driver.held_columns),
+            held=self._at(driver.held),
+            factor=self._at(driver.factor),
+            offset=self._at(driver.offset),
+            coming=self._at(np.zeros(len(signals))),
+            signals=self._at(signals),
+            count=len(signals),
+            held_count=len(driver.held),
+            when=np.nan,
+            writers=self._program(driver.writers),
+        )
+
+    def _monitored(self) -> layout.Monitor:
+        m = self._monitor
+        return layout.Monitor(
+            places=self._at(m.places),
+            spread=self._at(m.spread),
+            moved=self._at(m.moved.view(np.uint8)),
+            seen=self._at(m.seen),
+            step=self._at(m.step),
+            first=self._at(m.first),
+            last=self._at(m.last),
+            truth=self._at(m.true),
+            count=len(m.places),
+            room=ROWS,
+            readers=self._program(m.readers),
+        )
+
+    def _recorded(self) -> layout.Recorder:
+        r = self._recorder
+        return layout.Recorder(
+            places=None if r.places is None else self._at(r.places),
+            whole_places=self._at(r.whole_places),
+            time=self._at(r.fresh.time),
+            reals=self._at(r.fresh.reals),
+            wholes=self._at(r.fresh.wholes),
+            count=r.fresh.reals.shape[1],
+            whole_count=r.fresh.wholes.shape[1],
+            room=BLOCK,
+        )
+
+
+def stepping(part: Part) -> Stepping:
+    """What it takes to step a component from C; TypeError if it is no FMU, or not stepped as FMUs are."""
+    found = getattr(part.slave, "stepping", None)
+    if found is None:
+        raise TypeError(f"{part.slave.name} cannot be stepped from C")
+    return found()  # type: ignore[no-any-return]

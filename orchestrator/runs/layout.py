@@ -1,0 +1,114 @@
+"""The structures of native/run.h, field by field."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, Structure, c_double, c_int32, c_int64, c_void_p
+from typing import Any
+
+REAL, WHOLE = 0, 1
+ACCESS, LINK = 0, 1
+CONTINUE, STOP, DISCARDED = 0, 1, 2
+OUT_OF_RANGE = -1
+TYPES = (
+    *(ctypes.c_double, ctypes.c_float, ctypes.c_int8, ctypes.c_uint8, ctypes.c_int16, ctypes.c_uint16),
+    *(ctypes.c_int32, ctypes.c_uint32, ctypes.c_int64, ctypes.c_uint64, ctypes.c_bool),
+)
+JUDGE = ctypes.CFUNCTYPE(c_int32, c_void_p, c_int32, c_int32)
+
+
+def _all(kind: Any, names: str) -> list[tuple[str, Any]]:
+    """Fields of one type."""
+    return [(name, kind) for name in names.split()]
+
+
+class Access(Structure):
+    """See `Access` in slaves/access.py."""
+
+    _fields_ = [
+        *_all(c_void_p, "function component references orders own values"),
+        *_all(c_int32, "count fmi type bank sets"),
+    ]
+
+
+class Link(Structure):
+    _fields_ = [
+        *_all(c_void_p, "source target factor offset"),
+        *_all(c_int32, "count bank"),
+    ]
+
+
+class Instruction(Structure):
+    _fields_ = [("kind", c_int32), ("what", c_void_p)]
+
+
+class Program(Structure):
+    _fields_ = [("count", c_int32), ("instructions", POINTER(Instruction))]
+
+
+class Signal(Structure):
+    _fields_ = [
+        *_all(c_int32, "target source maker slope degree wanted known"),
+        *_all(c_double, "factor offset value slope0 value1 slope1 before chord scale"),
+        ("c", c_double * 4),
+    ]
+
+
+class Part(Structure):
+    _fields_ = [
+        *_all(c_void_p, "component do_step get_state set_state state"),
+        *_all(c_void_p, "event terminate early last flags clock"),
+        ("busy", c_double),
+        *_all(c_int32, "fmi final factor first count revalued"),
+        *_all(c_void_p, "values derivatives"),
+        *_all(Program, "writers reads newest tell"),
+    ]
+
+
+class Driver(Structure):
+    _fields_ = [
+        *_all(c_int64, "samples width row"),
+        *_all(c_void_p, "time base slopes anchor"),
+        *_all(c_void_p, "columns targets held_columns held"),
+        *_all(c_void_p, "factor offset coming signals"),
+        *_all(c_int32, "count held_count"),
+        ("when", c_double),
+        ("writers", Program),
+    ]
+
+
+class Monitor(Structure):
+    _fields_ = [
+        *_all(c_void_p, "places spread moved seen step first last truth"),
+        *_all(c_int32, "count rows room"),
+        ("readers", Program),
+    ]
+
+
+class Recorder(Structure):
+    _fields_ = [
+        *_all(c_void_p, "places whole_places time reals wholes"),
+        *_all(c_int32, "count whole_count filled room"),
+    ]
+
+
+class Run(Structure):
+    _fields_ = [
+        *_all(c_void_p, "real real_kept used slopes whole whole_kept"),
+        *_all(c_int64, "reals wholes"),
+        ("exchange", Program),
+        ("parts", POINTER(Part)),
+        ("signals", POINTER(Signal)),
+        *_all(c_int32, "part_count signal_count"),
+        ("driver", POINTER(Driver)),
+        ("monitor", Monitor),
+        ("recorder", Recorder),
+        *_all(c_void_p, "turns stepped"),
+        *_all(c_int32, "order degree sequential passes"),
+        ("tolerance", c_double),
+        *_all(c_double, "start step t length patience"),
+        *_all(c_int64, "total done steps all_passes"),
+        ("keeps", c_int32),
+        ("judge", JUDGE),
+        ("reached", c_double),
+    ]

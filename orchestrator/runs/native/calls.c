@@ -1,0 +1,146 @@
+/* Calls into FMUs, and the values they work on. */
+
+#include "run.h"
+
+#ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
+#include <windows.h>
+double seconds(void) {
+    LARGE_INTEGER now, rate;
+    QueryPerformanceCounter(&now);
+    QueryPerformanceFrequency(&rate);
+    return (double)now.QuadPart / (double)rate.QuadPart;
+}
+#else
+#include <time.h>
+double seconds(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+#endif
+
+typedef int Values2(void *, const uint32_t *, size_t, void *);
+typedef int Values3(void *, const uint32_t *, size_t, void *, size_t);
+typedef int Derivatives2(void *, const uint32_t *, size_t, const int32_t *, void *);
+typedef int Derivatives3(void *, const uint32_t *, size_t, const int32_t *, void *, size_t);
+typedef int Step2(void *, double, double, int);
+typedef int Step3(void *, double, double, _Bool, void *, void *, void *, void *);
+typedef int GetState(void *, void **);
+typedef int SetState(void *, void *);
+
+enum { OUT_OF_RANGE = -1 }; /* as a status: a whole number that the other type cannot hold */
+
+/* One value between a bank and an FMU; both directions are exact or refused. */
+#define CONVERT(TYPE)                                                   \
+    do {                                                                \
+        TYPE *own = a->own;                                             \
+        const int is_unsigned = (TYPE)-1 > (TYPE)0;                     \
+        if (a->bank == REAL) {                                          \
+            double *values = a->values;                                 \
+            for (int32_t i = 0; i < a->count; i++)                      \
+                if (a->sets) own[i] = (TYPE)values[i];                  \
+                else values[i] = (double)own[i];                        \
+        } else {                                                        \
+            int32_t *values = a->values;                                \
+            for (int32_t i = 0; i < a->count; i++) {                    \
+                if (a->sets) own[i] = (TYPE)values[i];                  \
+                else values[i] = (int32_t)own[i];                       \
+                if ((int64_t)own[i] != (int64_t)values[i]) return 0;    \
+                if (is_unsigned && values[i] < 0) return 0;             \
+            }                                                           \
+        }                                                               \
+    } while (0)
+
+static int convert(const Access *a) {
+    switch (a->type) {
+    case F32: CONVERT(float); break;
+    case I8: CONVERT(int8_t); break;
+    case U8: CONVERT(uint8_t); break;
+    case I16: CONVERT(int16_t); break;
+    case U16: CONVERT(uint16_t); break;
+    case U32: CONVERT(uint32_t); break;
+    case I64: CONVERT(int64_t); break;
+    case U64: CONVERT(uint64_t); break;
+    case BOOLEAN:
+        for (int32_t i = 0; i < a->count; i++) {
+            _Bool *own = a->own;
+            int32_t *values = a->values;
+            if (a->sets) own[i] = values[i] != 0;
+            else values[i] = own[i];
+        }
+        break;
+    default: break;
+    }
+    return 1;
+}
+
+static int make(const Access *a) {
+    const size_t n = (size_t)a->count;
+    if (a->orders && a->fmi == 2)
+        return ((Derivatives2 *)a->function)(a->component, a->references, n, a->orders, a->own);
+    if (a->orders) return ((Derivatives3 *)a->function)(a->component, a->references, n, a->orders, a->own, n);
+    if (a->fmi == 2) return ((Values2 *)a->function)(a->component, a->references, n, a->own);
+    return ((Values3 *)a->function)(a->component, a->references, n, a->own, n);
+}
+
+static int access_values(Run *run, const Access *a) {
+    const int same = a->own == a->values;
+    if (!same && a->sets && !convert(a)) return run->judge(a, 0, OUT_OF_RANGE);
+    const int status = make(a);
+    if (status) {
+        const int verdict = run->judge(a, 0, status);
+        if (verdict) return verdict;
+    }
+    if (!same && !a->sets && !convert(a)) return run->judge(a, 0, OUT_OF_RANGE);
+    return CONTINUE;
+}
+
+static void carry(Run *run, const Link *link) {
+    for (int32_t i = 0; i < link->count; i++) {
+        const int64_t from = link->source[i], to = link->target[i];
+        if (link->bank == REAL) {
+            const double *factor = link->factor, *offset = link->offset;
+            run->real[to] = factor ? run->real[from] * factor[i] + offset[i] : run->real[from];
+        } else {
+            const int32_t *factor = link->factor, *offset = link->offset;
+            run->whole[to] = factor ? run->whole[from] * factor[i] + offset[i] : run->whole[from];
+        }
+    }
+}
+
+int carry_out(Run *run, const Program *program) {
+    for (int32_t i = 0; i < program->count; i++) {
+        const Instruction *one = &program->instructions[i];
+        if (one->kind == LINK) carry(run, one->what);
+        else {
+            const int verdict = access_values(run, one->what);
+            if (verdict) return verdict;
+        }
+    }
+    return CONTINUE;
+}
+
+int step_part(Run *run, int k, double t, double h) {
+    Part *p = &run->parts[k];
+    *p->clock = t;
+    int status;
+    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->component, t, h, p->final);
+    else
+        status = ((Step3 *)p->do_step)(p->component, t, h, p->final != 0, p->event, p->terminate, p->early,
+                                       p->last);
+    if (status || (p->flags && *p->flags)) return run->judge(0, k, status);
+    return CONTINUE;
+}
+
+int keep_part(Run *run, int k) {
+    Part *p = &run->parts[k];
+    const int status = ((GetState *)p->get_state)(p->component, &p->state);
+    return status ? run->judge(p->get_state, k, status) : CONTINUE;
+}
+
+int restore_part(Run *run, int k) {
+    Part *p = &run->parts[k];
+    const int status = ((SetState *)p->set_state)(p->component, p->state);
+    return status ? run->judge(p->set_state, k, status) : CONTINUE;
+}

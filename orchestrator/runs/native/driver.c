@@ -1,0 +1,39 @@
+/* A scenario bound to the inputs it drives; see drive.py and driver.py. */
+
+#include <math.h>
+
+#include "run.h"
+
+/* The interval that holds t, counted from 0 = before the first sample. */
+static int64_t row_of(Driver *d, double t) {
+    int64_t low = 0, high = d->samples;
+    if ((d->row == 0 || d->time[d->row - 1] <= t) && (d->row == d->samples || t < d->time[d->row])) return d->row;
+    while (low < high) {
+        const int64_t middle = (low + high) / 2;
+        if (t < d->time[middle]) high = middle;
+        else low = middle + 1;
+    }
+    return d->row = low;
+}
+
+void look(Driver *d, double t) {
+    if (t == d->when) return;
+    const int64_t row = row_of(d, t);
+    const double *base = d->base + row * d->width, *slopes = d->slopes + row * d->width;
+    for (int32_t i = 0; i < d->count; i++) {
+        const int64_t column = d->columns[i];
+        d->coming[i] = (base[column] + (t - d->anchor[row]) * slopes[column]) * d->factor[i] + d->offset[i];
+    }
+    d->when = t;
+}
+
+int put(Run *run, double t) {
+    Driver *d = run->driver;
+    if (!d) return CONTINUE;
+    look(d, t);
+    for (int32_t i = 0; i < d->count; i++) run->real[d->targets[i]] = d->coming[i];
+    const double *base = d->base + row_of(d, t) * d->width;
+    for (int32_t i = 0; i < d->held_count; i++)
+        run->whole[d->held[i]] = (int32_t)rint(base[d->held_columns[i]]);
+    return carry_out(run, &d->writers);
+}

@@ -1,0 +1,95 @@
+/* From communication point to communication point; see march.py. */
+
+#include <string.h>
+
+#include "run.h"
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+static int keep(Run *run) {
+    memcpy(run->real_kept, run->real, (size_t)run->reals * sizeof *run->real);
+    memcpy(run->whole_kept, run->whole, (size_t)run->wholes * sizeof *run->whole);
+    for (int32_t k = 0; k < run->part_count; k++) {
+        const int verdict = keep_part(run, k);
+        if (verdict) return verdict;
+    }
+    return CONTINUE;
+}
+
+/* Note what the FMUs worked with, before new inputs are set. */
+static int stepped(Run *run, double h) {
+    Monitor *m = &run->monitor;
+    if (!m->count) return CONTINUE;
+    const int verdict = carry_out(run, &m->readers);
+    if (verdict) return verdict;
+    double *first = m->first + (size_t)m->rows * (size_t)m->count;
+    double *last = m->last + (size_t)m->rows * (size_t)m->count;
+    m->step[m->rows] = h;
+    for (int32_t i = 0; i < m->count; i++) {
+        const int64_t place = m->places[i];
+        first[i] = m->moved[i] ? run->used[place] : run->real[place];
+        last[i] = m->moved[i] ? run->used[run->reals + place] : m->seen[m->spread[i]];
+    }
+    return CONTINUE;
+}
+
+/* Note what would have been true. */
+static void settled(Run *run) {
+    Monitor *m = &run->monitor;
+    if (!m->count) return;
+    double *truth = m->truth + (size_t)m->rows * (size_t)m->count;
+    for (int32_t i = 0; i < m->count; i++) truth[i] = run->real[m->places[i]];
+    m->rows++;
+}
+
+static void record(Run *run) {
+    Recorder *r = &run->recorder;
+    double *reals = r->reals + (size_t)r->filled * (size_t)r->count;
+    int32_t *wholes = r->wholes + (size_t)r->filled * (size_t)r->whole_count;
+    r->time[r->filled] = run->t;
+    if (r->places)
+        for (int32_t i = 0; i < r->count; i++) reals[i] = run->real[r->places[i]];
+    else memcpy(reals, run->real, (size_t)r->count * sizeof *reals);
+    for (int32_t i = 0; i < r->whole_count; i++) wholes[i] = run->whole[r->whole_places[i]];
+    r->filled++;
+}
+
+static int settle(Run *run, double h) {
+    int verdict = put(run, run->t + h);
+    if (!verdict) verdict = carry_out(run, &run->exchange);
+    for (int32_t k = 0; k < run->part_count && !verdict; k++) verdict = carry_out(run, &run->parts[k].tell);
+    if (!verdict) arrive_all(run, h, EVERYBODY);
+    return verdict;
+}
+
+static int one_step(Run *run, double h) {
+    int verdict = run->keeps ? keep(run) : CONTINUE;
+    if (!verdict) verdict = sweep(run, h);
+    if (!verdict) verdict = stepped(run, h);
+    if (!verdict) verdict = settle(run, h);
+    if (verdict) return verdict;
+    for (int32_t i = 0; i < run->signal_count; i++) accept(&run->signals[i], h);
+    run->length = h;
+    settled(run);
+    run->steps++;
+    return CONTINUE;
+}
+
+EXPORT int32_t march(Run *run) {
+    const double until = seconds() + run->patience;
+    while (run->done < run->total && run->recorder.filled < run->recorder.room &&
+           run->monitor.rows < run->monitor.room) {
+        const double after = run->start + (double)(run->done + 1) * run->step;
+        const int verdict = one_step(run, after - run->t);
+        if (verdict) return verdict;
+        run->t = after;
+        run->done++;
+        record(run);
+        if (seconds() > until) break;
+    }
+    return CONTINUE;
+}

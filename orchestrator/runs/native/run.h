@@ -1,0 +1,140 @@
+/* A run in compiled code: the same as march.py, sweep.py, part.py, signal.py, polynomial.py and driver.py,
+ * operation by operation, so that both give the same numbers. Arrays belong to Python, which fills these
+ * structures (layout.py) and looks at what is recorded between two blocks.
+ */
+#ifndef RUN_H
+#define RUN_H
+
+#include <stdint.h>
+
+enum { REAL, WHOLE };                                           /* banks */
+enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, BOOLEAN }; /* types of values in an FMU */
+enum { ACCESS, LINK };                                          /* kinds of instructions */
+enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
+enum { CONTINUE, STOP, DISCARDED };                             /* what to do after a status */
+
+typedef struct { /* one FMI call on a row of variables */
+    void *function, *component;
+    const uint32_t *references;
+    const int32_t *orders; /* of derivatives; NULL for values */
+    void *own, *values;    /* in the FMU's type and in the bank; the same where types agree */
+    int32_t count, fmi, type, bank, sets;
+} Access;
+
+typedef struct { /* values that go from outputs to inputs */
+    const int64_t *source, *target;
+    const void *factor, *offset; /* NULL where they are 1 and 0 */
+    int32_t count, bank;
+} Link;
+
+typedef struct {
+    int32_t kind;
+    const void *what;
+} Instruction;
+
+typedef struct {
+    int32_t count;
+    const Instruction *instructions;
+} Program;
+
+typedef struct { /* see signal.py */
+    int32_t target, source, maker, slope, degree, wanted, known;
+    double factor, offset;
+    double value, slope0, value1, slope1, before, chord, scale;
+    double c[DEGREE + 1];
+} Signal;
+
+typedef struct { /* see part.py */
+    void *component, *do_step, *get_state, *set_state, *state;
+    void *event, *terminate, *early, *last; /* where FMI 3.0 tells about a step */
+    const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
+    double *clock;                          /* time of the step, for messages */
+    double busy;
+    int32_t fmi, final, factor, first, count, revalued;
+    double *values, *derivatives;
+    Program writers, reads, newest, tell;
+} Part;
+
+typedef struct { /* see drive.py and driver.py */
+    int64_t samples, width, row;
+    const double *time, *base, *slopes, *anchor;
+    const int64_t *columns, *targets, *held_columns, *held;
+    const double *factor, *offset;
+    double *coming;
+    const int32_t *signals;
+    int32_t count, held_count;
+    double when;
+    Program writers;
+} Driver;
+
+typedef struct { /* see energy.py */
+    const int64_t *places, *spread;
+    const uint8_t *moved;
+    const double *seen;
+    double *step, *first, *last, *truth;
+    int32_t count, rows, room;
+    Program readers;
+} Monitor;
+
+typedef struct { /* see recorder.py */
+    const int64_t *places, *whole_places;
+    double *time, *reals;
+    int32_t *wholes;
+    int32_t count, whole_count, filled, room;
+} Recorder;
+
+typedef struct Run Run;
+struct Run {
+    double *real, *real_kept, *used, *slopes;
+    int32_t *whole, *whole_kept;
+    int64_t reals, wholes;
+    Program exchange;
+    Part *parts;
+    Signal *signals;
+    int32_t part_count, signal_count;
+    Driver *driver; /* NULL without a scenario */
+    Monitor monitor;
+    Recorder recorder;
+    /* the plan */
+    const int32_t *turns;
+    uint8_t *stepped;
+    int32_t order, degree, sequential, passes;
+    double tolerance;
+    /* the march */
+    double start, step, t, length, patience;
+    int64_t total, done, steps, all_passes;
+    int32_t keeps;
+    /* the judge of every status that is not OK; says what to do */
+    int32_t (*judge)(const void *access, int32_t part, int32_t status);
+    double reached;
+};
+
+/* calls.c: 0 or what `judge` said */
+int carry_out(Run *, const Program *);
+int step_part(Run *, int k, double t, double h);
+int keep_part(Run *, int k);
+int restore_part(Run *, int k);
+double seconds(void);
+
+/* signal.c */
+void predict(Signal *, int order, double step);
+void interpolate(Signal *, int degree, double h);
+double arrive(Signal *, double value, double slope, double h, double step);
+void accept(Signal *, double h);
+void shift(const double c[], double by, double shifted[]);
+void project(double c[], int degree, double h);
+double value_at(const double c[], double s);
+
+/* driver.c */
+void look(Driver *, double t);
+int put(Run *, double t);
+
+/* sweep.c */
+int sweep(Run *, double h);
+double arrive_all(Run *, double h, int maker);
+enum { EVERYBODY = -2 };
+
+/* march.c: one block; CONTINUE when there is more to do or all is done */
+int32_t march(Run *);
+
+#endif
