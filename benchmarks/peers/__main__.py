@@ -19,11 +19,12 @@ from benchmarks.peers.report import plain, table
 from benchmarks.peers.settings import SETTINGS, Setting
 from benchmarks.peers.tools import find
 
-NOTES = """us/step: time of a communication step of 1 ms, the loop over the steps alone, median of the runs, \
-with all coupling signals recorded as each tool does it (not rec.: without). Then the error over the step. \
-ms/s: time for a simulated second at the step that gives the error in the heading. Recording: FMPy all \
-connectors in memory, Ecos a CSV file of six decimals, libcosim a time series in memory, ours in memory with \
-the accuracy card."""
+NOTES = """\
+us/step: {clock} time of a communication step of 1 ms, the loop over the steps alone, median of the runs,
+with all coupling signals recorded as each tool does it (not rec.: without). Then the error over the step.
+ms/s: time for a simulated second at the step that gives the error in the heading. Recording: FMPy all
+connectors in memory, Ecos a CSV file of six decimals, libcosim a time series in memory, ours in memory
+with the accuracy card."""
 
 
 def main() -> None:
@@ -33,12 +34,16 @@ def main() -> None:
     settings = [s for s in SETTINGS if not asked.only or any(word in s.label for word in asked.only)]
     settings = _installed(settings, console)
     about = describe()
-    console.print("\n".join(f"{name}: {value}" for name, value in about.items()), NOTES, sep="\n\n")
-    told = {"machine": about, "repeats": asked.repeats, "cases": {}}
+    console.print(
+        "\n".join(f"{name}: {value}" for name, value in about.items()),
+        NOTES.format(clock=asked.clock),
+        sep="\n\n",
+    )
+    told = {"machine": about, "repeats": asked.repeats, "clock": asked.clock, "cases": {}}
     with tempfile.TemporaryDirectory() as folder:
         for case in cases(Path(folder)):
             if not asked.case or case.name in asked.case:
-                told["cases"][case.name] = _measured(case, settings, asked.repeats, console)
+                told["cases"][case.name] = _measured(case, settings, asked, console)
     asked.out.parent.mkdir(parents=True, exist_ok=True)
     asked.out.write_text(json.dumps(told, indent=1), encoding="utf-8")
     console.print(f"written: {asked.out}")
@@ -47,6 +52,9 @@ def main() -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument(
+        "--clock", choices=("wall", "cpu"), default="wall", help="cpu: for a machine that others use"
+    )
     parser.add_argument("--case", action="append", help="wired, cut or oscillator; all by default")
     parser.add_argument("--only", action="append", help="a part of the names of settings; all by default")
     parser.add_argument("--out", type=Path, default=Path("build/peers.json"))
@@ -65,10 +73,12 @@ def _installed(settings: Sequence[Setting], console: Console) -> list[Setting]:
     return [s for s in settings if s.tool not in missing]
 
 
-def _measured(case: Case, settings: Sequence[Setting], repeats: int, console: Console) -> dict[str, object]:
+def _measured(
+    case: Case, settings: Sequence[Setting], asked: argparse.Namespace, console: Console
+) -> dict[str, object]:
     """All runs of a case; its table is printed."""
-    todo: list[Job] = list(jobs(case, settings))
-    for _ in track(range(repeats), description=case.name, console=console, transient=True):
+    todo: list[Job] = list(jobs(case, settings, asked.clock))
+    for _ in track(range(asked.repeats), description=case.name, console=console, transient=True):
         for job in todo:
             job.repeat()
     found = {s.label: [job for job in todo if job.setting is s] for s in settings}

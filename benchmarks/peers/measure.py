@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.peers.cases import Case
 from benchmarks.peers.settings import USUAL, Setting
-from benchmarks.peers.tools import Run, find
+from benchmarks.peers.tools import Run, Spent, find
 
 BUDGET = 20.0  # s; a job whose runs took longer together is not repeated any more
 LOST = 1.0  # where an error is larger the run is lost
@@ -20,7 +20,8 @@ LOST = 1.0  # where an error is larger the run is lost
 class Job:
     """One setting in one case at one step, and what its runs gave.
 
-    walls    time of each run [s]
+    clock    which time counts: wall or cpu
+    runs     time of each run
     error    infinite where the run is lost, None where nothing is recorded
     """
 
@@ -28,7 +29,8 @@ class Job:
     setting: Setting
     value: float
     record: bool = True
-    walls: list[float] = field(default_factory=list)
+    clock: str = "wall"
+    runs: list[Spent] = field(default_factory=list)
     steps: int = 0
     error: float | None = None
     failed: str = ""
@@ -36,7 +38,9 @@ class Job:
     @property
     def per_step(self) -> float:
         """Time of a step [us], median of the runs."""
-        return 1e6 * median(self.walls) / self.steps if self.walls else np.nan
+        return (
+            1e6 * median(getattr(run, self.clock) for run in self.runs) / self.steps if self.runs else np.nan
+        )
 
     @property
     def per_second(self) -> float:
@@ -45,7 +49,7 @@ class Job:
 
     def repeat(self) -> None:
         """One more run; one that failed is not tried again."""
-        if self.failed or sum(self.walls) > BUDGET:
+        if self.failed or sum(run.wall for run in self.runs) > BUDGET:
             return
         record = self.case.recorded if self.record else ()
         options = {**self.setting.options, self.setting.vary: self.value}
@@ -57,7 +61,7 @@ class Job:
             self.failed = f"{type(problem).__name__}: {problem}"
             self.error = np.inf if self.record else None
             return
-        self.walls.append(run.wall)
+        self.runs.append(run.spent)
         self.steps = run.steps
         if self.record and self.error is None:
             self.error = _judge(self.case, run)
@@ -70,13 +74,13 @@ def _judge(case: Case, run: Run) -> float:
     return error if error < LOST else np.inf
 
 
-def jobs(case: Case, settings: Iterable[Setting]) -> Iterator[Job]:
+def jobs(case: Case, settings: Iterable[Setting], clock: str) -> Iterator[Job]:
     """All of a case."""
     for setting in settings:
         for value in setting.values.get(case.name, ()):
-            yield Job(case, setting, value)
+            yield Job(case, setting, value, clock=clock)
             if setting.vary == "step" and value == USUAL:
-                yield Job(case, setting, value, record=False)
+                yield Job(case, setting, value, record=False, clock=clock)
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ def at_error(found: Iterable[Job], target: float) -> Equal | None:
     One job alone says nothing.
     """
     good: Job | None = None
-    ran = sorted((j for j in found if j.record and j.walls), key=lambda j: j.value)
+    ran = sorted((j for j in found if j.record and j.runs), key=lambda j: j.value)
     for job in ran if len(ran) > 1 else ():
         error = job.error if job.error is not None else np.inf
         if error > target:

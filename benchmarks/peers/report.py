@@ -67,9 +67,10 @@ def _run(job: Job) -> dict[str, Any]:
         "error": job.error if finite else None,
         "lost": job.error is not None and not finite,
         "steps": job.steps,
-        "us_per_step": job.per_step if job.walls else None,
-        "ms_per_second": job.per_second if job.walls else None,
-        "walls": job.walls,
+        "us_per_step": job.per_step if job.runs else None,
+        "ms_per_second": job.per_second if job.runs else None,
+        "wall": [run.wall for run in job.runs],
+        "cpu": [run.cpu for run in job.runs],
         "failed": job.failed,
     }
 
@@ -79,7 +80,7 @@ def _fields(equal: Equal | None) -> dict[str, float] | None:
 
 
 def _costs(jobs: Sequence[Job]) -> list[str]:
-    usual = {j.record: j.per_step for j in jobs if j.value == USUAL and j.setting.vary == "step" and j.walls}
+    usual = {j.record: j.per_step for j in jobs if j.value == USUAL and j.setting.vary == "step" and j.runs}
     return [f"{usual[record]:.1f}" if record in usual else NONE for record in (True, False)]
 
 

@@ -8,28 +8,48 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from time import perf_counter, process_time
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Spent:
+    """Time [s]: by the clock on the wall, and of the processor in all threads of this process.
+
+    The second tells little of what runs in parallel, and much where other processes disturb the first.
+    """
+
+    wall: float
+    cpu: float
+
+    @classmethod
+    def until_now(cls) -> Spent:
+        """Since some beginning."""
+        return cls(perf_counter(), process_time())
+
+    def __sub__(self, other: Spent) -> Spent:
+        return Spent(self.wall - other.wall, self.cpu - other.cpu)
 
 
 @dataclass(frozen=True)
 class Run:
     """What one run gives.
 
-    wall      time of the loop [s]
+    spent     in the loop
     steps     in the loop
     signals   judged signals at the times `time` [s]; none where nothing was recorded
     """
 
-    wall: float
+    spent: Spent
     steps: int
     time: np.ndarray
     signals: Mapping[str, np.ndarray]
 
 
-def nothing(wall: float, steps: int) -> Run:
+def nothing(spent: Spent, steps: int) -> Run:
     """A run without a record."""
-    return Run(wall, steps, np.zeros(0), {})
+    return Run(spent, steps, np.zeros(0), {})
 
 
 def find(tool: str) -> Callable[..., Run]:

@@ -11,12 +11,11 @@ import ctypes
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from time import perf_counter
 
 import ecospy
 import numpy as np
 
-from benchmarks.peers.tools import Run, nothing
+from benchmarks.peers.tools import Run, Spent, nothing
 
 CREATE = "_ZN3tbb6detail2r16createERNS0_2d114global_controlE"
 DESTROY = "_ZN3tbb6detail2r17destroyERNS0_2d114global_controlE"
@@ -40,23 +39,23 @@ def run(
                 simulation.add_csv_writer(str(file), identifiers=[_name(signal) for signal in record])
             if not simulation.init():
                 raise RuntimeError(ecospy.EcosLib.get_last_error())
-            begin = perf_counter()
+            begin = Spent.until_now()
             simulation.step(steps)
-            wall = perf_counter() - begin
+            spent = Spent.until_now() - begin
             simulation.terminate()
-        return _read(file, step, judged, wall, steps) if record else nothing(wall, steps)
+        return _read(file, step, judged, spent, steps) if record else nothing(spent, steps)
 
 
 def _name(signal: str) -> str:
     return signal.replace(".", "::")
 
 
-def _read(file: Path, step: float, judged: Sequence[str], wall: float, steps: int) -> Run:
+def _read(file: Path, step: float, judged: Sequence[str], spent: Spent, steps: int) -> Run:
     with file.open(encoding="utf-8") as lines:
         names = [name.strip() for name in next(lines).split(",")]
     columns = [names.index("iterations"), *(names.index(f"{_name(signal)}[REAL]") for signal in judged)]
     number, *values = np.loadtxt(file, delimiter=",", skiprows=1, usecols=columns).T
-    return Run(wall, steps, number * step, dict(zip(judged, values, strict=True)))
+    return Run(spent, steps, number * step, dict(zip(judged, values, strict=True)))
 
 
 class Control(ctypes.Structure):

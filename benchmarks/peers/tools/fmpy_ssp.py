@@ -9,13 +9,12 @@ import contextlib
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 from unittest.mock import patch
 
 from fmpy.ssp import simulation
 
-from benchmarks.peers.tools import Run
+from benchmarks.peers.tools import Run, Spent
 
 
 class NoChoice(ValueError):
@@ -26,7 +25,7 @@ def run(system: Path, stop: float, record: Sequence[str], judged: Sequence[str],
     """One run."""
     if not record:
         raise NoChoice("FMPy always records")
-    stamps: list[float] = []
+    stamps: list[Spent] = []
     ready = _stamped(simulation.instantiate_fmu, stamps, after=True)
     done = _stamped(simulation.free_fmu, stamps, after=False)
     with (
@@ -37,18 +36,18 @@ def run(system: Path, stop: float, record: Sequence[str], judged: Sequence[str],
         # half a step: its sum of steps may fall short of the stop time and then goes on
         rows = simulation.simulate_ssp(str(system), stop_time=stop - step / 2, step_size=step)
     components = len(stamps) // 2
-    wall = stamps[components] - stamps[components - 1]
+    spent = stamps[components] - stamps[components - 1]
     # a row has the time before the step and the values after it
-    return Run(wall, len(rows), rows["time"] + step, {name: rows[name] for name in judged})
+    return Run(spent, len(rows), rows["time"] + step, {name: rows[name] for name in judged})
 
 
-def _stamped(call: Callable[..., Any], stamps: list[float], after: bool) -> Callable[..., Any]:
+def _stamped(call: Callable[..., Any], stamps: list[Spent], after: bool) -> Callable[..., Any]:
     def wrapped(*arguments: Any, **options: Any) -> Any:
         if not after:
-            stamps.append(perf_counter())
+            stamps.append(Spent.until_now())
         result = call(*arguments, **options)
         if after:
-            stamps.append(perf_counter())
+            stamps.append(Spent.until_now())
         return result
 
     return wrapped

@@ -8,7 +8,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 from libcosimpy.CosimEnums import CosimVariableType
@@ -17,7 +16,7 @@ from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
 from libcosimpy.CosimObserver import CosimObserver
 
 from benchmarks.peers.ssp import for_libcosim
-from benchmarks.peers.tools import Run, nothing
+from benchmarks.peers.tools import Run, Spent, nothing
 
 Place = tuple[int, int]  # slave, value reference
 
@@ -38,14 +37,14 @@ def run(
             for name in record:
                 observer.start_time_series(*places[name], CosimVariableType.REAL)
         _checked(execution.step(1))
-        begin = perf_counter()
+        begin = Spent.until_now()
         done = execution.step(steps - 1)
-        wall = perf_counter() - begin
+        spent = Spent.until_now() - begin
         _checked(done)
         if not record:
-            return nothing(wall, steps - 1)
+            return nothing(spent, steps - 1)
         values = {name: _series(observer, places[name], steps) for name in judged}
-        return Run(wall, steps - 1, np.arange(1, steps + 1) * step, values)
+        return Run(spent, steps - 1, np.arange(1, steps + 1) * step, values)
 
 
 def _places(execution: CosimExecution) -> dict[str, Place]:

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks.peers.tools import Run, nothing
+from benchmarks.peers.tools import Run, Spent, nothing
 from orchestrator import System, load
 from orchestrator import run as simulate
 
@@ -19,11 +19,15 @@ def run(system: Path, stop: float, record: Sequence[str], judged: Sequence[str],
     """One run; `options` go to `orchestrator.run`."""
     if not record:
         options["bonds"] = ()
+    begin = Spent.until_now()
     result = simulate(loaded(system), stop=stop, record=list(record), **options)
+    whole = Spent.until_now() - begin
     card, trace = result.card, result.trace
+    # the card knows the wall time of the loop; the processor is taken to serve it as it does the whole call
+    spent = Spent(card.wall, card.wall * whole.cpu / whole.wall)
     if not record:
-        return nothing(card.wall, card.steps)
-    return Run(card.wall, card.steps, trace.time, {name: trace[name] for name in judged})
+        return nothing(spent, card.steps)
+    return Run(spent, card.steps, trace.time, {name: trace[name] for name in judged})
 
 
 @cache
