@@ -16,20 +16,37 @@ from orchestrator.system.system import Outlet, Port
 BLOCK = 256  # points between two calls of `settle`, at most
 
 
-class _Rows:
-    """Points in time: `time` [s] of shape (n,), real and whole numbers of shape (n, signals)."""
+class _Fresh:
+    """Room for the points of one block: `time` [s] of shape (n,), real and whole numbers (n, signals)."""
+
+    def __init__(self, reals: int, wholes: int) -> None:
+        self.time = np.zeros(BLOCK)
+        self.reals = np.zeros((BLOCK, reals))
+        self.wholes = np.zeros((BLOCK, wholes), dtype=np.int32)
+
+
+class _Kept:
+    """All points that are kept, each signal in one piece: numbers of shape (signals, n)."""
 
     def __init__(self, rows: int, reals: int, wholes: int) -> None:
         self.time = np.zeros(rows)
-        self.reals = np.zeros((rows, reals))
-        self.wholes = np.zeros((rows, wholes), dtype=np.int32)
+        self.reals = np.zeros((reals, rows))
+        self.wholes = np.zeros((wholes, rows), dtype=np.int32)
 
-    def take(self, first: int, other: _Rows, rows: NDArray[np.intp]) -> None:
-        """Copy rows of another table to the places from `first` on."""
-        place = slice(first, first + len(rows))
-        self.time[place] = other.time[rows]
-        self.reals[place] = other.reals[rows]
-        self.wholes[place] = other.wholes[rows]
+    def take(self, first: int, fresh: _Fresh, rows: NDArray[np.intp]) -> None:
+        """Copy fresh rows to the places from `first` on; makes room if there is none."""
+        last = first + len(rows)
+        if last > len(self.time):
+            self._grow(2 * last)
+        self.time[first:last] = fresh.time[rows]
+        self.reals[:, first:last] = fresh.reals[rows].T
+        self.wholes[:, first:last] = fresh.wholes[rows].T
+
+    def _grow(self, rows: int) -> None:
+        larger = _room(rows, len(self.reals), len(self.wholes))
+        n = len(self.time)
+        larger.time[:n], larger.reals[:, :n], larger.wholes[:, :n] = self.time, self.reals, self.wholes
+        self.time, self.reals, self.wholes = larger.time, larger.reals, larger.wholes
 
 
 class Recorder:
@@ -50,7 +67,7 @@ class Recorder:
         self._whole = [p for p in ports if p in network.whole.index]
         self.places = network.real.places(self._real) if chosen is not None else None
         self.whole_places = network.whole.places(self._whole)
-        self.fresh = _Rows(BLOCK, len(self._real), len(self._whole))
+        self.fresh = _Fresh(len(self._real), len(self._whole))
         self._kept = _room(times.rows + 1, len(self._real), len(self._whole))
         self.filled = self._rows = self.points = 0
 
@@ -88,21 +105,21 @@ class Recorder:
         self._keep()
         n = self._rows + (self.points > 0 and (self.points - 1) % self._every > 0)
         columns: dict[Port, NDArray[np.float64]] = {}
-        columns |= {p: self._kept.reals[:n, i].copy() for i, p in enumerate(self._real)}
-        columns |= {p: self._kept.wholes[:n, i].astype(np.float64) for i, p in enumerate(self._whole)}
+        columns |= {p: self._kept.reals[i, :n] for i, p in enumerate(self._real)}
+        columns |= {p: self._kept.wholes[i, :n].astype(np.float64) for i, p in enumerate(self._whole)}
         signals = {str(p): columns[p] for p in self._ports}
         units = {str(p): u.name for p in self._ports if (u := self._network.system.variable(p).unit)}
         for outlet in outlets:
             if outlet.source in columns:
                 signals[outlet.name] = outlet.map.factor * columns[outlet.source] + outlet.map.offset
                 units |= {outlet.name: outlet.unit.name} if outlet.unit else {}
-        return Trace(self._kept.time[:n].copy(), signals, units)
+        return Trace(self._kept.time[:n], signals, units)
 
 
-def _room(rows: int, reals: int, wholes: int) -> _Rows:
+def _room(rows: int, reals: int, wholes: int) -> _Kept:
     """Room for all points to keep."""
     try:
-        return _Rows(rows, reals, wholes)
+        return _Kept(rows, reals, wholes)
     except MemoryError:
         many = f"{rows:.3g} points of {reals + wholes} signals"
         raise Problem(f"{many} do not fit into memory; choose a longer record step or stop earlier") from None

@@ -21,17 +21,19 @@ static int give(Run *run, Part *p, double begin, double length, int last) {
     return carry_out(run, &p->writers);
 }
 
-static int advance(Run *run, int k, double h) {
+/* A component's own steps; `clock` is the time now, and then [s]. */
+static int advance(Run *run, int k, double h, double *clock) {
     Part *p = &run->parts[k];
     const int32_t many = p->factor;
     for (int32_t j = 0; j < many; j++) {
         const double begin = h * j / many, end = h * (j + 1) / many, now = run->t + begin;
         int verdict = give(run, p, begin, end - begin, j == many - 1);
-        const double before = seconds();
         if (!verdict) verdict = step_part(run, k, now, run->t + end - now);
-        p->busy += seconds() - before;
         if (verdict) return verdict;
     }
+    const double before = *clock;
+    *clock = seconds();
+    p->busy += *clock - before;
     return CONTINUE;
 }
 
@@ -59,6 +61,7 @@ static void shape(Run *run, const Part *p, int n, double h) {
 
 /* All components once; `change`: the largest of a signal since the pass before. */
 static int pass(Run *run, int n, double h, double *change) {
+    double clock = seconds();
     *change = 0.0;
     memset(run->stepped, 0, (size_t)run->part_count);
     for (int32_t i = 0; i < run->part_count; i++) {
@@ -68,7 +71,7 @@ static int pass(Run *run, int n, double h, double *change) {
         shape(run, p, n, h);
         int verdict = n ? restore_part(run, k) : CONTINUE;
         if (!verdict) verdict = carry_out(run, &p->newest);
-        if (!verdict) verdict = advance(run, k, h);
+        if (!verdict) verdict = advance(run, k, h, &clock);
         if (verdict) return verdict;
         if (!run->sequential) continue;
         verdict = carry_out(run, &p->reads);
