@@ -28,6 +28,7 @@ def _seconds(text: str) -> float:
 
 INTERRUPTED = 130  # exit status, as of a shell
 SYSTEM, BUILD = Path("build/harvester.ssp"), Path("build")
+STUDY = BUILD / "convergence"
 
 # What `run` and `validate` share.
 System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
@@ -326,6 +327,71 @@ def compare(
     from orchestrator.commands import commands
 
     commands.compare(traces, out, against=against, signals=signals or (), start=start, stop=stop)
+
+
+@app.command()
+def convergence(
+    system: System = SYSTEM,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Reference, .csv with .toml; default: of the harvester's work cycle its solution,"
+            " of any other run the finest hermite run.",
+        ),
+    ] = None,
+    scenario: Scenario = None,
+    steps: Annotated[
+        str, typer.Option(metavar="S,S,...", help="Communication steps [s], with commas.")
+    ] = "0.0005,0.001,0.002,0.005,0.01,0.02",
+    masters: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,...",
+            help="Only these, such as jacobi, 'hermite 2 passes' or '*order 1'; default: all.",
+        ),
+    ] = "",
+    signals: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="What to judge, such as '*_pressure*'; repeatable, one table each;"
+            " default: speeds and pressures.",
+        ),
+    ] = None,
+    start: Start = None,
+    stop: Stop = None,
+    swap: Swap = None,
+    parameters: Parameters = None,
+    set_: Set = None,
+    cut: Cut = None,
+    repeats: Annotated[
+        int, typer.Option(metavar="N", help="How often each run is timed; the median counts.")
+    ] = 3,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where numbers and pictures go.")] = STUDY,
+) -> None:
+    """Error over communication step for all masters, and what each costs: tables, numbers, pictures."""
+    from fmus.build import data
+    from orchestrator.commands.commands import assignments, swaps
+    from orchestrator.convergence.command import convergence as study
+
+    study(
+        system,
+        reference,
+        out,
+        steps,
+        masters,
+        signals or (),
+        repeats,
+        usually=data("reference/work_cycle.csv"),
+        scenario=scenario,
+        start=start,
+        stop=stop,
+        swap=swaps(swap or []),
+        parameters=parameters or (),
+        set=assignments(set_ or []),
+        cut=cut or (),
+    )
 
 
 @app.command()

@@ -1,4 +1,7 @@
-"""M1 at several communication steps, both masters, with rate ports and without: the table of README.md."""
+"""M1 at many communication steps with all masters: the tables and pictures of README.md.
+
+python examples/hydraulic_manipulator/steps.py
+"""
 
 from __future__ import annotations
 
@@ -6,56 +9,62 @@ from pathlib import Path
 
 import numpy as np
 from figure import draw_steps
-from machine import build, solve
+from machine import RATES, build, solve
 from rich.console import Console
-from rich.table import Table
-from run import M1, REFERENCE, Outcome, simulate
+from run import M1, REFERENCE
 
-from orchestrator import RunFailed, read
+from orchestrator import load, read, run
+from orchestrator.convergence import SETTINGS, Study, Truth, from_run, study
+from orchestrator.convergence.command import tell, watched
+from orchestrator.convergence.table import maximum, rich
+from orchestrator.coupling.settings import Coupling
 from orchestrator.validation import read_reference
 
-STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 15e-3, 20e-3, 40e-3)  # [s]
-DRAWN = (10e-3, 20e-3, 40e-3)
-HEADINGS = ("master", "ports", "step", "s1", "p_1", "p_2", "residual of the bond")
+FOLDER = Path("build/hydraulic_manipulator")
+STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
+BARE = tuple(target for _, target in RATES)
+SIGNALS = ("arm.s1", "hydraulics.p_1", "hydraulics.p_2")
+DRAWN = {
+    "Jacobi, held, 10 ms": ("held", Coupling("jacobi"), 10e-3),
+    "Jacobi, held, 40 ms": ("held", Coupling("jacobi"), 40e-3),
+    "hermite, 2 passes, 40 ms": ("rates", Coupling("hermite", passes=2), 40e-3),
+}
 PUBLISHED = {
     "force-displacement Jacobi, 15 ms": "m1_force_jacobi_15ms.csv",
     "pressure-displacement Jacobi, 40 ms": "m1_pressure_jacobi_40ms.csv",
 }
 
 
-def attempt(system: Path, step: float, master: str) -> Outcome | float:
-    """The outcome, or the time [s] up to which the run came."""
-    try:
-        return simulate(system, M1, step, master)
-    except RunFailed as failure:
-        return float(failure.result.trace.time[-1])
+def truth() -> Truth:
+    """The joined ODE at every millisecond."""
+    return from_run("the joined ODE", solve(read(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
 
 
-def cells(outcome: Outcome | float) -> list[str]:
-    """Largest errors from the joined ODE and energy residual of the power bond over the exchanged energy."""
-    if isinstance(outcome, float):
-        return [f"fails at {outcome:.2f} s", "-", "-", "-"]
-    (bond,) = outcome.result.card.bonds
-    pressures = [f"{100 * outcome.relative(f'hydraulics.{n}'):.2g} %" for n in ("p_1", "p_2")]
-    return [f"{1e3 * outcome.error('arm.s1'):.2g} mm", *pressures, f"{100 * abs(bond.relative):.1g} %"]
+def manipulator(system: Path, repeats: int = 3) -> Study:
+    """All masters at all steps."""
+    against = truth()
+    rows = study(load(system), against, SETTINGS, STEPS, repeats, BARE, scenario=M1)
+    return Study(against, tuple(watched(rows, len(SETTINGS) * len(STEPS))))
+
+
+def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
+    """Draw errors of s1 over time, of some runs and of the co-simulations of the benchmark's authors."""
+    ode = solve(read(M1), np.linspace(0, 10, 10001))
+    runs = {
+        label: run(systems[ports], M1, coupling, step).trace
+        for label, (ports, coupling, step) in DRAWN.items()
+    }
+    published = {label: read_reference(REFERENCE.with_name(name)) for label, name in PUBLISHED.items()}
+    return draw_steps(runs, published, ode, path)
 
 
 def main() -> None:
-    """Print the table and draw the runs with held inputs beside the published ones."""
-    folder = Path("build/hydraulic_manipulator")
-    systems = build(folder)
-    table, drawn = Table(*HEADINGS), {}
-    for master in ("jacobi", "gauss-seidel"):
-        for ports, system in systems.items():
-            for step in STEPS:
-                outcome = attempt(system, step, master)
-                table.add_row(master, ports, f"{1e3 * step:g} ms", *cells(outcome))
-                if isinstance(outcome, Outcome) and step in DRAWN and (master, ports) == ("jacobi", "held"):
-                    drawn[f"Jacobi, held, {1e3 * step:g} ms"] = outcome.result.trace
-    Console(width=110).print(table)
-    published = {label: read_reference(REFERENCE.with_name(name)) for label, name in PUBLISHED.items()}
-    truth = solve(read(M1), np.linspace(0, 10, 10001))
-    print(f"wrote {draw_steps(drawn, published, truth, folder / 'steps.png')}")
+    """Print the tables, write numbers and pictures."""
+    systems = build(FOLDER)
+    found = manipulator(systems["rates"])
+    Console(width=120).print(rich(maximum(found, "position")))
+    tell(found, FOLDER)
+    print(beside_the_published(systems, FOLDER / "steps.png"))
 
 
 if __name__ == "__main__":

@@ -129,7 +129,7 @@ def simulated(
     swap          other FMUs: component -> name of a variant, or path
     """
     check_suffix(out)
-    loaded = load(_there(system)).without(*cut).swapped(swap or {})
+    loaded = load(there(system)).without(*cut).swapped(swap or {})
     step = communication_step(loaded, step)
     interval = thinned(step) if record_step is None else record_step
     folder(out.parent)
@@ -140,7 +140,7 @@ def simulated(
         raise
 
 
-def _there(system: Path) -> Path:
+def there(system: Path) -> Path:
     """The system, if there is such a file."""
     if not system.exists():
         raise Problem(f"{system}: no such file" + (f"; make it with: {MAKE}" if system == BUILT else ""))
@@ -178,7 +178,7 @@ def signals(system: Path, kind: str | None = None, swap: Mapping[str, str] | Non
     """Print the variables of a system, `swap` as in `simulated`."""
     from orchestrator.system.signals import lines
 
-    print("\n".join(lines(load(_there(system)).swapped(swap or {}), kind)))
+    print("\n".join(lines(load(there(system)).swapped(swap or {}), kind)))
 
 
 def swaps(texts: Iterable[str]) -> dict[str, str]:
