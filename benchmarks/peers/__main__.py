@@ -30,7 +30,7 @@ with the accuracy card."""
 def main() -> None:
     """Measure what was asked for."""
     asked = _arguments()
-    console = Console(width=max(160, Console().width), markup=False, highlight=False)
+    console = Console(width=max(190, Console().width), markup=False, highlight=False)
     settings = [s for s in SETTINGS if not asked.only or any(word in s.label for word in asked.only)]
     settings = _installed(settings, console)
     about = describe()
@@ -45,7 +45,7 @@ def main() -> None:
             if not asked.case or case.name in asked.case:
                 told["cases"][case.name] = _measured(case, settings, asked, console)
     asked.out.parent.mkdir(parents=True, exist_ok=True)
-    asked.out.write_text(json.dumps(told, indent=1), encoding="utf-8")
+    asked.out.write_text(json.dumps(told, indent=1, default=str), encoding="utf-8")
     console.print(f"written: {asked.out}")
 
 

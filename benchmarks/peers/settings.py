@@ -16,6 +16,8 @@ PLAIN = {
 }
 # FMPy takes a fraction of a millisecond for a step
 SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3)}
+# where slopes are exchanged and steps repeated
+LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN}
 ONCE = {case: (USUAL,) for case in PLAIN}
 
 
@@ -51,5 +53,6 @@ PEERS = (
 OURS = (
     Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}),
     Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}),
+    Setting("hermite", "ours", LARGE, {"master": "hermite"}),
 )
 SETTINGS = PEERS + OURS
