@@ -105,6 +105,11 @@ static void rates(const Instance *m, double tau, const double *x, double *dx) {
 
 int derivative(const Instance *m, int reference, double *value) {
     double dx[STATES] = {0};
+    if (m->model == MASS_A && reference == A_FORCE) {
+        double rate = m->slope[0][0] != 0 ? m->slope[0][0] : m->trend;
+        *value = m->r[A_COUPLING] * (rate - m->r[A_V]);
+        return 1;
+    }
     int state = reference - first_state(m);
     if (state < 0 || state >= states(m)) return 0;
     rates(m, 0, m->r + first_state(m), dx);
@@ -154,6 +159,7 @@ enum Status advance(Instance *m, double t, double h) {
     integrate(m, h);
     m->r[0] = m->model == SOURCE ? m->r[0] : input(m, h);
     if (m->model == GLIDE) m->r[L_V] += h * m->r[L_A];
+    m->trend = m->slope[0][0] + h * (m->slope[0][1] + h / 2 * m->slope[0][2]);
     memset(m->slope, 0, sizeof m->slope);
     m->time = t + h;
     return status;

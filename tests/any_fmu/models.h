@@ -38,6 +38,7 @@ struct Instance {
     int stop_defined;
     double r[REALS];
     double slope[REALS][ORDERS]; /* derivatives of inputs, for the next step only */
+    double trend;                /* slope that the first input had where the last step ended */
     long long i[INTEGERS];       /* integers, enumerations and booleans */
     char s[STRINGS][LENGTH];
 };
