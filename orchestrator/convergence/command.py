@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.commands.commands import folder, there
 from orchestrator.commands.judge import another_model
 from orchestrator.convergence.settings import choose, possible, rates
 from orchestrator.convergence.study import Row, Study, finest, study
-from orchestrator.convergence.table import ends, rich, tables
+from orchestrator.convergence.table import ends, show, tables
 from orchestrator.convergence.truth import Truth, from_reference, usual
 from orchestrator.convergence.writing import write
 from orchestrator.errors import Problem
@@ -111,7 +110,8 @@ def _truth(
 def watched(rows: Iterable[Row], total: int) -> Iterator[Row]:
     """The rows as they come, with a bar that tells how many are done."""
     text = TextColumn("{task.completed} of {task.total}  {task.description}")
-    with Progress(text, BarColumn(), console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(text, BarColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=total)
         for row in rows:
             bar.update(task, advance=1, description=f"{row.setting.label}, {1e3 * row.step:g} ms")
@@ -121,10 +121,7 @@ def watched(rows: Iterable[Row], total: int) -> Iterator[Row]:
 def tell(study: Study, out: Path) -> None:
     """Print the tables and notes, write the files."""
     console = Console()
-    wide = console.options.update(max_width=400)
     for text in tables(study):
-        table = rich(text)
-        console.width = max(console.width, Measurement.get(console, wide, table).maximum)
-        console.print(table)
+        show(console, text)
     lines = [*ends(study), *(f"note: {note}" for note in study.notes)]
     print("\n".join([*lines, "", *map(str, write(study, out))]))

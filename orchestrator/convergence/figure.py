@@ -22,7 +22,7 @@ MARKERS = ("o", "s", "^", "D")
 ALIKE = 0.01  # settings whose errors differ by less share a line
 SIZE = (8.4, 5.2)  # [in]
 APART = 0.034  # of the height of the picture, between two names
-ROOM = 0.33  # for the names, share of the width of all lines
+ROOM = 0.4  # for the names, share of the width of all lines
 TRIANGLES = (1, 2, 4)  # orders
 
 

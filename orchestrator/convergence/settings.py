@@ -40,7 +40,7 @@ SETTINGS = (
     Setting("gauss-seidel order 2", Coupling("gauss-seidel", 2)),
     Setting("hermite 1 pass", Coupling("hermite", passes=1)),
     Setting("hermite 2 passes", Coupling("hermite", passes=2)),
-    Setting("hermite to tolerance", Coupling("hermite", passes=20)),
+    Setting("hermite to tolerance", Coupling("hermite")),
 )
 FINEST = Coupling("hermite", passes=20, tolerance=1e-9)  # where there is no reference
 

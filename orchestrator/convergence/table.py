@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text as Words
 
@@ -99,9 +101,18 @@ def ends(study: Study) -> Iterator[str]:
         yield f"{setting.label}: {UNSTABLE} at {duration(lost.step)}: {why}"
 
 
+def show(console: Console, text: Text) -> None:
+    """Print a table; a narrow terminal breaks lines, but no cell is cut."""
+    table = rich(text)
+    console.width = max(
+        console.width, Measurement.get(console, console.options.update(max_width=400), table).maximum
+    )
+    console.print(Words(text.title, "bold"), table, sep="\n")
+
+
 def rich(text: Text) -> Table:
-    """For the terminal."""
-    table = Table(title=Words(text.title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    """For the terminal, without its title."""
+    table = Table(box=SIMPLE_HEAD)
     for place, heading in enumerate(text.head):
         table.add_column(heading, justify="right" if place else "left", no_wrap=True)
     for line in text.lines:

@@ -1,0 +1,306 @@
+"""`harvester convergence` on the two-mass oscillator: orders, what is unstable, references, mistakes."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Trace, assemble, run, write
+from orchestrator.__main__ import main
+from orchestrator.convergence import SETTINGS, Study, choose, from_reference, from_run, study
+from orchestrator.convergence.settings import Setting, rates
+from orchestrator.convergence.table import UNSTABLE, ends, markdown, nrmse
+from orchestrator.coupling.settings import Coupling
+from orchestrator.errors import Problem
+from orchestrator.validation import read_reference
+
+SSD = """<SystemStructureDescription version="1.0" name="two"
+ xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="two"><Elements>
+<Component name="a" source="resources/a.fmu"><Connectors><Connector name="x2" kind="input"/>
+<Connector name="force" kind="output"/></Connectors></Component>
+<Component name="b" source="resources/b.fmu"><Connectors><Connector name="force" kind="input"/>
+<Connector name="x" kind="output"/></Connectors></Component></Elements><Connections>
+<Connection startElement="a" startConnector="force" endElement="b" endConnector="force"/>
+<Connection startElement="b" startConnector="x" endElement="a" endConnector="x2"/></Connections></System>
+<DefaultExperiment startTime="0" stopTime="0.6"/></SystemStructureDescription>"""
+META = """[reference]
+title = "exact"
+[signals."a.x"]
+unit = "m"
+[signals."b.x"]
+unit = "m"
+"""
+
+
+@pytest.fixture(scope="session")
+def moved(fmus):
+    """The oscillator's FMUs with inputs that move inside a step."""
+    return {m[-1]: fmus.make(m, f"{m}_moved", interpolates=True) for m in ("mass_a", "mass_b")}
+
+
+@pytest.fixture(scope="session")
+def moving(moved):
+    """The oscillator made of them."""
+    return assemble(moved, ["a.force -> b.force", "b.x -> a.x2"])
+
+
+@pytest.fixture(scope="session")
+def truth(exact):
+    """Its exact solution at every millisecond of a second."""
+    time = np.arange(1001) * 1e-3
+    x = exact(time)
+    return from_run("exact", Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}, {"a.x": "m", "b.x": "m"}))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, moved, zip_ssp, exact):
+    """A working directory with the oscillator and its exact solution, a sample every 20 ms."""
+    monkeypatch.chdir(tmp_path)
+    zip_ssp(SSD, {f"resources/{name}.fmu": file for name, file in moved.items()}, "two.ssp")
+    time = np.arange(31) * 0.02
+    x = exact(time)
+    write(Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}), "exact.csv")
+    Path("exact.toml").write_text(META)
+    return tmp_path
+
+
+def numbers():
+    """What the command wrote."""
+    return json.loads(Path("build/convergence/convergence.json").read_text())
+
+
+ORDERS = {
+    "jacobi order 0": 1,
+    "jacobi order 1": 2,
+    "jacobi order 2": 3,
+    "gauss-seidel order 0": 1,
+    "gauss-seidel order 1": 2,
+    "gauss-seidel order 2": 3,
+}
+
+
+@pytest.mark.parametrize("label", ORDERS)
+def test_orders_of_convergence(moving, truth, label):
+    """Sources continued by a polynomial of degree n give order n + 1, and the table shows it."""
+    rows = tuple(study(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
+    found = Study(truth, rows)
+    # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
+    assert found.order(rows[1], "position") == pytest.approx(ORDERS[label], abs=0.2)
+    (line,) = nrmse(found, "position").lines
+    assert line[0] == label
+    assert float(line[2].split()[1]) == pytest.approx(ORDERS[label], abs=0.2)  # the same, printed
+
+
+def test_converged_hermite_has_order_four(moving, truth):
+    """Passes that go on until nothing changes leave the error of the cubics."""
+    setting = Setting("converged", Coupling("hermite", passes=30, tolerance=1e-12))
+    rows = tuple(study(moving, truth, [setting], (1e-2, 2e-2), 1, stop=1.0))
+    # 0.66 rad of the fast oscillation per step: the next term of the expansion has a share of a few percent
+    assert Study(truth, rows).order(rows[1], "position") == pytest.approx(4, abs=0.3)
+
+
+def test_runs_that_leave_the_truth_are_unstable(moving, truth):
+    """An error that grows beyond the range of the signal is no number to compare, and is told."""
+    rows = tuple(study(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
+    found = Study(truth, rows)
+    assert [row.stable for row in rows] == [True, False]
+    assert nrmse(found, "position").lines[0][2] == UNSTABLE
+    assert f"**{UNSTABLE}**" in markdown(nrmse(found, "position"))
+    (told,) = ends(found)
+    assert told.startswith("jacobi order 2: unstable at 50 ms: ran to the end")
+    assert found.order(rows[1], "position") is None
+
+
+def test_runs_that_fail_are_rows(fmus):
+    """A step that fails ends its run only; the reason is kept."""
+    system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
+    whole = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
+    rows = tuple(study(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0))
+    assert [row.stable for row in rows] == [False, False]
+    assert [row.simulated for row in rows] == [pytest.approx(0.5)] * 2  # rounding of 50 steps
+    assert all("the pump broke" in line for line in ends(Study(whole, rows)))
+    assert len(rows[0].walls) == 1  # nobody wants to know how long it takes to fail
+
+
+def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
+    """A master that the FMUs cannot serve is a row; if nothing runs at all it is a mistake."""
+    from orchestrator.runs.simulation import open_slave
+
+    opened = []
+
+    def grudging(component):
+        opened.append(component.name)
+        if len(opened) > 2:
+            raise Problem("no second run")
+        return open_slave(component)
+
+    chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
+    first, second = study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
+    assert first.stable
+    assert second.refused == "no second run"
+    assert list(ends(Study(truth, (second,)))) == ["gauss-seidel order 0: not possible: no second run"]
+    with pytest.raises(Problem, match="no second run"):
+        list(study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
+
+
+def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
+    """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
+    against = from_reference(read_reference(folder / "exact.csv"))
+    (row,) = study(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
+    trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
+    every = against.groups["position"][0].values
+    apart = trace["a.x"][::20] - every[::3]
+    share = np.sqrt(np.mean(apart**2)) / np.ptp(every)
+    found = {e.signal: e.nrmse for e in row.errors["position"]}
+    assert found["a.x"] == pytest.approx(share, rel=1e-9)  # same numbers but for their digits in the file
+
+
+def test_the_worst_signal_counts(moving, truth):
+    """The error of a group is that of its worst signal, over the range of the truth."""
+    (row,) = study(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
+    trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
+    shares = []
+    for signal in truth.groups["position"]:
+        apart = trace[signal.name] - signal.values[::10]
+        shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(signal.values))
+    assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
+
+
+def test_units_of_a_reference_are_converted(moving, truth):
+    """A truth in millimetres gives the same shares."""
+    signals = {s.name: 1e3 * s.values for s in truth.groups["position"]}
+    small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
+    rows = [next(study(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)) for t in (truth, small)]
+    assert rows[1].error("position") == pytest.approx(rows[0].error("position"), rel=1e-9)  # rounding
+
+
+def test_signals_at_rest_are_left_out():
+    """What moves a millionth of what others of its unit do has no range to compare with."""
+    time = np.linspace(0, 1, 11)
+    trace = Trace(time, {"a.x": np.sin(time), "a.y": 1e-7 * np.sin(time)}, {"a.x": "m", "a.y": "m"})
+    found = from_run("run", trace)
+    assert found.names == ["a.x"]
+    assert found.notes == ("not compared, at rest: a.y",)
+
+
+def test_bare_settings_go_without_rate_wires(fmus):
+    """A plain master has the same system without the wires of rate ports; without such there is none."""
+    slope = fmus.make("source", "slope_source", units={"y": "m/s"})
+    files = {"s": fmus["source"], "r": slope, "d": fmus["drift"]}
+    system = assemble(files, ["s.y -> d.u", "r.y -> d.u_rate"])
+    assert rates(system) == ("d.u_rate",)
+    time = np.arange(101) * 0.01
+    ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
+    plain, wired = study(system, ramp, choose(["jacobi plain", "jacobi order 0"]), (0.01,), 1, stop=1.0)
+    lost = {row.setting.label: row.maximum("without unit").maximum for row in (plain, wired)}
+    # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
+    assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
+    assert lost["jacobi order 0"] == pytest.approx(0.5e-2 * (np.sqrt(2) - 1), rel=2e-2)
+
+
+@pytest.mark.usefixtures("folder")
+def test_the_command_prints_and_writes(capsys):
+    """Tables on paper, a line of the CSV for each run, all signals in the JSON, two pictures."""
+    options = ["--reference", "exact.csv", "--steps", "0.01,0.005", "--masters", "jacobi", "--repeats", "2"]
+    assert main(["convergence", "two.ssp", *options]) == 0
+    printed = capsys.readouterr().out
+    assert "position: worst NRMSE against exact" in printed
+    assert "wall time [ms] for each second simulated" in printed
+    with Path("build/convergence/convergence.csv").open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [(line["setting"], float(line["step [s]"])) for line in lines] == [
+        (f"jacobi order {order}", step) for order in range(3) for step in (0.005, 0.01)
+    ]
+    found = numbers()
+    assert found["groups"] == {"position": ["a.x", "b.x"]}
+    assert len(found["runs"][0]["walls [s]"]) == 2
+    order = found["runs"][1]["errors"]["position"]["order"]
+    assert order == pytest.approx(1, abs=0.3)  # 0.33 rad of the fast oscillation per step
+    for name in ("convergence.png", "work_precision.png"):
+        assert Path("build/convergence", name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.usefixtures("folder")
+def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
+    """It is told, and its errors are those from the exact solution but for its own."""
+    options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
+    assert main(["convergence", *options]) == 0
+    assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out
+    own = numbers()["runs"][0]["errors"]["position"]["signals"]["a.x"]["nrmse"]
+    assert main(["convergence", *options, "--reference", "exact.csv"]) == 0
+    known = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
+    # hermite at 5 ms is off by less than 1e-4 of the range, jacobi by 0.1; the instants differ
+    assert own == pytest.approx(known, rel=0.1)
+
+
+@pytest.mark.usefixtures("folder")
+def test_options_of_a_run_reach_the_runs():
+    """Stop time and start values count, and nothing is held against the solution for other values."""
+    options = ["--steps", "0.01", "--masters", "jacobi order 0", "--stop", "0.3", "--set", "a.mass=2"]
+    assert main(["convergence", "two.ssp", *options]) == 0
+    found = numbers()
+    assert found["reference"] == "hermite at 5 ms"
+    assert found["runs"][0]["simulated [s]"] == pytest.approx(0.3)  # rounding
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--steps", "0.01,fast"], "steps 0.01,fast: expected numbers of seconds with commas, got 'fast'"),
+        (["--steps", "0.01,-1"], "steps 0.01,-1: expected positive times, got -1"),
+        (["--steps", ","], "steps: expected at least one, got none"),
+        (["--masters", "jakobi"], "masters jakobi: no setting of that name; did you mean jacobi"),
+        (["--repeats", "0"], "repeats: expected at least 1, got 0"),
+        (["--reference", "none.csv"], "none.csv: expected a .csv or .toml file, got no such file"),
+        (["--reference", "exact.csv", "--signals", "*q"], "signals *q: no signal fits; there are a.x, b.x"),
+        (["--signals", "a.y"], "signals a.y: no signal fits; did you mean"),
+        (
+            ["--reference", "exact.csv", "--steps", "0.0137"],
+            "step 0.0137 s: expected 10 or more instants in common with exact, got 1",
+        ),
+        (["--cut", "*"], "two.ssp: expected connected FMUs, got no connection"),
+        (["--set", "a.weight=1", "--steps", "0.1"], "unknown variable 'a.weight'"),
+    ],
+)
+def test_mistakes_are_one_line(capsys, options, message):
+    """Exit status 2, and a line that names what was expected and found."""
+    assert main(["convergence", "two.ssp", *options]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"harvester: {message}")
+    assert told.count("\n") == 1
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_reference_of_another_system_is_refused(capsys):
+    """A signal that the system lacks is named."""
+    Path("exact.toml").write_text(META.replace('[signals."b.x"]', '[signals."b.z"]\ncolumn = "b.x"'))
+    assert main(["convergence", "two.ssp", "--reference", "exact.csv"]) == 2
+    assert "exact: no signal b.z in the run; did you mean" in capsys.readouterr().err
+
+
+def test_every_setting_has_a_name_of_its_own():
+    """Rows, lines and cells are found by it."""
+    labels = [setting.label for setting in SETTINGS]
+    assert len(set(labels)) == len(labels)
+
+
+@pytest.mark.parametrize("group", ["position", "velocity"])
+def test_pictures_name_every_line(moving, group):
+    """Each stable setting is named once, also where several share a line; lost ones have a cross."""
+    from orchestrator.convergence import draw_error, draw_work
+    from orchestrator.convergence.study import finest
+
+    whole = finest(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
+    found = Study(
+        whole, tuple(study(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
+    )
+    for figure in (draw_error(found, group), draw_work(found, group)):
+        (axes,) = figure.axes
+        named = " ".join(text.get_text() for text in axes.texts)
+        assert all(f"order {n}" in named for n in range(3))
+        assert "to tolerance" in named
+    crosses = [line for line in draw_error(found, group).axes[0].lines if line.get_marker() == "x"]
+    assert crosses
