@@ -45,6 +45,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 
 void fmi2FreeInstance(fmi2Component c) {
     instances--;
+    farewell(c);
     ((Slave *)c)->call.freeMemory(c);
 }
 
@@ -64,44 +65,48 @@ fmi2Status fmi2Reset(fmi2Component c) { return as2(complain(c, FAILED, "no reset
 
 /* ---- values */
 
-#define GET(FIELD, COUNT, AS)                                                                          \
+#define GETS(FIELD, COUNT, AS)                                                                          \
     Instance *m = c;                                                                                   \
     if (m->mode == INSTANTIATED) return as2(complain(m, FAILED, "get before initialization", m->mode)); \
     outputs(m);                                                                                        \
+    enum Status status = odd(m, GET);                                                                  \
+    if (status > WARNED) return as2(status);                                                           \
     for (size_t k = 0; k < n; k++) {                                                                   \
         if (vr[k] >= COUNT) return as2(complain(m, FAILED, "no variable", vr[k]));                     \
         value[k] = AS m->FIELD[vr[k]];                                                                 \
     }                                                                                                  \
-    return fmi2OK;
+    return as2(status);
 
-#define SET(FIELD, COUNT)                                                          \
+#define SETS(FIELD, COUNT)                                                          \
     Instance *m = c;                                                               \
+    enum Status status = odd(m, SET);                                              \
+    if (status > WARNED) return as2(status);                                       \
     for (size_t k = 0; k < n; k++) {                                               \
         if (vr[k] >= COUNT) return as2(complain(m, FAILED, "no variable", vr[k])); \
         m->FIELD[vr[k]] = value[k];                                                \
     }                                                                              \
-    return fmi2OK;
+    return as2(status);
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
-    GET(r, REALS, )
+    GETS(r, REALS, )
 }
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
-    GET(i, INTEGERS, (fmi2Integer))
+    GETS(i, INTEGERS, (fmi2Integer))
 }
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
-    GET(i, INTEGERS, (fmi2Boolean))
+    GETS(i, INTEGERS, (fmi2Boolean))
 }
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[]) {
-    GET(s, STRINGS, )
+    GETS(s, STRINGS, )
 }
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
-    SET(r, REALS)
+    SETS(r, REALS)
 }
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
-    SET(i, INTEGERS)
+    SETS(i, INTEGERS)
 }
 fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
-    SET(i, INTEGERS)
+    SETS(i, INTEGERS)
 }
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[]) {
     Instance *m = c;
@@ -112,19 +117,24 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Instance *m = c;
+    int highest = m->model == QUIRK ? (int)m->i[Q_HIGHEST] : ORDERS;
+    enum Status status = odd(m, CURVE);
+    if (status > WARNED) return as2(status);
     for (size_t k = 0; k < n; k++) {
-        if (order[k] < 1 || order[k] > ORDERS) return as2(complain(m, FAILED, "derivative of order", order[k]));
+        if (order[k] < 1 || order[k] > highest) return as2(complain(m, FAILED, "derivative of order", order[k]));
         m->slope[vr[k]][order[k] - 1] = value[k];
     }
-    return fmi2OK;
+    return as2(status);
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                         const fmi2Integer order[], fmi2Real value[]) {
+    enum Status status = odd(c, SLOPE);
+    if (status > WARNED) return as2(status);
     for (size_t k = 0; k < n; k++)
         if (order[k] != 1 || !derivative(c, (int)vr[k], &value[k]))
             return as2(complain(c, FAILED, "derivative of", vr[k]));
-    return fmi2OK;
+    return as2(status);
 }
 
 /* ---- steps */
@@ -132,7 +142,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_rollback) {
     Instance *m = c;
     (void)no_rollback;
-    if (m->model == FAILS && m->i[F_HOW] == ENOUGH && t >= m->r[F_WHEN]) return fmi2Discard;
+    if (trouble(m, t) == ENOUGH) return fmi2Discard;
     return as2(advance(m, t, h));
 }
 
@@ -145,7 +155,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
     if (kind != fmi2Terminated) return fmi2Discard;
-    *value = ((Instance *)c)->i[F_HOW] == ENOUGH;
+    *value = trouble(c, ((Instance *)c)->time) == ENOUGH;
     return fmi2OK;
 }
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v) { (void)c, (void)k, (void)v; return fmi2Discard; }
@@ -155,17 +165,22 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2Stri
 /* ---- rollback */
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
-    if (!*state) *state = malloc(sizeof(Instance));
+    enum Status status = odd(c, SAVE);
+    if (status > WARNED) return as2(status);
+    if (!*state) *state = malloc(sizeof(Instance)), saved++;
     memcpy(*state, c, sizeof(Instance));
-    return fmi2OK;
+    return as2(status);
 }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    enum Status status = odd(c, RESTORE);
+    if (status > WARNED) return as2(status);
     memcpy(c, state, sizeof(Instance));
     ((Instance *)c)->say = say; /* the state may come from another process */
-    return fmi2OK;
+    return as2(status);
 }
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     (void)c;
+    if (*state) saved--;
     free(*state);
     *state = NULL;
     return fmi2OK;
@@ -182,7 +197,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
     if (size != sizeof(Instance)) return as2(complain(c, FAILED, "state of size", (double)size));
-    if (!*state) *state = malloc(size);
+    if (!*state) *state = malloc(size), saved++;
     memcpy(*state, bytes, size);
     return fmi2OK;
 }

@@ -64,6 +64,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 
 void fmi3FreeInstance(fmi3Instance c) {
     instances--;
+    farewell(c);
     free(c);
 }
 
@@ -82,36 +83,38 @@ fmi3Status fmi3Terminate(fmi3Instance c) { return as3(move(c, READY, TERMINATED)
 
 /* ---- values */
 
-#define EACH(FIRST, COUNT, BODY)                                                                               \
-    Instance *m = c;                                                                                           \
-    if (n != count) return as3(complain(m, FAILED, "values for scalars", (double)count));                      \
-    for (size_t k = 0; k < n; k++) {                                                                           \
-        size_t at = vr[k] - (size_t)FIRST;                                                                     \
-        if (at >= (size_t)COUNT) return as3(complain(m, FAILED, "no variable of this type", vr[k]));           \
-        BODY;                                                                                                  \
-    }                                                                                                          \
-    return fmi3OK;
+#define EACH(CALL, FIRST, COUNT, BODY)                                                               \
+    Instance *m = c;                                                                                 \
+    enum Status status = odd(m, CALL);                                                               \
+    if (status > WARNED) return as3(status);                                                         \
+    if (n != count) return as3(complain(m, FAILED, "values for scalars", (double)count));            \
+    for (size_t k = 0; k < n; k++) {                                                                 \
+        size_t at = vr[k] - (size_t)FIRST;                                                           \
+        if (at >= (size_t)COUNT) return as3(complain(m, FAILED, "no variable of this type", vr[k])); \
+        BODY;                                                                                        \
+    }                                                                                                \
+    return as3(status);
 
-#define GET(NAME, FIRST, COUNT, FIELD)                                                                          \
+#define GETS(NAME, FIRST, COUNT, FIELD)                                                                         \
     fmi3Status fmi3Get##NAME(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3##NAME value[],       \
                              size_t count) {                                                                    \
         Instance *asked = c;                                                                                    \
         if (asked->mode < INITIALIZING) return as3(complain(asked, FAILED, "get before initialization", 0));    \
         outputs(asked);                                                                                         \
-        EACH(FIRST, COUNT, value[k] = (fmi3##NAME)m->FIELD[at])                                                 \
+        EACH(GET, FIRST, COUNT, value[k] = (fmi3##NAME)m->FIELD[at])                                            \
     }
 
-#define SET(NAME, FIRST, COUNT, FIELD)                                                                          \
+#define SETS(NAME, FIRST, COUNT, FIELD)                                                                         \
     fmi3Status fmi3Set##NAME(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3##NAME value[], \
                              size_t count) {                                                                    \
-        EACH(FIRST, COUNT, m->FIELD[at] = value[k])                                                             \
+        EACH(SET, FIRST, COUNT, m->FIELD[at] = value[k])                                                        \
     }
 
-#define WHOLES(NAME) GET(NAME, WHOLE, INTEGERS, i) SET(NAME, WHOLE, INTEGERS, i)
+#define WHOLES(NAME) GETS(NAME, WHOLE, INTEGERS, i) SETS(NAME, WHOLE, INTEGERS, i)
 
-GET(Float32, 0, REALS, r)
-SET(Float32, 0, REALS, r)
-SET(Float64, 0, REALS, r)
+GETS(Float32, 0, REALS, r)
+SETS(Float32, 0, REALS, r)
+SETS(Float64, 0, REALS, r)
 WHOLES(Int8)
 WHOLES(UInt8)
 WHOLES(Int16)
@@ -120,8 +123,8 @@ WHOLES(Int32)
 WHOLES(UInt32)
 WHOLES(Int64)
 WHOLES(Boolean)
-GET(UInt64, WHOLE, INTEGERS, i)
-GET(String, TEXT, STRINGS, s)
+GETS(UInt64, WHOLE, INTEGERS, i)
+GETS(String, TEXT, STRINGS, s)
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t count) {
     Instance *asked = c;
@@ -131,7 +134,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
         value[0] = asked->time;
         return fmi3OK;
     }
-    EACH(0, REALS, value[k] = m->r[at])
+    EACH(GET, 0, REALS, value[k] = m->r[at])
 }
 
 fmi3Status fmi3SetUInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3UInt64 value[],
@@ -140,17 +143,17 @@ fmi3Status fmi3SetUInt64(fmi3Instance c, const fmi3ValueReference vr[], size_t n
     int structural = asked->model == WIDE && n == 1 && vr[0] == WHOLE + W_SIZE;
     if (structural && asked->mode != CONFIGURING)
         return as3(complain(asked, FAILED, "structural parameter in mode", asked->mode));
-    EACH(WHOLE, INTEGERS, m->i[at] = (long long)value[k])
+    EACH(SET, WHOLE, INTEGERS, m->i[at] = (long long)value[k])
 }
 
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3String value[],
                          size_t count) {
-    EACH(TEXT, STRINGS, strncpy(m->s[at], value[k], LENGTH - 1))
+    EACH(SET, TEXT, STRINGS, strncpy(m->s[at], value[k], LENGTH - 1))
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
                                     const fmi3Int32 orders[], fmi3Float64 values[], size_t count) {
-    EACH(0, REALS, if (orders[k] != 1 || !derivative(m, (int)at, &values[k]))
+    EACH(SLOPE, 0, REALS, if (orders[k] != 1 || !derivative(m, (int)at, &values[k]))
                        return as3(complain(m, FAILED, "derivative of", (double)at)))
 }
 
@@ -170,7 +173,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean no_rollback, fmi3Boolean *event,
                       fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *reached) {
     Instance *m = c;
-    long long how = m->model == FAILS && t >= m->r[F_WHEN] ? m->i[F_HOW] : NONE;
+    enum Failure how = trouble(m, t);
     (void)no_rollback;
     enum Status status = advance(m, t, how == EARLY ? h / 2 : h);
     *event = how == EVENT, *terminate = how == ENOUGH, *early = how == EARLY;
@@ -181,17 +184,22 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 /* ---- rollback */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
-    if (!*state) *state = malloc(sizeof(Instance));
+    enum Status status = odd(c, SAVE);
+    if (status > WARNED) return as3(status);
+    if (!*state) *state = malloc(sizeof(Instance)), saved++;
     memcpy(*state, c, sizeof(Instance));
-    return fmi3OK;
+    return as3(status);
 }
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
+    enum Status status = odd(c, RESTORE);
+    if (status > WARNED) return as3(status);
     memcpy(c, state, sizeof(Instance));
     ((Instance *)c)->say = say; /* the state may come from another process */
-    return fmi3OK;
+    return as3(status);
 }
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) {
     (void)c;
+    if (*state) saved--;
     free(*state);
     *state = NULL;
     return fmi3OK;
@@ -208,7 +216,7 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte by
 }
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
     if (size != sizeof(Instance)) return as3(complain(c, FAILED, "state of size", (double)size));
-    if (!*state) *state = malloc(size);
+    if (!*state) *state = malloc(size), saved++;
     memcpy(*state, bytes, size);
     return fmi3OK;
 }

@@ -1,15 +1,15 @@
-/* The equations of the models in models.h, and what goes wrong in FAILS. */
+/* The equations of the models in models.h, and what goes wrong in FAILS and QUIRK. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "models.h"
 
-int instances = 0;
+int instances = 0, saved = 0;
 
 enum Model named(const char *guid) {
     static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails",
-                                  "types",  "spring", "wide",   "drift",  "glide"};
+                                  "types",  "spring", "wide",   "drift",  "glide", "quirk"};
     for (int model = MASS_A; model < MODELS; model++)
         if (!strcmp(guid, guids[model])) return model;
     return NOBODY;
@@ -33,6 +33,7 @@ void begin(Instance *m, enum Model model, const char *name, const char *resource
     case SOURCE: m->r[S_AMPLITUDE] = 1, m->r[S_OMEGA] = 1; break;
     case GAIN: m->r[G_FACTOR] = 1; break;
     case FAILS: m->r[F_WHEN] = 1e9; break;
+    case QUIRK: m->r[Q_GAIN] = 1, m->r[Q_WHEN] = 1e9, m->i[Q_HIGHEST] = ORDERS, m->i[Q_MUTE] = -1; break;
     case TYPES: m->r[T_GAIN] = 1; strcpy(m->s[T_LABEL], "nobody"); break;
     case WIDE: m->i[W_SIZE] = 3; break;
     default: break;
@@ -72,19 +73,20 @@ void outputs(Instance *m) {
 /* the input with value reference 0 at time tau after the start of the step */
 static double input(const Instance *m, double tau) {
     if (m->model == DRIFT) return m->r[D_U] + tau * m->r[D_RATE];
+    if (m->model == QUIRK && m->r[Q_RATE] != 0) return m->r[Q_U] + tau * m->r[Q_RATE];
     if (m->model == GLIDE) return m->r[L_X] + tau * (m->r[L_V] + tau / 2 * m->r[L_A]);
     return m->r[0] + tau * (m->slope[0][0] + tau * (m->slope[0][1] / 2 + tau * m->slope[0][2] / 6));
 }
 
 static int first_state(const Instance *m) {
     static const int first[MODELS] = {[MASS_A] = A_X, [MASS_B] = B_X, [FAILS] = F_Y, [SPRING] = K_STRETCH,
-                                      [DRIFT] = D_Y, [GLIDE] = L_Y};
+                                      [DRIFT] = D_Y, [GLIDE] = L_Y, [QUIRK] = Q_Y};
     return first[m->model];
 }
 
 static int states(const Instance *m) {
     static const int count[MODELS] = {[MASS_A] = 2, [MASS_B] = 2, [FAILS] = 1, [SPRING] = 1,
-                                      [DRIFT] = 1, [GLIDE] = 1};
+                                      [DRIFT] = 1, [GLIDE] = 1, [QUIRK] = 1};
     return count[m->model];
 }
 
@@ -99,6 +101,7 @@ static void rates(const Instance *m, double tau, const double *x, double *dx) {
         dx[0] = x[1];
         dx[1] = (-m->r[B_SPRING] * x[0] - u) / m->r[B_MASS];
         break;
+    case QUIRK: dx[0] = m->r[Q_GAIN] * u + m->r[Q_PUSH]; break;
     default: dx[0] = u; break;
     }
 }
@@ -111,7 +114,7 @@ int derivative(const Instance *m, int reference, double *value) {
         return 1;
     }
     int state = reference - first_state(m);
-    if (state < 0 || state >= states(m)) return 0;
+    if (state < 0 || state >= states(m) || (m->model == QUIRK && m->i[Q_MUTE] == reference)) return 0;
     rates(m, 0, m->r + first_state(m), dx);
     *value = dx[state];
     return 1;
@@ -138,29 +141,60 @@ static void integrate(Instance *m, double length) {
     }
 }
 
-static enum Status misbehave(Instance *m) {
-    if (m->model != FAILS || m->time < m->r[F_WHEN]) return GOOD;
-    switch (m->i[F_HOW]) {
-    case WARNING: return complain(m, WARNED, "the oil is warm at", m->r[F_Y]);
+enum Failure trouble(const Instance *m, double t) {
+    if (m->model == FAILS && t >= m->r[F_WHEN]) return (enum Failure)m->i[F_HOW];
+    if (m->model == QUIRK && t >= m->r[Q_WHEN] && m->i[Q_WHERE] <= STEP) return (enum Failure)m->i[Q_HOW];
+    return NONE;
+}
+
+static enum Status misbehave(Instance *m, enum Failure how) {
+    const double y = m->r[F_Y]; /* QUIRK has its output there, too */
+    switch (how) {
+    case WARNING: return complain(m, WARNED, "the oil is warm at", y);
     case DISCARD: return DISCARDED;
-    case FAULT: return complain(m, FAILED, "the pump broke, y is", m->r[F_Y]);
-    case FATAL: return complain(m, DEAD, "the house burnt down, y is", m->r[F_Y]);
+    case FAULT: return complain(m, FAILED, "the pump broke, y is", y);
+    case FATAL: return complain(m, DEAD, "the house burnt down, y is", y);
     case NOT_A_NUMBER: m->r[F_Y] = NAN; return GOOD;
+    case TALK: return complain(m, GOOD, "by the way, y is", y);
     default: return GOOD;
     }
 }
 
+enum Status odd(Instance *m, enum Call call) {
+    const int here = m->i[Q_WHERE] == (long long)call || m->i[Q_WHERE] == ANYWHERE;
+    if (m->model != QUIRK || m->mode != READY || m->time < m->r[Q_WHEN] || !here) return GOOD;
+    return misbehave(m, (enum Failure)m->i[Q_HOW]);
+}
+
+void farewell(Instance *m) {
+    if (m->model == QUIRK) complain(m, GOOD, "freed, states left", saved);
+}
+
+/* An error where a step does not start at the FMU's time, or has another length than the first one. */
+static enum Status uneven(Instance *m, double t, double h) {
+    const int even = m->model == QUIRK && m->i[Q_EVEN];
+    if (m->length == 0) m->length = h;
+    if (even && h != m->length) return complain(m, FAILED, "the step is longer than the first by", h - m->length);
+    /* the sum of equal steps is not to the last bit where the steps are */
+    if (even ? fabs(t - m->time) > 1e-9 * h : t != m->time)
+        return complain(m, FAILED, "the step does not start at the FMU's time", m->time);
+    return GOOD;
+}
+
 enum Status advance(Instance *m, double t, double h) {
     if (m->mode != READY) return complain(m, FAILED, "step in mode", m->mode);
-    if (t != m->time) return complain(m, FAILED, "the step does not start at the FMU's time", m->time);
-    if (m->stop_defined && t + h > m->stop) return complain(m, FAILED, "step beyond the stop time", m->stop);
-    enum Status status = misbehave(m);
+    enum Status status = uneven(m, t, h);
     if (status > WARNED) return status;
+    if (m->stop_defined && t + h > m->stop) return complain(m, FAILED, "step beyond the stop time", m->stop);
+    status = misbehave(m, trouble(m, m->time));
+    if (status > WARNED) return status;
+    const int whole = m->model != QUIRK || m->r[Q_LONGEST] == 0 || h <= m->r[Q_LONGEST] * (1 + 1e-9);
+    if (!whole) h = m->r[Q_LONGEST];
     integrate(m, h);
     m->r[0] = m->model == SOURCE ? m->r[0] : input(m, h);
     if (m->model == GLIDE) m->r[L_V] += h * m->r[L_A];
     m->trend = m->slope[0][0] + h * (m->slope[0][1] + h / 2 * m->slope[0][2]);
     memset(m->slope, 0, sizeof m->slope);
     m->time = t + h;
-    return status;
+    return whole ? status : DISCARDED;
 }

@@ -3,15 +3,17 @@
  * The GUID (instantiation token) tells which model an instance is. Variables of a family (real, whole, text)
  * are numbered from 0 in the order in which they are listed at each model; models.py lists the same
  * variables for modelDescription.xml. A call out of order, a step that does not start at the FMU's own time,
- * and a step beyond the stop time are errors, without any tolerance.
+ * and a step beyond the stop time are errors, without any tolerance. QUIRK has what FMUs from elsewhere have:
+ * trouble in any call, steps that it does in part, steps that must be of one length to the last bit.
  */
 #include <stddef.h>
 
 enum { REALS = 16, INTEGERS = 20, STRINGS = 4, LENGTH = 256, STATES = 2, ORDERS = 3 };
-enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, MODELS };
+enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, QUIRK, MODELS };
 enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
 enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
-enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT };
+enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK };
+enum Call { ANYWHERE = -1, STEP, GET, SET, SAVE, RESTORE, SLOPE, CURVE }; /* where QUIRK goes wrong */
 
 enum { A_X2, A_FORCE, A_X, A_V, A_MASS, A_SPRING, A_COUPLING }; /* MASS_A: x'' = (-k x + F) / m */
 enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING };                   /* MASS_B: x'' = (-k x - F) / m */
@@ -25,6 +27,8 @@ enum { T_INT, T_INT_OUT, T_BOOL, T_BOOL_OUT, T_ENUM, T_ENUM_OUT, T_ALIVE };
 enum { T_LABEL, T_ECHO, T_RESOURCES };
 enum { D_U, D_RATE, D_Y };                     /* DRIFT: y' = u, where u moves at its rate */
 enum { L_X, L_V, L_A, L_Y };                   /* GLIDE: y' = x, where x moves at v, and v at a */
+enum { Q_U, Q_Y, Q_GAIN, Q_PUSH, Q_WHEN, Q_LONGEST, Q_RATE }; /* QUIRK: y' = gain u + push, u may move at its rate */
+enum { Q_HOW, Q_WHERE, Q_HIGHEST, Q_EVEN, Q_MUTE };
 enum { W_PAIRS = 7, W_SIZE = 2 * W_PAIRS, W_SIZE_OUT }; /* WIDE: outputs follow inputs of all widths */
 
 typedef struct Instance Instance;
@@ -34,7 +38,7 @@ struct Instance {
     char name[LENGTH];
     int logging;
     void (*say)(Instance *, enum Status, const char *category, const char *text);
-    double time, stop;
+    double time, stop, length; /* length of the first step */
     int stop_defined;
     double r[REALS];
     double slope[REALS][ORDERS]; /* derivatives of inputs, for the next step only */
@@ -44,6 +48,7 @@ struct Instance {
 };
 
 extern int instances; /* alive; read through TYPES' integer "alive" */
+extern int saved;     /* states that were not given back; QUIRK tells them when it is freed */
 
 enum Model named(const char *guid);                 /* NOBODY if there is none */
 void begin(Instance *, enum Model, const char *name, const char *resources);
@@ -53,3 +58,6 @@ void outputs(Instance *);
 int derivative(const Instance *, int reference, double *value); /* of an output; 0 if it has none */
 double gain(const Instance *, int output, int input);           /* partial derivative */
 enum Status advance(Instance *, double t, double h);
+enum Failure trouble(const Instance *, double t); /* what goes wrong with a step from t on */
+enum Status odd(Instance *, enum Call);           /* what a call returns, however well it goes */
+void farewell(Instance *);

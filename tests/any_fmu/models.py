@@ -6,7 +6,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import fmpy
@@ -37,6 +37,7 @@ class V:
 
     depends   the inputs an output depends on directly; None leaves that undeclared
     derives   the variable whose time derivative this one is
+    steady    its variability, where it is not the usual one
     """
 
     name: str
@@ -46,6 +47,7 @@ class V:
     kind: str = "Real"
     depends: Sequence[str] | None = ()
     derives: str | None = None
+    steady: str | None = None
 
 
 MODELS: Mapping[str, list[V]] = {
@@ -99,6 +101,29 @@ MODELS: Mapping[str, list[V]] = {
         V("velocity", "input", "m/s", 0.0, derives="position"),
         V("acceleration", "input", "m/s2", 0.0, derives="velocity"),
         V("y", "output"),
+    ],
+    "quirk": [
+        V("u", "input", None, 0.0),
+        V("y", "output"),
+        V("gain", "parameter", None, 1.0),
+        V("push", "parameter", None, 0.0),
+        V("when", "parameter", None, 1e9),
+        V("longest", "parameter", None, 0.0),
+        V("u_rate", "input", None, 0.0, derives="u"),
+        V("how", "parameter", None, 0, "Integer"),
+        V("where", "parameter", None, 0, "Integer"),
+        V("highest", "parameter", None, 3, "Integer"),
+        V("even", "parameter", None, 0, "Integer"),
+        V("mute", "parameter", None, -1, "Integer"),
+    ],
+    "single": [  # QUIRK in FMI 3.0 with single precision only
+        V("u", "input", None, 0.0, "Float32"),
+        V("y", "output", None, kind="Float32"),
+        V("gain", "parameter", None, 1.0, "Float32"),
+        V("push", "parameter", None, 0.0, "Float32"),
+        V("when", "parameter", None, 1e9, "Float32"),
+        V("longest", "parameter", None, 0.0, "Float32"),
+        V("u_rate", "input", None, 0.0, "Float32", derives="u"),
     ],
     "types": [
         V("real_in", "input", None, 0.0),
@@ -180,6 +205,8 @@ class Workshop:
         more: str = "",
         experiment: str = "",
         aliases: Mapping[str, str] | None = None,
+        able: Mapping[str, object] | None = None,
+        changes: Mapping[str, Mapping[str, object]] | None = None,
     ) -> Path:
         """An FMU that differs from the plain one.
 
@@ -190,16 +217,18 @@ class Workshop:
         more         XML of more variables
         experiment   attributes of DefaultExperiment
         aliases      variable -> its other name, in FMI 3.0
+        able         attributes of the element CoSimulation that differ from those in `ABLE`
+        changes      variable -> what is different about its `V`
         """
         name = name or model
         path = self.folder / f"{name}.fmu"
-        variables = [
-            V(v.name, v.causality, (units or {}).get(v.name, v.unit), v.start, v.kind, v.depends, v.derives)
-            for v in MODELS[model]
-        ]
-        head = Head(
-            name, guid or model, version or f"{self.fmi}.0", kind, undeclared, interpolates, experiment
+        changed = {name: {"unit": unit} for name, unit in (units or {}).items()} | dict(changes or {})
+        variables = [replace(v, **changed.get(v.name, {})) for v in MODELS[model]]
+        abilities = (
+            {**ABLE[self.fmi]} | ({"canInterpolateInputs": "true"} if interpolates else {}) | (able or {})
         )
+        told = "".join(f' {k}="{x}"' for k, x in abilities.items()) if kind == "CoSimulation" else ""
+        head = Head(name, guid or model, version or f"{self.fmi}.0", kind, undeclared, told, experiment)
         if self.fmi == 2:
             text = describe2(head, variables, more)
         else:
@@ -224,7 +253,7 @@ class Head:
     version: str
     kind: str
     undeclared: bool
-    interpolates: bool
+    able: str
     experiment: str
 
 
@@ -234,12 +263,9 @@ def describe2(head: Head, variables: list[V], more: str) -> str:
     outputs = [v for v in variables if v.causality == "output"]
     unknowns = "".join(f'<Unknown index="{index[v.name]}"{_on(v, index, head)}/>' for v in outputs)
     lines = [_scalar2(v, reference % 100, index) for v, reference in _references(variables)]
-    ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUstate='true'"
-    ability += " canSerializeFMUstate='true' maxOutputDerivativeOrder='1'"
-    ability += " canInterpolateInputs='true'" if head.interpolates else ""
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" guid="{head.guid}">
-<{head.kind} modelIdentifier="{head.name}" {ability if head.kind == "CoSimulation" else ""}/>
+<{head.kind} modelIdentifier="{head.name}"{head.able}/>
 {_units(variables)}
 <TypeDefinitions><SimpleType name="Colour"><Enumeration>{ITEMS}</Enumeration></SimpleType></TypeDefinitions>
 {CATEGORIES}
@@ -257,13 +283,9 @@ def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, s
     unknowns = [f'valueReference="{place[v.name]}"{_on(v, place, head)}' for v in outputs]
     structure = [f"<{kind} {u}/>" for kind in ("Output", "InitialUnknown") for u in unknowns]
     lines = [_scalar3(v, place, aliases.get(v.name)) for v in variables]
-    ability = "canHandleVariableCommunicationStepSize='true' canGetAndSetFMUState='true'"
-    ability += (
-        " canSerializeFMUState='true' maxOutputDerivativeOrder='1' providesDirectionalDerivatives='true'"
-    )
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" instantiationToken="{head.guid}">
-<{head.kind} modelIdentifier="{head.name}" {ability if head.kind == "CoSimulation" else ""}/>
+<{head.kind} modelIdentifier="{head.name}"{head.able}/>
 {_units(variables)}
 <TypeDefinitions><EnumerationType name="Colour">{ITEMS}</EnumerationType></TypeDefinitions>
 {CATEGORIES}
@@ -275,6 +297,18 @@ def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, s
 """
 
 
+YES = "true"
+ABLE: Mapping[int, Mapping[str, object]] = {
+    2: {
+        **dict.fromkeys(("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate"), YES),
+        **{"canSerializeFMUstate": YES, "maxOutputDerivativeOrder": 1},
+    },
+    3: {
+        **dict.fromkeys(("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState"), YES),
+        **{"canSerializeFMUState": YES, "maxOutputDerivativeOrder": 1},
+        "providesDirectionalDerivatives": YES,
+    },
+}
 ITEMS = '<Item name="red" value="1"/><Item name="green" value="2"/>'
 CATEGORIES = """<LogCategories><Category name="logStatusWarning"/><Category name="logStatusError"/>
 </LogCategories>"""
@@ -311,6 +345,8 @@ def _attributes(v: V, place: Mapping[str, str]) -> str:
 
 def _steady(v: V) -> str:
     """The variability."""
+    if v.steady:
+        return v.steady
     real = v.kind in ("Real", "Float32")
     fixed = v.causality in ("parameter", "structuralParameter")
     return "fixed" if fixed else "continuous" if real else "discrete"
