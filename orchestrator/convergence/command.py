@@ -14,7 +14,7 @@ from orchestrator.commands.commands import folder, there
 from orchestrator.commands.judge import another_model
 from orchestrator.convergence.settings import choose, possible, rates
 from orchestrator.convergence.study import Row, Study, finest, study
-from orchestrator.convergence.table import ends, show, tables
+from orchestrator.convergence.table import duration, ends, show, tables
 from orchestrator.convergence.truth import Truth, from_reference, usual
 from orchestrator.convergence.writing import write
 from orchestrator.errors import Problem
@@ -37,7 +37,7 @@ def convergence(
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
     **options: Any,
-) -> None:
+) -> Study:
     """Study, print, write; a study that is interrupted leaves what it has.
 
     usually   the reference where none is given, if the system and the run are those it is of
@@ -59,11 +59,14 @@ def convergence(
     chosen, rows = possible(settings, bare), list[Row]()
     try:
         found = study(whole, truth, chosen, lengths, repeats, bare, **given)
-        for row in watched(found, len(chosen) * len(lengths)):
+        total = sum(len(setting.own) or len(lengths) for setting in chosen)
+        for row in watched(found, total):
             rows.append(row)
     finally:
+        told = Study(truth, tuple(rows), notes)
         if rows:
-            tell(Study(truth, tuple(rows), notes), out)
+            tell(told, out)
+    return told
 
 
 def words(text: str) -> list[str]:
@@ -114,7 +117,7 @@ def watched(rows: Iterable[Row], total: int) -> Iterator[Row]:
     with Progress(text, BarColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=total)
         for row in rows:
-            bar.update(task, advance=1, description=f"{row.setting.label}, {1e3 * row.step:g} ms")
+            bar.update(task, advance=1, description=f"{row.setting.label}, {row.case or duration(row.step)}")
             yield row
 
 

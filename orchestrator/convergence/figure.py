@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,14 +17,16 @@ from orchestrator.validation.figures import PALETTE, frame
 
 # One colour for each family, different in hue and in lightness (Okabe and Ito, darkened).
 COLOURS = {"plain": "#c2341d", "jacobi": "#c98500", "gauss-seidel": "#00735a", "hermite": "#0b5fa5"}
+COLOURS |= {"own steps": "#8f3f8f"}
 OTHER = "#333333"
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))  # within a family
 MARKERS = ("o", "s", "^", "D")
 ALIKE = 0.01  # settings whose errors differ by less share a line
 SIZE = (8.4, 5.2)  # [in]
 APART = 0.034  # of the height of the picture, between two names
-ROOM = 0.4  # for the names, share of the width of all lines
+LETTER = 0.0062  # width of a letter of a name, of the width of the picture
 TRIANGLES = (1, 2, 4)  # orders
+LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1.0, "shrinkB": 3.0}
 
 
 @dataclass(eq=False)
@@ -60,7 +63,8 @@ def draw_error(study: Study, group: str | None = None) -> Figure:
     axes.set_xlabel("communication step [ms]", color=PALETTE.ink)
     steps = [1e3 * step for step in study.steps]
     axes.set_xticks(steps, [f"{step:g}" for step in steps])
-    axes.set_xlim(steps[0] / (4 * steps[-1] / steps[0]) ** ROOM, steps[-1] * 1.35)
+    steps = sorted([*steps, *(1e3 * row.mean_step for line in drawn for row in line.stable)])
+    axes.set_xlim(steps[0] / (1.5 * steps[-1] / steps[0]) ** _room(drawn), steps[-1] * 1.35)
     _losses(axes, lines, chosen)
     _triangles(axes, steps)
     ends = {line: (1e3 * line.stable[0].mean_step, line.stable[0].error(chosen)) for line in drawn}
@@ -78,7 +82,7 @@ def draw_work(study: Study, group: str | None = None) -> Figure:
     axes.set_xlabel("wall time [ms] for each second simulated", color=PALETTE.ink)
     costs = [1e3 * row.cost for line in drawn for row in line.stable]
     if costs:
-        axes.set_xlim(min(costs) / 1.3, max(costs) * (max(costs) / min(costs)) ** ROOM)
+        axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** _room(drawn))
         axes.set_xticks(_round(*axes.get_xlim()), [f"{tick:g}" for tick in _round(*axes.get_xlim())])
     ends = {line: (1e3 * line.stable[0].cost, line.stable[0].error(chosen)) for line in drawn}
     _name(axes, ends, left=False)
@@ -116,7 +120,7 @@ def _lines(study: Study, group: str) -> list[Line]:
 
 def _alike(first: Sequence[Row], second: Sequence[Row], group: str) -> bool:
     """The same steps, stable at the same ones, with the same errors there."""
-    if [(r.step, r.stable) for r in first] != [(r.step, r.stable) for r in second]:
+    if [(r.mean_step, r.stable) for r in first] != [(r.mean_step, r.stable) for r in second]:
         return False
     pairs = [(a.error(group), b.error(group)) for a, b in zip(first, second, strict=True) if a.stable]
     return bool(pairs) and all(abs(a - b) <= ALIKE * max(a, b) for a, b in pairs)
@@ -186,6 +190,12 @@ def _triangles(axes: Axes, steps: Sequence[float]) -> None:
         right = left / 1.08
 
 
+def _room(lines: Sequence[Line]) -> float:
+    """For the names, as a share of the width of what is drawn beside them."""
+    width = 0.05 + LETTER * max((len(line.name) for line in lines), default=0)
+    return width / (1 - width)
+
+
 def _round(low: float, high: float) -> list[float]:
     """1, 2 and 5 times powers of ten between two numbers."""
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
@@ -215,7 +225,7 @@ def _name(axes: Axes, ends: Mapping[Line, tuple[float, float]], left: bool) -> N
             va="center",
             fontsize=8,
             color=line.colour,
-            arrowprops={"arrowstyle": "-", "color": line.colour, "linewidth": 0.6, "alpha": 0.6},
+            arrowprops=LEADER | {"color": line.colour, "relpos": (1.0 if left else 0.0, 0.5)},
         )
 
 

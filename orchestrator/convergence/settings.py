@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 from orchestrator.coupling.settings import MASTERS, Coupling
@@ -17,16 +17,18 @@ class Setting:
     """One way of coupling.
 
     bare   without the wires of rate ports: what a master from a textbook would get
+    own    for masters that choose their steps: what varies in place of the step, by name, such as a tolerance
     """
 
     label: str
     coupling: Coupling
     bare: bool = False
+    own: Mapping[str, Coupling] = field(default_factory=dict)
 
     @property
     def family(self) -> str:
         """What is drawn in one colour."""
-        return "plain" if self.bare else self.coupling.master
+        return "plain" if self.bare else "own steps" if self.own else self.coupling.master
 
 
 SETTINGS = (

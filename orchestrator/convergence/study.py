@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import log
 from statistics import median
 from typing import Any
@@ -22,6 +22,8 @@ ROUNDING = 1e-12  # NRMSE: below, a change says nothing about the order
 class Row:
     """One setting at one step. Times in [s].
 
+    step     communication step, where the setting chooses it the first to try
+    case     of a setting that chooses its steps: what it was told
     errors   group -> errors of its signals, the largest first; empty if the run ended early or was refused
     taken    communication steps
     walls    of each repetition of the run
@@ -31,6 +33,7 @@ class Row:
 
     setting: Setting
     step: float
+    case: str = ""
     errors: Mapping[str, tuple[Error, ...]] = field(default_factory=dict)
     taken: int = 0
     simulated: float = 0.0
@@ -78,8 +81,8 @@ class Study:
 
     @property
     def steps(self) -> list[float]:
-        """All steps [s], the smallest first."""
-        return sorted({row.step for row in self.rows})
+        """All steps that were given [s], the smallest first."""
+        return sorted({row.step for row in self.rows if not row.case})
 
     @property
     def settings(self) -> list[Setting]:
@@ -88,8 +91,9 @@ class Study:
         return list(found.values())
 
     def of(self, setting: Setting) -> list[Row]:
-        """The rows of a setting."""
-        return [row for row in self.rows if row.setting.label == setting.label]
+        """The rows of a setting, the smallest step first."""
+        found = (row for row in self.rows if row.setting.label == setting.label)
+        return sorted(found, key=lambda row: row.mean_step if row.case else row.step)
 
     def order(self, row: Row, group: str) -> float | None:
         """Order of convergence between the next smaller step and this one, where both are stable."""
@@ -119,44 +123,47 @@ def study(
     """
     truth.check(system)
     held = rates(system) if bare is None else tuple(bare)
-    apart = {h: truth.interval(_start(system, options), options.get("stop"), h) for h in sorted(steps)}
+    lengths, (start, stop) = sorted(steps), _span(system, options)
+    apart = {h: truth.interval(start, stop, h) for h in lengths}
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in truth.names]
     told = {"record": list(dict.fromkeys(ports))} | options
     any_run = False
     for setting in possible(settings, held):
         whole = system.without(*held) if setting.bare else system
-        for step, interval in apart.items():
-            given = {"master": setting.coupling, "step": step, "record_step": interval} | told
+        cases = [Row(setting, step) for step in lengths]
+        if setting.own:
+            cases = [Row(setting, lengths[0], case) for case in setting.own]
+        for row in cases:
+            coupling = setting.own.get(row.case, setting.coupling)
+            interval = truth.coarse(start) if row.case else apart[row.step]
+            given = {"master": coupling, "step": row.step, "record_step": interval} | told
             try:
-                row = _row(setting, step, truth, whole, repeats, given)
+                row = _done(row, truth, whole, repeats, given)
             except Problem as problem:
                 if not any_run:  # then nothing runs at all: a mistake, no lack of the FMUs
                     raise
-                row = Row(setting, step, refused=str(problem))
+                row = replace(row, refused=str(problem))
             any_run = True
             yield row
 
 
-def _start(system: System, options: Mapping[str, Any]) -> float:
-    start = options.get("start")
-    return float(next((t for t in (start, system.start) if t is not None), 0.0))
+def _span(system: System, options: Mapping[str, Any]) -> tuple[float, float | None]:
+    """Start and, where it is given, stop time [s]."""
+    start = next((t for t in (options.get("start"), system.start) if t is not None), 0.0)
+    return float(start), options.get("stop")
 
 
-def _row(
-    setting: Setting, step: float, truth: Truth, system: System, repeats: int, given: Mapping[str, Any]
-) -> Row:
+def _done(row: Row, truth: Truth, system: System, repeats: int, given: Mapping[str, Any]) -> Row:
     """One run, then again for its wall time if it was stable."""
     try:
         result, ended = run(system, **given), ""
     except RunFailed as failed:
         result, ended = failed.result, str(failed)
-    walls = [result.card.wall]
-    errors = {} if ended else truth.errors(result.trace, step)
-    row = Row(setting, step, errors, result.card.steps, result.card.simulated, tuple(walls), ended)
-    if not row.stable:
-        return row
-    walls += [run(system, **given).card.wall for _ in range(repeats - 1)]
-    return Row(setting, step, errors, result.card.steps, result.card.simulated, tuple(walls))
+    card = result.card
+    errors = {} if ended else truth.errors(result.trace, row.step)
+    row = replace(row, errors=errors, taken=card.steps, simulated=card.simulated, ended=ended)
+    more = repeats - 1 if row.stable else 0
+    return replace(row, walls=(card.wall, *(run(system, **given).card.wall for _ in range(more))))
 
 
 def finest(system: System, signals: Sequence[str], steps: Sequence[float], **options: Any) -> Truth:

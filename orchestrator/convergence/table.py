@@ -41,11 +41,13 @@ def duration(step: float) -> str:
 def nrmse(study: Study, group: str) -> Text:
     """The worst signal of a group: root mean square error over its range, and the order."""
 
-    def cell(row: Row) -> str:
-        order = study.order(row, group)
-        return share(row.error(group)) + ("" if order is None else f" {order:4.1f}")
+    title = f"{group}: worst NRMSE against {study.truth.title}; {ORDER}"
+    return _text(study, title, lambda row: _share(study, row, group))
 
-    return _text(study, f"{group}: worst NRMSE against {study.truth.title}; {ORDER}", cell)
+
+def _share(study: Study, row: Row, group: str) -> str:
+    order = study.order(row, group)
+    return share(row.error(group)) + ("" if order is None else f" {order:4.1f}")
 
 
 def maximum(study: Study, group: str) -> Text:
@@ -61,21 +63,38 @@ def maximum(study: Study, group: str) -> Text:
 
 def cost(study: Study) -> Text:
     """Wall time of the stable runs."""
+    return _text(study, "wall time [ms] for each second simulated", _cost)
 
-    def cell(row: Row) -> str:
-        return f"{1e3 * row.cost:.2g}"
 
-    return _text(study, "wall time [ms] for each second simulated", cell)
+def _cost(row: Row) -> str:
+    return f"{1e3 * row.cost:.2g}"
+
+
+def own_steps(study: Study) -> Text | None:
+    """Settings that choose their steps: a line for each case; None if there are none."""
+    groups = list(study.truth.groups)
+    lines = []
+    for row in (row for setting in study.settings if setting.own for row in study.of(setting)):
+        known = [str(row.taken), f"{1e3 * row.mean_step:.3g} ms"]
+        known += [_cell(row, lambda row, group=group: _share(study, row, group)) for group in groups]  # type: ignore[misc]
+        lines.append((f"{row.setting.label} {row.case}", *known, _cell(row, _cost)))
+    head = ("master", "steps", "mean step", *groups, "wall [ms/s]")
+    return (
+        Text(f"steps of their own: worst NRMSE against {study.truth.title}", head, tuple(lines))
+        if lines
+        else None
+    )
 
 
 def tables(study: Study) -> list[Text]:
     """All tables of a study."""
-    return [*(nrmse(study, group) for group in study.truth.groups), cost(study)]
+    found = [*(nrmse(study, group) for group in study.truth.groups), cost(study), own_steps(study)]
+    return [table for table in found if table]
 
 
 def _text(study: Study, title: str, cell: Callable[[Row], str]) -> Text:
     lines = []
-    for setting in study.settings:
+    for setting in (setting for setting in study.settings if not setting.own):
         by_step = {row.step: row for row in study.of(setting)}
         cells = [_cell(by_step.get(step), cell) for step in study.steps]
         lines.append((setting.label, *cells))
@@ -98,7 +117,7 @@ def ends(study: Study) -> Iterator[str]:
             yield f"{setting.label}: {REFUSED}: {lost.refused}"
             continue
         why = lost.ended or "ran to the end, but a signal was off by more than its range"
-        yield f"{setting.label}: {UNSTABLE} at {duration(lost.step)}: {why}"
+        yield f"{setting.label}: {UNSTABLE} at {lost.case or duration(lost.step)}: {why}"
 
 
 def show(console: Console, text: Text) -> None:

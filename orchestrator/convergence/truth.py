@@ -23,6 +23,7 @@ from orchestrator.validation.units import linear
 
 USUAL = ("speed", "pressure")  # of these groups, where a reference has them
 SAME = 1e-6  # of a step: instants that are nearer are one
+ENOUGH = 200  # instants, where each is a step that has to end there
 FEWEST = 10  # instants in common, else a root mean square says little
 
 
@@ -74,6 +75,15 @@ class Truth:
         whole = round(apart / step)
         even = abs(start - self.time[0]) < SAME * step and np.ptp(np.diff(self.time)) < SAME * step
         return whole * step if even and whole and abs(apart / step - whole) < SAME else step
+
+    def coarse(self, start: float) -> float:
+        """How far apart a run that chooses its steps is to be recorded [s]: it has to hit these instants."""
+        spaces = len(self.time) - 1
+        even = np.ptp(np.diff(self.time)) < SAME * (self.time[-1] - self.time[0])
+        off = (start - self.time[0]) * spaces / (self.time[-1] - self.time[0])
+        if not even or abs(off - round(off)) > SAME:
+            raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
+        return float(self.time[max(spaces // ENOUGH, 1)] - self.time[0])
 
     def errors(self, trace: Trace, step: float) -> dict[str, tuple[Error, ...]]:
         """Of each group the errors of all signals, the largest first."""

@@ -45,13 +45,14 @@ def data(study: Study) -> Mapping[str, Any]:
 
 
 def _about(row: Row) -> dict[str, Any]:
-    coupling = row.setting.coupling
+    coupling = row.setting.own.get(row.case, row.setting.coupling)
     return {
         "setting": row.setting.label,
         "master": coupling.master,
         "order": coupling.extrapolation,
         "passes": coupling.passes if coupling.master == "hermite" else 1,
         "without rate wires": row.setting.bare,
+        "case": row.case,
         "step [s]": row.step,
         "mean step [s]": row.mean_step,
         "steps": row.taken,

@@ -15,6 +15,9 @@ from orchestrator.system.interface import Value
 from orchestrator.system.system import Port, System
 from orchestrator.system.units import Linear
 
+MUCH, LEAST = 1e-3, 1e-6  # of the range of a column: change of its slope, times the gap between samples
+SHARPER = 10.0  # times as much as at the samples around it
+
 
 class Table:
     """Columns over time: linear between the samples, held before the first and after the last."""
@@ -47,6 +50,21 @@ class Table:
         row = self.row(t)
         values: NDArray[np.float64] = self._base[row] + (t - self._anchor[row]) * self._slopes[row]
         return values
+
+    def corners(self) -> list[float]:
+        """Times [s] at which a column changes its slope by much, or by more than around it.
+
+        Rows of a curve that was sampled are no corners; the ends of its ramps are.
+        """
+        turns = np.abs(np.diff(self._slopes, axis=0))  # at each sample
+        gaps = np.diff(self.arrays[0])
+        near = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf))
+        size = np.ptp(self._base, axis=0)
+        share = near[:, None] * turns / np.where(size > 0, size, np.inf)
+        around = np.pad(share, ((1, 1), (0, 0)))
+        sharp = (share > SHARPER * np.maximum(around[:-2], around[2:])) & (share > LEAST)
+        found = ((share > MUCH) | sharp).any(axis=1)
+        return [float(t) for t in self.arrays[0][found]]
 
     def sample(self, t: float) -> NDArray[np.float64]:
         """The last sample at or before t, for inputs that are not continuous; shape (k,)."""

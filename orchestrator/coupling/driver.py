@@ -19,6 +19,7 @@ class Driver:
 
     moving   the driven Real inputs, which move at a straight line over a step
     coming   their values at the time looked up last, shape (n,)
+    middle   their values at the middle of the step looked up last, shape (n,)
     """
 
     def __init__(self, network: Network, drive: Drive) -> None:
@@ -38,6 +39,7 @@ class Driver:
         self.factor = np.array([drive.columns[p][1].factor for p in self.moving])
         self.offset = np.array([drive.columns[p][1].offset for p in self.moving])
         self.coming = np.zeros(len(self.moving))
+        self.middle = np.zeros(len(self.moving))
         self._when: float | None = None
 
     def _column(self, drive: Drive, ports: list[Port]) -> NDArray[np.intp]:
@@ -48,6 +50,12 @@ class Driver:
         if t != self._when:
             self.coming = self.table.at(t)[self.columns] * self.factor + self.offset
             self._when = t
+
+    def look_ahead(self, t: float, h: float) -> None:
+        """Find the values at the middle and at the end of the step from t to t + h [s]."""
+        self.look(t + 0.5 * h)
+        self.middle = self.coming
+        self.look(t + h)
 
     def put(self, t: float) -> None:
         """Set the driven inputs to their value at t [s]."""

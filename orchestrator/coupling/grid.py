@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -15,13 +16,22 @@ RECORD = 5e-3  # [s], record interval of the command line: 200 Hz, the sampling 
 
 @dataclass(frozen=True)
 class Grid:
-    """Point n is start + n * step, n = 0..steps; every `every`-th and the last are recorded. Times in [s]."""
+    """Point n is start + n * step, n = 0..steps; every `every`-th and the last are recorded. Times in [s].
+
+    A run with steps of its own choice hits all points and events; `first` is the step that it tries first.
+
+    free      it has points nowhere else: every communication point is recorded
+    events    times at which a scenario has a corner, increasing
+    """
 
     start: float
     step: float
     steps: int
     every: int = 1
     notes: tuple[str, ...] = ()
+    first: float = 0.0
+    free: bool = False
+    events: tuple[float, ...] = ()
 
     @property
     def stop(self) -> float:
@@ -51,8 +61,38 @@ def grid(
     record_step: float | None = None,
 ) -> Grid:
     """The communication points from what the user gave and, where nothing was given, what is suggested."""
-    begin = next((t for t in (start, system.start) if t is not None), 0.0)
+    begin, end = _span(system, scenario, start, stop)
     step = communication_step(system, step)
+    points = _whole_steps(begin, end, step)
+    points = replace(points, every=_every(record_step, step))
+    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def free_grid(
+    system: System,
+    scenario: Trace | None,
+    first: float | None,
+    start: float | None,
+    stop: float | None,
+    record_step: float | None,
+    events: Iterable[float],
+) -> Grid:
+    """The points that a run with steps of its own choice has to hit; `first` [s]: the step to try first."""
+    begin, end = _span(system, scenario, start, stop)
+    whole = _whole_steps(begin, end, end - begin)
+    points = whole if record_step is None else _whole_steps(begin, end, record_step)
+    inside = tuple(t for t in events if begin < t < points.stop)
+    points = replace(
+        points, first=communication_step(system, first), free=record_step is None, events=inside
+    )
+    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def _span(
+    system: System, scenario: Trace | None, start: float | None, stop: float | None
+) -> tuple[float, float]:
+    """Start and stop time [s]."""
+    begin = next((t for t in (start, system.start) if t is not None), 0.0)
     end = stop
     if end is None and scenario is not None and len(scenario.time) > 1 and scenario.time[-1] > begin:
         end = float(scenario.time[-1])
@@ -61,9 +101,14 @@ def grid(
     if end is None:
         stops = (c.interface.stop for c in system.components.values())
         end = max((t for t in stops if t is not None), default=None)
-    points = _whole_steps(begin, end, step)
-    points = replace(points, every=_every(record_step, step))
-    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+    if end is None:
+        raise Problem("no stop time: neither the system nor its FMUs suggest one, give --stop")
+    for name, value in (("start time", begin), ("stop time", end)):
+        if not isfinite(value):
+            raise Problem(f"{name}: expected a finite time, got {value:g} s")
+    if not end > begin:
+        raise Problem(f"stop time: expected more than the start time {begin:g} s, got {end:g} s")
+    return begin, end
 
 
 def communication_step(system: System, step: float | None) -> float:
@@ -102,16 +147,11 @@ def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _whole_steps(start: float, end: float | None, step: float) -> Grid:
-    if end is None:
-        raise Problem("no stop time: neither the system nor its FMUs suggest one, give --stop")
-    for name, value in (("start time", start), ("stop time", end), ("step", step)):
-        if not isfinite(value):
-            raise Problem(f"{name}: expected a finite time, got {value:g} s")
+def _whole_steps(start: float, end: float, step: float) -> Grid:
+    if not isfinite(step):
+        raise Problem(f"step: expected a finite time, got {step:g} s")
     if not step > 0:
         raise Problem(f"step: expected a positive time, got {step:g} s")
-    if not end > start:
-        raise Problem(f"stop time: expected more than the start time {start:g} s, got {end:g} s")
     steps = int((end - start) / step + 1e-6)
     if steps < 1:
         raise Problem(f"step: expected at most the time from {start:g} to {end:g} s, got {step:g} s")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from orchestrator.coupling.loop import Loop
 from orchestrator.errors import Problem
 from orchestrator.slaves.slave import Slave
-from orchestrator.system.dependencies import components, describe, feedthrough
+from orchestrator.system.graph import components
 from orchestrator.system.interface import Value
+from orchestrator.system.knots import Feedthrough, Knot
 from orchestrator.system.system import Connection, Port, System
 
 
@@ -45,25 +47,34 @@ def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
 def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     """Carry outputs to the inputs they feed, in the order of the dependencies in initialisation mode.
 
-    With a loop in the declared dependencies the sweep is repeated until nothing changes.
+    Algebraic loops are solved as in the run, see `Loop`.
     """
-    graph = feedthrough(system, lambda c, y: system.components[c].interface.depends_initially(y))
-    groups = components(graph)
-    ordered = [y for group in groups for y in group]
+    flow = Feedthrough(system, initially=True)
     fed: dict[Port, list[Connection]] = {}
     for c in system.connections:
         fed.setdefault(c.source, []).append(c)
+    for group in components(flow.graph):
+        known, knot = [y for y in group if y in fed], flow.knot(group)
+        if knot:
+            _untie(slaves, knot, {y: [c for c in fed[y] if c not in knot.connections] for y in known})
+        else:
+            for y in known:
+                _carry(slaves, y, fed[y])
+
+
+def _untie(slaves: Mapping[str, Slave], knot: Knot, fed: Mapping[Port, list[Connection]]) -> None:
+    """Solve for the Real signals of a knot; where it has others, again and again until nothing changes."""
+    loop = Loop(slaves, knot) if knot.connections else None
     previous: dict[Port, Value] = {}
-    looped = [g for g in groups if len(g) > 1 or g[0] in graph[g[0]]]
-    for _ in range(len(ordered) + 1 if looped else 1):
-        current = {y: _carry(slaves, fed[y]) for y in ordered if y in fed}
+    for _ in range(1 if knot.rounds == 1 else len(fed) + 1):
+        if loop:
+            loop()
+        current = {y: _carry(slaves, y, connections) for y, connections in fed.items()}
         if previous and all(_same(previous[y], value) for y, value in current.items()):
             return
         previous = current
-    for group in looped:
-        if all(system.components[y.component].interface.initially.get(y.variable) is not None for y in group):
-            wires = describe(system, graph, group)
-            raise Problem(f"initialisation does not settle: algebraic loop {wires}")
+    if knot.rounds > 1 and knot.declared:
+        raise Problem(f"initialisation does not settle: {knot.text}")
 
 
 def _same(old: Value, new: Value) -> bool:
@@ -71,9 +82,8 @@ def _same(old: Value, new: Value) -> bool:
     return old == new or (isinstance(new, float) and math.isclose(old, new, rel_tol=1e-10))  # type: ignore[arg-type]
 
 
-def _carry(slaves: Mapping[str, Slave], connections: list[Connection]) -> Value:
+def _carry(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:
     """Read one output and set the inputs it feeds; returns the output's value."""
-    source = connections[0].source
     value = slaves[source.component].get(source.variable)
     if isinstance(value, str) or math.isnan(value):
         raise Problem(f"{source}: expected a number in initialisation mode, got {value!r}")

@@ -17,6 +17,8 @@ import numpy as np
 from orchestrator.coupling.bank import Bank, Block, Link
 from orchestrator.coupling.drive import Drive
 from orchestrator.coupling.driver import Driver
+from orchestrator.coupling.loop import Loop
+from orchestrator.coupling.masters.plan import Plan
 from orchestrator.coupling.part import Part
 from orchestrator.coupling.signal import DRIVEN, NO_SLOPE, Signal
 from orchestrator.slaves.slave import Call, Slave
@@ -25,6 +27,7 @@ from orchestrator.system.dependencies import Order, output_order
 from orchestrator.system.system import Connection, Port, System
 
 FIRST = -1  # the stage of inputs that a scenario sets, before all others
+TIED = -2  # from here on downwards: the stages of ports that algebraic loops read and set
 
 
 class Network:
@@ -36,7 +39,8 @@ class Network:
     used          shape (2, real values): what moving inputs were at both ends of the step, else NaN
     moving        the inputs of the signals
     carried       inputs that the FMUs move by themselves, from a rate input or as one
-    length        of the step before [s]; 0 at the start
+    lengths       of the two steps before, the last one first [s]; 0 at the start
+    bonds         of each power bond the signals of its effort and its flow, where both move
     """
 
     def __init__(
@@ -56,14 +60,21 @@ class Network:
         self.parts = [Part(slave, self.used) for slave in slaves.values()]
         for name, part in zip(slaves, self.parts, strict=True):
             part.factor = (factors or {}).get(name, 1)
+        self.loops = [Loop(slaves, knot) for knot, _ in self.order.knots]
         self.exchange_calls = self._compile(reads, writes)
         self.driver = Driver(self, drive) if drive else None
         self.signals: list[Signal] = []
         self.moving, self.carried = set[Port](), set[Port]()
         self._driven: list[Signal] = []
         self.slopes = np.zeros(0)
-        self.length = 0.0
+        self.lengths = 0.0, 0.0
+        self.bonds: list[tuple[Signal, Signal]] = []
         self._kept = self.real.values.copy(), self.whole.values.copy()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to say about the exchange after a run."""
+        return self.order.notes + tuple(loop.note for loop in self.loops)
 
     # ---- what masters call
 
@@ -75,29 +86,30 @@ class Network:
             call()
 
     def begin(self, t: float) -> None:
-        """Make everything known at the start of the run."""
+        """Make everything known at the start of the run.
+
+        The slope of an output may depend on those of the inputs, so they are told until all have passed.
+        """
         self.exchange(t)
-        self.tell()
-        for s in self.signals:
-            s.begin(*self._source(s))
+        for _ in range(self.order.count + 1):
+            self.tell()
+            for s in self.signals:
+                s.begin(*self._source(s))
+            for part in self.parts:
+                part.give(0.0, 0.0, False)
 
     def ahead(self, t: float, h: float) -> None:
-        """Look up what driven inputs will be at the end of the step from t to t + h."""
+        """Look up what driven inputs will be in the step from t to t + h."""
         if self.driver:
-            self.driver.look(t + h)
-            for s, value in zip(self._driven, self.driver.coming, strict=True):
-                s.value1 = value
+            self.driver.look_ahead(t, h)
+            for s, middle, value in zip(self._driven, self.driver.middle, self.driver.coming, strict=True):
+                s.drive(float(middle), float(value), h)
 
-    def arrive(self, h: float, maker: int | None = None) -> float:
-        """Note what the sources (of one component) are at the end of the step, after `Part.read`.
-
-        Returns the largest change since they were noted last, see `Signal.arrive`.
-        """
-        change = 0.0
+    def arrive(self, h: float, maker: int) -> None:
+        """Note what the sources of one component are at the end of the step, after `Part.read`."""
         for s in self.signals:
-            if s.maker != DRIVEN and maker in (None, s.maker):
-                change = max(change, s.arrive(*self._source(s), h, self.length))
-        return change
+            if s.maker == maker:
+                s.arrive(*self._source(s), h, self.lengths)
 
     def tell(self) -> None:
         """Read the slopes of all outputs that move an input."""
@@ -109,13 +121,15 @@ class Network:
         """End the step from t to t + h, for which all components have stepped."""
         self.exchange(t + h)
         self.tell()
-        self.arrive(h)
+        for s in self.signals:
+            if s.maker != DRIVEN:
+                s.arrive(*self._source(s), h, self.lengths)
 
     def accept(self, h: float) -> None:
         """The end of the step is the beginning of the next one."""
         for s in self.signals:
-            s.accept(h)
-        self.length = h
+            s.accept(h, self.length)
+        self.lengths = h, self.length
 
     def keep(self) -> None:
         """Remember the beginning of a step, to be able to repeat it."""
@@ -123,11 +137,22 @@ class Network:
         for part in self.parts:
             part.keep()
 
-    def restore(self) -> None:
-        """Go back to the beginning of the step."""
+    def restore(self, t: float) -> None:
+        """Go back to the beginning of the step, t."""
         self.real.values[:], self.whole.values[:] = self._kept
         for part in self.parts:
             part.restore()
+        self.exchange(t)  # for FMUs whose inputs are not part of their state
+
+    def forget(self) -> None:
+        """Free what was kept."""
+        for part in self.parts:
+            part.forget()
+
+    @property
+    def length(self) -> float:
+        """Length of the step before [s]."""
+        return self.lengths[0]
 
     def _source(self, s: Signal) -> tuple[float, float]:
         """Value and slope of a source now, in the input's unit."""
@@ -138,26 +163,26 @@ class Network:
 
     # ---- building: what moves inside a step
 
-    def move(self, connections: Sequence[Connection], degree: int, slopes: bool) -> None:
-        """Let these inputs move at polynomials up to `degree`; called once, by the master that moves them.
-
-        slopes   the slopes of the sources are wanted
-        """
-        found = [c for c in connections if self._continuous(c.target) and self._continuous(c.source)]
+    def move(self, plan: Plan) -> None:
+        """Let inputs move as planned; called once, before the run."""
+        known = self.system.connections if plan.watches else plan.moved
+        found = [c for c in known if self._continuous(c.target) and self._continuous(c.source)]
         found = [c for c in found if self.system.variable(c.target).causality == "input"]
-        self.carried = self._carried({c.target for c in found})
+        moved = {c.target for c in plan.moved}
+        self.carried = self._carried({c.target for c in found} & moved)
         wired = {c.target: c for c in found if c.target not in self.carried}
         driven = self.driver.moving if self.driver else []
-        told = self._read_slopes([c.source for c in wired.values()] if slopes else [])
-        names = list(self.slaves)
-        for name, part in zip(names, self.parts, strict=True):
+        told = self._read_slopes([c.source for c in wired.values()] if plan.sloped else [])
+        for name, part in zip(self.slaves, self.parts, strict=True):
             ports = [p for p in [*wired, *driven] if p.component == name]
-            mine = [self._signal(p, wired.get(p), degree, told, names) for p in ports]
+            mine = [self._signal(p, wired.get(p), plan, p in moved, told) for p in ports]
             part.follow([p.variable for p in ports], mine)
             self.signals += mine
-        self.moving = {*wired, *driven}
+        self.moving = {*wired} & moved | {*driven}
         by_target = {s.target: s for s in self.signals}
         self._driven = [by_target[self.real.index[p]] for p in driven]
+        pairs = [(self.real.index[b.effort], self.real.index[b.flow]) for b in find_bonds(self.system)]
+        self.bonds = [(by_target[e], by_target[f]) for e, f in pairs if e in by_target and f in by_target]
 
     def _continuous(self, port: Port) -> bool:
         variable = self.system.variable(port)
@@ -178,15 +203,29 @@ class Network:
         return carried
 
     def _signal(
-        self, port: Port, wire: Connection | None, degree: int, told: Mapping[Port, int], names: list[str]
+        self, port: Port, wire: Connection | None, plan: Plan, moved: bool, told: Mapping[Port, int]
     ) -> Signal:
-        follows = self.slaves[port.component].follows(port.variable, degree if wire else 1)
-        target = self.real.index[port]
+        """An input that moves; without `moved` one that is only watched."""
+        slave, target = self.slaves[port.component], self.real.index[port]
+        scale = abs(self.system.variable(port).nominal or 0.0)
         if wire is None:
-            return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, follows, 1)
-        source, maker = self.real.index[wire.source], names.index(wire.source.component)
-        slope = told.get(wire.source, NO_SLOPE)
-        return Signal(target, source, wire.map.factor, wire.map.offset, maker, slope, follows, degree)
+            return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, slave.follows(port.variable, 1), 1, scale=scale)
+        rated = Port(port.component, slave.interface.rates.get(port.variable, "")) in self.real.index
+        wanted = max(plan.order, plan.degree) if moved else 0
+        return Signal(
+            target=target,
+            source=self.real.index[wire.source],
+            factor=wire.map.factor,
+            offset=wire.map.offset,
+            maker=list(self.slaves).index(wire.source.component),
+            slope=told.get(wire.source, NO_SLOPE),
+            degree=slave.follows(port.variable, wanted),
+            wanted=wanted,
+            order=plan.order if moved else min(1, plan.order + rated),
+            free=not self.system.components[wire.source.component].interface.of("input"),
+            matters=float(slave.interface.remembers(port.variable)),
+            scale=scale,
+        )
 
     def _read_slopes(self, sources: Iterable[Port]) -> dict[Port, int]:
         """Arrange for the slopes of outputs to be read; returns their places among `slopes`."""
@@ -211,6 +250,9 @@ class Network:
         last = max(self.order.count - 1, 0)
         outputs = {p: s for p, s in self.order.stages.items() if self.system.variable(p).kind != "String"}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
+        for i, (knot, _) in enumerate(self.order.knots):  # in blocks of their own, which no stage touches
+            outputs |= {c.source: (TIED - i,) for c in knot.connections}
+            inputs |= {c.target: (TIED - i,) for c in knot.connections}
         inputs |= {p: (FIRST,) for p in (self.drive.columns if self.drive else ())}
         outputs |= {p: (last,) for p in probes if p not in outputs and p not in inputs}
         reads, writes = [], []
@@ -225,11 +267,16 @@ class Network:
     def _compile(self, reads: list[tuple[Bank, Block]], writes: list[tuple[Bank, Block]]) -> list[Call]:
         """All calls of one exchange, in order."""
         calls: list[Call] = []
+        tied = {c.target for loop in self.loops for c in loop.knot.connections}
+        for loop in self.loops:
+            loop.bind(self.real)
         for stage in range(max(self.order.count, 1)):
             calls += [self.reader(bank, b) for bank, b in reads if stage in b.stages]
+            solved = zip(self.loops, self.order.knots, strict=True)
+            calls += [loop for loop, (_, stages) in solved if stage in stages]
             for bank in (self.real, self.whole):
                 links = [c for c in self.connections if stage in self.order.stages[c.source]]
-                links = [c for c in links if self.bank(c.source) is bank]
+                links = [c for c in links if self.bank(c.source) is bank and c.target not in tied]
                 calls += [Link(bank, links)] if links else []
             calls += [self.writer(bank, b) for bank, b in writes if stage in b.stages]
         return calls

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.coupling.polynomial import at, projected, shifted
+from orchestrator.coupling.polynomial import at, projected, shifted, slope_at
 from orchestrator.coupling.signal import Signal
 from orchestrator.slaves.slave import Buffer, Call, Slave
 
@@ -18,6 +18,7 @@ class Part:
     reads     calls that bring the outputs that others use into the bank
     tell      call that reads the slopes of those outputs, where the FMU tells them
     newest    calls that set inputs which cannot move to their newest value, for masters that step one by one
+    rough     some inputs cannot follow the polynomial that is wanted
     factor    how many steps the FMU takes in one communication step
     """
 
@@ -29,6 +30,7 @@ class Part:
         self.newest: Sequence[Call] = ()
         self.tell: Call | None = None
         self.factor = 1
+        self.rough = False
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.writers: list[Call] = []  # of values and derivatives
         self.state: object = None
@@ -40,7 +42,8 @@ class Part:
             return
         face, slave = self.slave.interface, self.slave
         moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
-        if self.factor > 1 or any(s.degree < s.wanted for s in signals):
+        self.rough = any(s.degree < s.wanted for s in signals)
+        if self.factor > 1 or self.rough:
             self.values = np.zeros(len(signals))
             self.writers.append(slave.writer(list(names), self.values))
         rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]
@@ -61,9 +64,9 @@ class Part:
             for k in range(min(s.degree, s.wanted)):
                 self.derivatives[row] = (1.0, 2.0, 6.0)[k] * c[k + 1]
                 row += 1
-            if begin == 0.0:
+            if begin == 0.0 and s.wanted:
                 self._used[0, s.target] = c[0]
-            if last:
+            if last and s.wanted:
                 self._used[1, s.target] = at(c, length)
         for write in self.writers:
             write()
@@ -76,6 +79,19 @@ class Part:
             self.give(begin, end - begin, j == many - 1)
             now = t + begin
             self.slave.step(now, t + end - now)
+
+    def finish(self, h: float) -> None:
+        """Let inputs that could only be followed roughly end as they should, before outputs are read."""
+        if not self.rough:
+            return
+        row = 0
+        for i, s in enumerate(self.signals):
+            self.values[i] = at(s.c, h)
+            for k in range(min(s.degree, s.wanted)):
+                self.derivatives[row] = slope_at(s.c, h) if k == 0 else 0.0
+                row += 1
+        for write in self.writers:
+            write()
 
     def read(self) -> None:
         """Bring the outputs that others use, and their slopes, up to date."""

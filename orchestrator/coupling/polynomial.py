@@ -14,17 +14,20 @@ from __future__ import annotations
 Cubic = tuple[float, float, float, float]
 
 
-def predicted(order: int, value: float, slope: float, before: float, step: float) -> Cubic:
-    """The polynomial of degree `order` (0, 1 or 2) that continues a source.
+def predicted(order: int, value: float, slope: float, before: float, chord: float, step: float) -> Cubic:
+    """The polynomial of degree `order`, 0 to 3, that continues a source.
 
-    value, slope   at the beginning of the step
-    before         slope at the point before that, which is `step` [s] away; 0 if there is none
+    value, slope    at the beginning of the step
+    before, chord   over the step before, of length `step` [s]: slope at its beginning, mean slope
     """
     if order == 0:
         return value, 0.0, 0.0, 0.0
-    if order == 1 or step == 0.0:
+    if order == 1:
         return value, slope, 0.0, 0.0
-    return value, slope, (slope - before) / (2.0 * step), 0.0
+    if order == 2:
+        return value, slope, (slope - before) / (2.0 * step), 0.0
+    bend = (slope + before - 2.0 * chord) / (step * step)
+    return value, slope, (2.0 * slope + before - 3.0 * chord) / step, bend
 
 
 def interpolated(degree: int, value: float, slope: float, value1: float, slope1: float, h: float) -> Cubic:
@@ -35,15 +38,6 @@ def interpolated(degree: int, value: float, slope: float, value1: float, slope1:
     if degree == 2:
         return value, slope, (chord - slope) / h, 0.0
     return value, slope, (3.0 * chord - 2.0 * slope - slope1) / h, (slope + slope1 - 2.0 * chord) / (h * h)
-
-
-def backward(value: float, value1: float, h: float, chord: float, step: float) -> float:
-    """The slope at the end of a step of length h from values alone, of second order.
-
-    chord   slope of the line through the values of the step before, which had the length `step`; 0: none
-    """
-    latest = (value1 - value) / h
-    return latest if step == 0.0 else latest + (latest - chord) * h / (h + step)
 
 
 def shifted(c: Cubic, by: float) -> Cubic:
@@ -66,9 +60,8 @@ def line(c: Cubic, h: float) -> Cubic:
 
 
 def constant(c: Cubic, h: float) -> Cubic:
-    """The mean of a polynomial over a step of length h."""
-    c0, c1, c2, c3 = c
-    return c0 + h * (c1 / 2.0 + h * (c2 / 3.0 + h * c3 / 4.0)), 0.0, 0.0, 0.0
+    """The constant nearest to a polynomial over a step of length h."""
+    return mean(c, h), 0.0, 0.0, 0.0
 
 
 def projected(c: Cubic, degree: int, h: float) -> Cubic:
@@ -76,7 +69,19 @@ def projected(c: Cubic, degree: int, h: float) -> Cubic:
     return c if degree == 3 else line(c, h) if degree == 1 else constant(c, h)
 
 
+def mean(c: Cubic, h: float) -> float:
+    """The mean over a step of length h."""
+    c0, c1, c2, c3 = c
+    return c0 + h * (c1 / 2.0 + h * (c2 / 3.0 + h * c3 / 4.0))
+
+
 def at(c: Cubic, s: float) -> float:
     """The value at the time s."""
     c0, c1, c2, c3 = c
     return c0 + s * (c1 + s * (c2 + s * c3))
+
+
+def slope_at(c: Cubic, s: float) -> float:
+    """The slope at the time s."""
+    _, c1, c2, c3 = c
+    return c1 + s * (2.0 * c2 + s * (3.0 * c3))

@@ -21,7 +21,7 @@ class Sweep:
     def __init__(self, network: Network, plan: Plan) -> None:
         self.network, self.plan = network, plan
         self.passes = 0
-        network.move(plan.moved, max(plan.order, plan.degree), plan.sloped)
+        network.move(plan)
         if plan.sequential:
             found = newest(network, plan.turns)
             for part, name, calls in zip(network.parts, network.slaves, found, strict=True):
@@ -32,14 +32,32 @@ class Sweep:
         network, plan = self.network, self.plan
         network.ahead(t, h)
         for n in range(plan.passes):
-            change = self._pass(t, h, n)
+            self._pass(t, h, n)
             self.passes = n + 1
-            if n and change <= plan.tolerance:
+            if plan.passes > 1 and self._miss(h) <= plan.tolerance:
                 break
 
-    def _pass(self, t: float, h: float, n: int) -> float:
-        """All components once; returns the largest change of a signal since the pass before."""
-        network, plan, change = self.network, self.plan, 0.0
+    def error(self, h: float) -> float:
+        """How far the inputs of the step were from the truth: the worst, as a share of its magnitude."""
+        worst, repeated = 0.0, self.plan.passes > 1
+        for s in self.network.signals:
+            by_mean = self.plan.corrected and s.maker != DRIVEN
+            off = s.defect(h) if by_mean else s.deviation(h, repeated)
+            worst = max(worst, s.share(off))
+        return worst
+
+    def power_error(self, h: float) -> float:
+        """The same as power: what the errors of effort and flow of a bond amount to, as a share, the worst."""
+        worst, repeated = 0.0, self.plan.passes > 1
+        for effort, flow in self.network.bonds:
+            power = effort.value1 * flow.deviation(h, repeated) - flow.value1 * effort.deviation(h, repeated)
+            size = effort.magnitude() * flow.magnitude()
+            worst = max(worst, abs(power) / size if size > 0.0 else 0.0)
+        return worst
+
+    def _pass(self, t: float, h: float, n: int) -> None:
+        """All components once."""
+        network, plan = self.network, self.plan
         stepped = set[int]()
         for k in plan.turns:
             part = network.parts[k]
@@ -52,20 +70,27 @@ class Sweep:
                 call()
             part.advance(t, h)
             if plan.sequential:
+                part.finish(h)
                 part.read()
-                change = max(change, network.arrive(h, k))
+                network.arrive(h, k)
                 stepped.add(k)
-        return change
 
     def _shape(self, part: Part, h: float, stepped: set[int] | None) -> None:
         """Make the polynomials of a component's inputs; stepped: whose end is known, None: everybody's."""
+        length = self.network.length
         for s in part.signals:
             if s.maker == DRIVEN:
-                s.interpolate(1, h)
-            elif stepped is None or s.maker in stepped:
-                s.interpolate(self.plan.degree, h)
+                continue
+            if s.wanted and (stepped is None or s.maker in stepped):
+                s.interpolate(self.plan.degree, h, length)
             else:
-                s.predict(self.plan.order, self.network.length)
+                s.predict(h, length)
+                if self.plan.corrected and s.wanted:
+                    s.give_back(h, length)
+
+    def _miss(self, h: float) -> float:
+        """What another pass could change, at most: see `Signal.miss`."""
+        return max((s.miss(h) for s in self.network.signals if s.maker != DRIVEN), default=0.0)
 
 
 def newest(network: Network, turns: Sequence[int]) -> list[list[Call]]:

@@ -39,7 +39,14 @@ class SignalError:
 class Card:
     """Facts about one run. Times in [s].
 
-    inside   component -> time in its steps, the rest of the wall time is coupling and recording
+    step        communication step, of adaptive runs the mean
+    steps       that were taken and stand
+    passes      over all components, in all steps
+    repeated    steps that did not stand
+    lengths     shortest and longest step
+    adaptive    tolerance of an adaptive run; None: all steps are equal
+    record_step 0: every communication point
+    inside      component -> time in its steps, the rest of the wall time is coupling and recording
     """
 
     master: str
@@ -53,6 +60,10 @@ class Card:
     notes: tuple[str, ...] = ()
     errors: tuple[SignalError, ...] = field(default=())
     inside: Mapping[str, float] = field(default_factory=dict)
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+    adaptive: float | None = None
 
     @property
     def real_time_factor(self) -> float:
@@ -68,6 +79,17 @@ class Card:
                 found[e.unit] = e
         return list(found.values())
 
+    def _steps(self) -> str:
+        """How many steps, how long, and how often they were computed."""
+        if self.adaptive is None:
+            told = f"step {self.step:.6g} s, {self.steps} steps"
+        else:
+            shortest, longest = (f"{1e3 * length:.3g}" for length in self.lengths)
+            told = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
+        if self.passes > self.steps:
+            told += f", {self.passes / max(self.steps, 1):.3g} passes each"
+        return told + (f", {self.repeated} repeated" if self.repeated else "")
+
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
         most = max(b.exchanged for b in self.bonds)
@@ -78,9 +100,8 @@ class Card:
 
     def text(self) -> str:
         """The card as lines of text."""
-        length = f"{self.steps} steps, {self.simulated:.6g} s simulated"
         lines = [
-            f"master {self.master}, step {self.step:.6g} s, {length}",
+            f"master {self.master}, {self._steps()}, {self.simulated:.6g} s simulated",
             f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
         ]
         if self.inside:

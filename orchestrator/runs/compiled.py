@@ -14,6 +14,7 @@ from orchestrator.coupling.bank import Link
 from orchestrator.coupling.driver import Driver
 from orchestrator.coupling.grid import Grid
 from orchestrator.coupling.network import Network
+from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.part import Part
 from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Discarded, Problem
@@ -31,10 +32,18 @@ class Compiled(March):
     """A run in progress whose steps are taken by native/march.c."""
 
     def __init__(
-        self, network: Network, sweep: Sweep, times: Grid, recorder: Recorder, monitor: Monitor
+        self,
+        network: Network,
+        sweep: Sweep,
+        times: Grid,
+        recorder: Recorder,
+        monitor: Monitor,
+        pace: Pace | None = None,
+        by_energy: bool = False,
+        tolerance: float = 1.0,
     ) -> None:
         """Raises TypeError where a component is no FMU that C can call, see `stepping`."""
-        super().__init__(network, sweep, times, recorder, monitor)
+        super().__init__(network, sweep, times, recorder, monitor, pace, by_energy, tolerance)
         self._accesses: dict[int, Access] = {}
         self._alive: list[Any] = []  # what C has the addresses of
         self._problem: BaseException | None = None
@@ -50,6 +59,7 @@ class Compiled(March):
         super().begin()
         for mine, known in zip(self._signals, self._network.signals, strict=False):
             mine.value, mine.slope0, mine.known = known.value, known.slope0, known.known
+            mine.scale, mine.c = known.scale, known.c
         self._run.t = self.t
 
     def block(self) -> None:
@@ -59,11 +69,11 @@ class Compiled(March):
         verdict = self._march(ctypes.byref(run))
         self._recorder.filled, self._monitor.rows = run.recorder.filled, run.monitor.rows
         self.t, self.done, self.steps, self.passes = run.t, run.done, run.steps, run.all_passes
+        self.repeated, self.shortest, self.longest = run.repeated, run.shortest, run.longest
         for part, mine in zip(self._network.parts, self._parts, strict=True):
             part.slave.busy, part.state = mine.busy, mine.state and ctypes.c_void_p(mine.state)
         if verdict:
             raise self._problem or Problem("the run stopped")
-        self._monitor.sum()
 
     def _judge(self, where: int | None, part: int, status: int) -> int:
         """Called from C: what to do after a status that is not OK."""
@@ -103,10 +113,16 @@ class Compiled(March):
         run.monitor, run.recorder = self._monitored(), self._recorded()
         run.turns = self._at(np.array(plan.turns, np.int32))
         run.stepped = self._at(np.zeros(len(network.parts), np.uint8))
-        run.order, run.degree, run.passes = plan.order, plan.degree, plan.passes
+        run.degree, run.passes, run.corrected = plan.degree, plan.passes, plan.corrected
         run.sequential, run.tolerance = plan.sequential, plan.tolerance
+        run.bonds, run.bond_count = self._at(self._bonds()), len(network.bonds)
+        if self._pace:
+            run.pace = ctypes.pointer(self._paced(self._pace))
+        run.adaptive, run.by_energy, run.free = self._tolerance, self._by_energy, times.free
+        run.events, run.event_count = self._at(np.array(times.events, float)), len(times.events)
+        run.shortest = np.inf
         run.start, run.step, run.t, run.patience = times.start, times.step, times.start, PATIENCE
-        run.total, run.keeps = times.steps, self._keeps
+        run.total, run.keeps = times.steps, self.keeps
         run.judge = layout.JUDGE(self._judge)
 
     def _at(self, array: NDArray[Any]) -> int:
@@ -178,11 +194,12 @@ class Compiled(March):
             flags=step.flags,
             clock=self._at(step.clock),
             fmi=step.fmi,
-            final=not self._keeps,
+            final=not self.keeps,
             factor=part.factor,
             first=first,
             count=len(part.signals),
             revalued=len(part.values) > 0,
+            rough=part.rough,
             values=self._at(part.values),
             derivatives=self._at(part.derivatives),
             writers=self._program(part.writers),
@@ -190,6 +207,21 @@ class Compiled(March):
             newest=self._program(part.newest),
             tell=self._program([part.tell] if part.tell else []),
             **results,
+        )
+
+    def _bonds(self) -> NDArray[np.int32]:
+        """Of each power bond the numbers of the signals of effort and flow."""
+        place = {id(s): i for i, s in enumerate(self._network.signals)}
+        pairs = [[place[id(effort)], place[id(flow)]] for effort, flow in self._network.bonds]
+        return np.array(pairs, np.int32).reshape(-1)
+
+    def _paced(self, pace: Pace) -> layout.Pace:
+        return layout.Pace(
+            h=pace.h,
+            smallest=pace.smallest,
+            largest=pace.largest,
+            power=pace.power,
+            repeats=pace.repeats,
         )
 
     def _driver(self, driver: Driver) -> layout.Driver:
@@ -210,6 +242,7 @@ class Compiled(March):
             factor=self._at(driver.factor),
             offset=self._at(driver.offset),
             coming=self._at(np.zeros(len(signals))),
+            middle=self._at(np.zeros(len(signals))),
             signals=self._at(signals),
             count=len(signals),
             held_count=len(driver.held),

@@ -90,8 +90,11 @@ class Monitor:
             return
         self.true[self.rows] = self._values[self.places]
         self.rows += 1
-        if self.rows == ROWS:
-            self.sum()
+
+    @property
+    def full(self) -> bool:
+        """The steps have to be added up before there is room for another one."""
+        return self.rows == ROWS
 
     def sum(self) -> None:
         """Add up the steps since the last time."""

@@ -7,7 +7,7 @@ from ctypes import POINTER, Structure, c_double, c_int32, c_int64, c_void_p
 from typing import Any
 
 REAL, WHOLE = 0, 1
-ACCESS, LINK = 0, 1
+ACCESS, LINK, LOOP = 0, 1, 2
 CONTINUE, STOP, DISCARDED = 0, 1, 2
 OUT_OF_RANGE = -1
 TYPES = (
@@ -46,10 +46,29 @@ class Program(Structure):
     _fields_ = [("count", c_int32), ("instructions", POINTER(Instruction))]
 
 
+class Member(Structure):
+    _fields_ = [
+        *_all(Program, "writers readers"),
+        *_all(c_void_p, "derivative component of by seed into"),
+        *_all(c_int32, "fmi first count first_output outputs"),
+    ]
+
+
+class Loop(Structure):
+    _fields_ = [
+        ("members", POINTER(Member)),
+        *_all(c_void_p, "u y g residual step before start scale unit seen slopes matrix shares"),
+        *_all(c_void_p, "source targets sources factor offset rows flags counts"),
+        *_all(c_int32, "member_count count outputs sweeps"),
+    ]
+
+
 class Signal(Structure):
     _fields_ = [
-        *_all(c_int32, "target source maker slope degree wanted known"),
-        *_all(c_double, "factor offset value slope0 value1 slope1 before chord scale"),
+        *_all(c_int32, "target source maker slope degree wanted order free known"),
+        *_all(c_double, "factor offset matters scale"),
+        *_all(c_double, "value slope0 value1 slope1 before chord bend"),
+        *_all(c_double, "foretold weight lost returned"),
         ("c", c_double * 4),
     ]
 
@@ -59,7 +78,7 @@ class Part(Structure):
         *_all(c_void_p, "component do_step get_state set_state state"),
         *_all(c_void_p, "event terminate early last flags clock"),
         ("busy", c_double),
-        *_all(c_int32, "fmi final factor first count revalued"),
+        *_all(c_int32, "fmi final factor first count revalued rough"),
         *_all(c_void_p, "values derivatives"),
         *_all(Program, "writers reads newest tell"),
     ]
@@ -70,7 +89,7 @@ class Driver(Structure):
         *_all(c_int64, "samples width row"),
         *_all(c_void_p, "time base slopes anchor"),
         *_all(c_void_p, "columns targets held_columns held"),
-        *_all(c_void_p, "factor offset coming signals"),
+        *_all(c_void_p, "factor offset coming middle signals"),
         *_all(c_int32, "count held_count"),
         ("when", c_double),
         ("writers", Program),
@@ -92,6 +111,15 @@ class Recorder(Structure):
     ]
 
 
+class Pace(Structure):
+    """See pace.py."""
+
+    _fields_ = [
+        *_all(c_double, "h smallest largest before uncut"),
+        *_all(c_int32, "power repeats"),
+    ]
+
+
 class Run(Structure):
     _fields_ = [
         *_all(c_void_p, "real real_kept used slopes whole whole_kept"),
@@ -104,11 +132,17 @@ class Run(Structure):
         ("monitor", Monitor),
         ("recorder", Recorder),
         *_all(c_void_p, "turns stepped"),
-        *_all(c_int32, "order degree sequential passes"),
+        *_all(c_int32, "degree sequential passes corrected"),
         ("tolerance", c_double),
-        *_all(c_double, "start step t length patience"),
-        *_all(c_int64, "total done steps all_passes"),
-        ("keeps", c_int32),
+        ("bonds", c_void_p),
+        ("bond_count", c_int32),
+        ("pace", POINTER(Pace)),
+        ("adaptive", c_double),
+        *_all(c_int32, "by_energy free keeps"),
+        ("events", c_void_p),
+        *_all(c_int64, "event_count event"),
+        *_all(c_double, "start step t length older shorter shortest longest patience"),
+        *_all(c_int64, "total done steps all_passes repeated"),
         ("judge", JUDGE),
         ("reached", c_double),
     ]

@@ -6,29 +6,48 @@ from contextlib import suppress
 
 from orchestrator.coupling.grid import Grid
 from orchestrator.coupling.network import Network
+from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.sweep import Sweep
+from orchestrator.errors import Discarded
 from orchestrator.runs import native
 from orchestrator.runs.energy import Monitor
 from orchestrator.runs.recorder import BLOCK, Recorder
+
+LEAST = 1e-9  # of a step: an FMU that gets no further than that gets nowhere
 
 
 class March:
     """A run in progress.
 
-    t        the communication point that is reached [s]
-    done     how many steps of the grid are done
-    steps    communication steps that were taken
-    passes   passes over all components, of all steps
+    t          the communication point that is reached [s]
+    done       how many steps of the grid are done
+    steps      communication steps that were taken and stand
+    passes     passes over all components, of all steps
+    repeated   steps that did not stand
+    keeps      the beginning of each step is kept, to go back to
     """
 
     def __init__(
-        self, network: Network, sweep: Sweep, times: Grid, recorder: Recorder, monitor: Monitor
+        self,
+        network: Network,
+        sweep: Sweep,
+        times: Grid,
+        recorder: Recorder,
+        monitor: Monitor,
+        pace: Pace | None = None,
+        by_energy: bool = False,
+        tolerance: float = 1.0,
     ) -> None:
+        """pace: of adaptive runs; by_energy: the tolerance is one of power."""
         self._network, self._sweep, self._times = network, sweep, times
-        self._recorder, self._monitor = recorder, monitor
+        self._recorder, self._monitor, self._pace = recorder, monitor, pace
+        self._by_energy, self._tolerance = by_energy, tolerance
         self.t = times.start
-        self.done = self.steps = self.passes = 0
-        self._keeps = sweep.plan.passes > 1
+        self.done = self.steps = self.passes = self.repeated = 0
+        self.shortest, self.longest = float("inf"), 0.0
+        self.keeps = sweep.plan.passes > 1 or (pace is not None and pace.repeats)
+        self._event = 0  # the next one
+        self._shorter = 0.0  # an FMU could not go further than that [s]; 0: none said so
 
     def begin(self) -> None:
         """Make everything known at the start, and record it."""
@@ -38,35 +57,72 @@ class March:
 
     def block(self) -> None:
         """Go on until as many points are to be recorded as fit into a block, or to the end."""
-        for _ in range(BLOCK):
-            if self.done == self._times.steps:
-                return
-            after = self._times.start + (self.done + 1) * self._times.step
-            self._step(after - self.t)
-            self.t = after
-            self.done += 1
-            self._recorder.add(after)
+        while self.done < self._times.steps and self._recorder.filled < BLOCK and not self._monitor.full:
+            self._next()
 
-    def _step(self, h: float) -> None:
+    def _next(self) -> None:
+        """One communication step; it may have to be repeated, which is another one."""
+        times = self._times
+        point = times.start + (self.done + 1) * times.step
+        events = times.events
+        while self._event < len(events) and events[self._event] <= self.t:
+            self._event += 1
+        target = min(point, events[self._event]) if self._event < len(events) else point
+        room = target - self.t
+        h = room if self._pace is None else self._pace.length(room)
+        if self._shorter > 0.0:
+            h = min(h, self._shorter)
+        if not self._step(h):
+            self.repeated += 1
+            return
+        self.t = target if h == room else self.t + h
+        self._shorter = 0.0
+        self.steps += 1
+        self.shortest, self.longest = min(self.shortest, h), max(self.longest, h)
+        if self.t == point:
+            self.done += 1
+        if self.t == point or times.free:
+            self._recorder.add(self.t)
+
+    def _step(self, h: float) -> bool:
+        """A step of length h; False if it does not stand."""
         network, monitor = self._network, self._monitor
-        if self._keeps:
+        if self.keeps:
             network.keep()
-        self._sweep.step(self.t, h)
+        try:
+            self._sweep.step(self.t, h)
+        except Discarded as problem:
+            if not self._go_back(problem.reached - self.t, h):
+                raise
+            return False
+        self.passes += self._sweep.passes
         monitor.stepped(h)
         network.settle(self.t, h)
+        if self._pace is not None and not self._pace.good(self._error(h) / self._tolerance, h):
+            network.restore(self.t)
+            return False
         network.accept(h)
         monitor.settled()
-        self.steps += 1
-        self.passes += self._sweep.passes
+        return True
+
+    def _error(self, h: float) -> float:
+        return self._sweep.power_error(h) if self._by_energy else self._sweep.error(h)
+
+    def _go_back(self, reached: float, h: float) -> bool:
+        """To the beginning of a step that an FMU did only the first part of, `reached` [s] long."""
+        shorter = reached if LEAST * h < reached < h else 0.5 * h
+        if not self.keeps or shorter <= LEAST * self._times.step:
+            return False
+        self._network.restore(self.t)
+        self._shorter = shorter
+        return True
 
 
-def marching(
-    network: Network, sweep: Sweep, times: Grid, recorder: Recorder, monitor: Monitor, fast: bool
-) -> March:
+def marching(fast: bool, network: Network, *others: object) -> March:
     """A run that is ready to begin: in C if that is wanted and possible, else in Python."""
     from orchestrator.runs.compiled import Compiled
 
     if fast and not isinstance(native.library(), str):
         with suppress(TypeError):
-            return Compiled(network, sweep, times, recorder, monitor)
-    return March(network, sweep, times, recorder, monitor)
+            return Compiled(network, *others)  # type: ignore[arg-type]
+    return March(network, *others)  # type: ignore[arg-type]

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.coupling.drive import Drive, drive
-from orchestrator.coupling.grid import Grid, grid
+from orchestrator.coupling.grid import Grid, free_grid, grid
 from orchestrator.coupling.initialise import initialise
 from orchestrator.coupling.masters import plan
 from orchestrator.coupling.network import Network
+from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Problem
@@ -129,8 +130,12 @@ def run(
     if driven:
         whole = driven[0].released(whole)
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
-    times = grid(whole, driven[1] if driven else None, step, start, stop, record_step)
     coupling = master if isinstance(master, Coupling) else Coupling(master)
+    trace, span = driven[1] if driven else None, (start, stop, record_step)
+    if coupling.adaptive is None:
+        times = grid(whole, trace, step, *span)
+    else:
+        times = free_grid(whole, trace, step, *span, driven[0].table.corners() if driven else ())
     job = _Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, native, open)
     result = job.run(times, progress)
     return replace(result, card=_estimate(job, times, result, progress)) if error_estimate else result
@@ -194,8 +199,18 @@ class _Job:
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
             loop = _Loop(network, recorder, monitor, times, bar)
-            march = marching(network, sweep, times, recorder, monitor, self.native)
-            return self._judge(loop, lambda: loop.go(march))
+            stack.callback(network.forget)
+            march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
+            return self._judge(loop, march)
+
+    def _pace(self, sweep: Sweep, times: Grid) -> tuple[Pace | None, bool, float]:
+        """What chooses the steps of an adaptive run, whether it looks at the energy, and the tolerance."""
+        c = self.coupling
+        if c.adaptive is None:
+            return None, False, 1.0
+        rolls = all(component.interface.rollback for component in self.system.components.values())
+        pace = Pace(times.first, sweep.plan.power, c.smallest, c.largest, rolls)
+        return pace, c.control == "energy", c.adaptive
 
     def _left_out(self) -> tuple[str, ...]:
         faces = {name: c.interface for name, c in self.system.components.items()}
@@ -206,32 +221,36 @@ class _Job:
             return find_bonds(self.system)
         return [named_bond(self.system, *pair) for pair in self.bonds]
 
-    def _judge(self, loop: _Loop, go: Callable[[], None]) -> Result:
+    def _judge(self, loop: _Loop, march: March) -> Result:
         """Run, and make a result of it even when it ends early."""
         began = time.perf_counter()
         try:
-            go()
+            loop.go(march)
         except KeyboardInterrupt:
-            raise Interrupted(self._result(loop, began, False)) from None
+            raise Interrupted(self._result(loop, march, began, False)) from None
         except Problem as problem:
-            raise RunFailed(problem, self._result(loop, began, False)) from problem
-        return self._result(loop, began, True)
+            raise RunFailed(problem, self._result(loop, march, began, False)) from problem
+        return self._result(loop, march, began, True)
 
-    def _result(self, loop: _Loop, began: float, complete: bool) -> Result:
+    def _result(self, loop: _Loop, march: March, began: float, complete: bool) -> Result:
         logs = [s.log for s in loop.network.slaves.values()]
         trace = loop.recorder.trace(list(self.system.outputs.values()))
-        done = max(loop.recorder.points - 1, 0)
+        reached = march.t - loop.times.start
         card = Card(
             master=self.coupling.text,
-            step=loop.times.step,
-            record_step=loop.times.every * loop.times.step,
-            steps=done,
-            simulated=done * loop.times.step,
+            step=loop.times.step if self.coupling.adaptive is None else reached / max(march.steps, 1),
+            record_step=loop.times.every * loop.times.step if not loop.times.free else 0.0,
+            steps=march.steps,
+            simulated=reached,
+            passes=march.passes,
+            repeated=march.repeated,
+            lengths=(march.shortest, march.longest),
+            adaptive=self.coupling.adaptive,
             wall=time.perf_counter() - began,
             bonds=tuple(loop.monitor.energies()),
             warnings=tuple(line for log in logs for line in log.warnings(trace)),
             inside={name: slave.busy for name, slave in loop.network.slaves.items()},
-            notes=self.system.notes + self._left_out() + loop.network.order.notes + loop.times.notes,
+            notes=self.system.notes + self._left_out() + loop.network.notes + loop.times.notes,
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
         return Result(self.system, trace, card, tuple(messages), complete)
@@ -254,4 +273,6 @@ class _Loop:
         while march.done < self.times.steps:
             march.block()
             self.recorder.settle()
+            if self.monitor.full:
+                self.monitor.sum()
             self.bar.update(march.t - self.times.start)

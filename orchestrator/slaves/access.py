@@ -67,6 +67,32 @@ class Access:
 
 
 @dataclass(frozen=True)
+class Derivative:
+    """A call of fmiXGetDirectionalDerivative with all its arguments fixed.
+
+    call, address, component, fmi   as in `Access`
+    of, by                          value references of outputs, shape (m,), and of inputs, shape (n,)
+    seed, into                      the direction in which the inputs move, and how the outputs change
+    """
+
+    call: Bound
+    address: int
+    component: int
+    fmi: int
+    of: NDArray[np.uint32]
+    by: NDArray[np.uint32]
+    seed: Buffer
+    into: Buffer
+
+    def __call__(self) -> None:
+        self.call()
+
+    def judge(self, status: int) -> None:
+        """Raise what the call from Python would raise; after a call from C, which does not judge."""
+        self.call.judge(status)
+
+
+@dataclass(frozen=True)
 class Stepping:
     """What it takes to step an instance, and to save and restore its state, from C.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
-from orchestrator.slaves.access import Access, Stepping, fitting
+from orchestrator.slaves.access import Access, Derivative, Stepping, fitting
 from orchestrator.slaves.calls import Calls
 from orchestrator.slaves.fmi2 import Fmi2
 from orchestrator.slaves.fmi3 import Fmi3
@@ -193,12 +193,22 @@ class FmuSlave:
     def _real(self) -> str:
         return "Real" if self.interface.fmi == 2 else "Float64"
 
-    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Call:
+    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Derivative:
         """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
-        given = *self._listed(of), *self._listed(by)
-        seeds = self._fmi.array(address(fitting(seed, len(by), ctypes.c_double)), len(by))
-        changes = self._fmi.array(address(fitting(into, len(of), ctypes.c_double)), len(of))
-        return self.calls.bound("GetDirectionalDerivative", *given, *seeds, *changes, of=of)
+        name, given = "GetDirectionalDerivative", (*self._listed(of), *self._listed(by))
+        seed, into = fitting(seed, len(by), ctypes.c_double), fitting(into, len(of), ctypes.c_double)
+        seeds = self._fmi.array(address(seed), len(by))
+        changes = self._fmi.array(address(into), len(of))
+        return Derivative(
+            call=self.calls.bound(name, *given, *seeds, *changes, of=of),
+            address=self.calls.address(name),
+            component=self.calls.handle.value or 0,
+            fmi=self.interface.fmi,
+            of=self._references(of),
+            by=self._references(by),
+            seed=seed,
+            into=into,
+        )
 
     def follows(self, variable: str, degree: int) -> int:
         """The highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3."""

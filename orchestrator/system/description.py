@@ -76,6 +76,7 @@ def _interface(description: Any, root: Any) -> Interface:
         serializes=bool(tool.canSerializeFMUstate),
         only_one="canBeInstantiatedOnlyOncePerProcess" in able,
         varies="canHandleVariableCommunicationStepSize" in able,
+        stateless=description.modelExchange is not None and not description.derivatives,
         directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
         start=_number(experiment, "startTime"),

@@ -70,6 +70,7 @@ class Interface:
     serializes    it can turn a saved state into bytes
     only_one      only one instance of it may exist in a process
     varies        it takes steps of any length; else all have to be of the same
+    stateless     it declares, for model exchange, that it has no continuous states
     directional   it offers directional derivatives
     start, step, stop, tolerance   of the experiment that the FMU suggests
     version, tool, text   of the FMU: its version, what made it, its description
@@ -89,6 +90,7 @@ class Interface:
     serializes: bool = False
     only_one: bool = False
     varies: bool = True
+    stateless: bool = False
     directional: bool = False
     categories: tuple[str, ...] = ()
     start: float | None = None
@@ -114,6 +116,10 @@ class Interface:
         if known is None:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return known
+
+    def remembers(self, variable: str) -> bool:
+        """False for an input that nothing depends on: no output directly, and there is no state."""
+        return not self.stateless or any(variable in self.depends(y.name) for y in self.of("output"))
 
     @property
     def sloped(self) -> frozenset[str]:

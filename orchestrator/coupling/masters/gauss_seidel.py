@@ -16,5 +16,12 @@ def gauss_seidel(system: System, coupling: Coupling) -> Plan:
     order, names = coupling.extrapolation, list(system.components)
     turn = {names[k]: i for i, k in enumerate(turns(system))}
     early = [c for c in system.connections if turn[c.source.component] < turn[c.target.component]]
-    moved = system.connections if order else early
-    return Plan(turns(system), moved, order, degree=order + 1, sequential=True)
+    return Plan(
+        turns(system),
+        system.connections if order or coupling.correct else early,
+        order,
+        degree=min(order + 1, 3),
+        sequential=True,
+        corrected=coupling.correct,
+        watches=coupling.adaptive is not None,
+    )

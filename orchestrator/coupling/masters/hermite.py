@@ -22,5 +22,7 @@ def hermite(system: System, coupling: Coupling) -> Plan:
         degree=3,
         sequential=True,
         passes=coupling.passes,
-        tolerance=coupling.tolerance,
+        tolerance=coupling.miss,
+        corrected=coupling.correct and coupling.passes == 1,
+        watches=coupling.adaptive is not None,
     )

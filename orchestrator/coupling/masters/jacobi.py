@@ -13,5 +13,7 @@ def jacobi(system: System, coupling: Coupling) -> Plan:
     At order 0 inputs are held, unless an FMU moves them itself by a rate input.
     """
     order = coupling.extrapolation
-    moved = system.connections if order else ()
-    return Plan(range(len(system.components)), moved, order, degree=order)
+    moved = system.connections if order or coupling.correct else ()
+    watches = coupling.adaptive is not None
+    everybody = range(len(system.components))
+    return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)

@@ -19,7 +19,10 @@ class Plan:
     degree       degree at which both ends of a source are connected that has
     sequential   the inputs of a component know what the sources before it in the order have done
     passes       how often the step is computed at most; more than once needs rollback
-    tolerance    a further pass is made while the last one changed a signal by more, see `sweep.change`
+    tolerance    a further pass is made while the last one changed a signal by more, as a share of its
+                 magnitude
+    corrected    continued sources get back what they lost, see `Signal.give_back`
+    watches      the inputs that do not move are watched too, for the estimate of the error
     """
 
     turns: Sequence[int]
@@ -29,11 +32,20 @@ class Plan:
     sequential: bool = False
     passes: int = 1
     tolerance: float = 0.0
+    corrected: bool = False
+    watches: bool = False
 
     @property
     def sloped(self) -> bool:
         """Are the slopes of sources wanted?"""
-        return self.order > 0 or self.degree > 1
+        return self.order > 0 or self.degree > 1 or self.corrected or self.watches
+
+    @property
+    def power(self) -> int:
+        """The power of the step that the estimate of the error goes with."""
+        if self.passes > 1:
+            return self.degree + 1
+        return self.order + (2 if self.corrected else 1)
 
 
 def turns(system: System) -> list[int]:

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-SOURCES = ("calls.c", "driver.c", "march.c", "signal.c", "sweep.c")
+SOURCES = ("calls.c", "driver.c", "loop.c", "march.c", "pace.c", "signal.c", "sweep.c")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = (
     *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-fvisibility=hidden"),

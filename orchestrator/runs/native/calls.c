@@ -112,11 +112,10 @@ static void carry(Run *run, const Link *link) {
 int carry_out(Run *run, const Program *program) {
     for (int32_t i = 0; i < program->count; i++) {
         const Instruction *one = &program->instructions[i];
+        int verdict = CONTINUE;
         if (one->kind == LINK) carry(run, one->what);
-        else {
-            const int verdict = access_values(run, one->what);
-            if (verdict) return verdict;
-        }
+        else verdict = one->kind == LOOP ? solve_loop(run, one->what) : access_values(run, one->what);
+        if (verdict) return verdict;
     }
     return CONTINUE;
 }

@@ -1,5 +1,6 @@
 /* From communication point to communication point; see march.py. */
 
+#include <math.h>
 #include <string.h>
 
 #include "run.h"
@@ -66,16 +67,75 @@ static int settle(Run *run, double h) {
     return verdict;
 }
 
-static int one_step(Run *run, double h) {
+/* Back to the beginning of the step. */
+static int go_back(Run *run) {
+    memcpy(run->real, run->real_kept, (size_t)run->reals * sizeof *run->real);
+    memcpy(run->whole, run->whole_kept, (size_t)run->wholes * sizeof *run->whole);
+    for (int32_t k = 0; k < run->part_count; k++) {
+        const int verdict = restore_part(run, k);
+        if (verdict) return verdict;
+    }
+    const int verdict = put(run, run->t);
+    return verdict ? verdict : carry_out(run, &run->exchange);
+}
+
+/* An FMU did only the first part of a step. */
+static int discarded(Run *run, double h) {
+    static const double least = 1e-9;
+    const double reached = run->reached - run->t;
+    const double shorter = least * h < reached && reached < h ? reached : 0.5 * h;
+    if (!run->keeps || shorter <= least * run->step) return STOP;
+    run->shorter = shorter;
+    return go_back(run);
+}
+
+/* One step of length h; `stands` tells whether it was good. */
+static int one_step(Run *run, double h, int *stands) {
+    int passes = 0;
+    *stands = 0;
     int verdict = run->keeps ? keep(run) : CONTINUE;
-    if (!verdict) verdict = sweep(run, h);
-    if (!verdict) verdict = stepped(run, h);
+    if (verdict) return verdict;
+    verdict = sweep(run, h, &passes);
+    if (verdict == DISCARDED) return discarded(run, h);
+    if (verdict) return verdict;
+    run->all_passes += passes;
+    verdict = stepped(run, h);
     if (!verdict) verdict = settle(run, h);
     if (verdict) return verdict;
-    for (int32_t i = 0; i < run->signal_count; i++) accept(&run->signals[i], h);
+    if (run->pace) {
+        const double e = (run->by_energy ? power_error(run, h) : step_error(run, h)) / run->adaptive;
+        if (!pace_good(run->pace, e, h)) return go_back(run);
+    }
+    for (int32_t i = 0; i < run->signal_count; i++) accept(&run->signals[i], h, run->length);
+    run->older = run->length;
     run->length = h;
     settled(run);
+    *stands = 1;
+    return CONTINUE;
+}
+
+/* One communication step; it may have to be repeated, which is another one. */
+static int next(Run *run) {
+    const double point = run->start + (double)(run->done + 1) * run->step;
+    while (run->event < run->event_count && run->events[run->event] <= run->t) run->event++;
+    const double target = run->event < run->event_count ? fmin(point, run->events[run->event]) : point;
+    const double room = target - run->t;
+    double h = run->pace ? pace_length(run->pace, room) : room;
+    int stands;
+    if (run->shorter > 0.0) h = fmin(h, run->shorter);
+    const int verdict = one_step(run, h, &stands);
+    if (verdict) return verdict;
+    if (!stands) {
+        run->repeated++;
+        return CONTINUE;
+    }
+    run->t = h == room ? target : run->t + h;
+    run->shorter = 0.0;
     run->steps++;
+    run->shortest = fmin(run->shortest, h);
+    run->longest = fmax(run->longest, h);
+    if (run->t == point) run->done++;
+    if (run->t == point || run->free) record(run);
     return CONTINUE;
 }
 
@@ -83,12 +143,8 @@ EXPORT int32_t march(Run *run) {
     const double until = seconds() + run->patience;
     while (run->done < run->total && run->recorder.filled < run->recorder.room &&
            run->monitor.rows < run->monitor.room) {
-        const double after = run->start + (double)(run->done + 1) * run->step;
-        const int verdict = one_step(run, after - run->t);
+        const int verdict = next(run);
         if (verdict) return verdict;
-        run->t = after;
-        run->done++;
-        record(run);
         if (seconds() > until) break;
     }
     return CONTINUE;

@@ -9,7 +9,7 @@
 
 enum { REAL, WHOLE };                                           /* banks */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, BOOLEAN }; /* types of values in an FMU */
-enum { ACCESS, LINK };                                          /* kinds of instructions */
+enum { ACCESS, LINK, LOOP };                                    /* kinds of instructions */
 enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED };                             /* what to do after a status */
 
@@ -37,10 +37,29 @@ typedef struct {
     const Instruction *instructions;
 } Program;
 
+typedef struct { /* see member.py */
+    Program writers, readers;
+    void *derivative, *component; /* NULL: by differences */
+    const uint32_t *of, *by;
+    double *seed, *into;
+    int32_t fmi, first, count, first_output, outputs;
+} Member;
+
+typedef struct { /* see loop.py */
+    const Member *members;
+    double *u, *y, *g, *residual, *step, *before, *start, *scale, *unit, *seen, *slopes, *matrix, *shares;
+    const int64_t *source, *targets, *sources;
+    const double *factor, *offset;
+    int32_t *rows, *flags;
+    int64_t *counts;
+    int32_t member_count, count, outputs, sweeps;
+} Loop;
+
 typedef struct { /* see signal.py */
-    int32_t target, source, maker, slope, degree, wanted, known;
-    double factor, offset;
-    double value, slope0, value1, slope1, before, chord, scale;
+    int32_t target, source, maker, slope, degree, wanted, order, free, known;
+    double factor, offset, matters, scale;
+    double value, slope0, value1, slope1, before, chord, bend;
+    double foretold, weight, lost, returned;
     double c[DEGREE + 1];
 } Signal;
 
@@ -50,7 +69,7 @@ typedef struct { /* see part.py */
     const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
     double *clock;                          /* time of the step, for messages */
     double busy;
-    int32_t fmi, final, factor, first, count, revalued;
+    int32_t fmi, final, factor, first, count, revalued, rough;
     double *values, *derivatives;
     Program writers, reads, newest, tell;
 } Part;
@@ -60,7 +79,7 @@ typedef struct { /* see drive.py and driver.py */
     const double *time, *base, *slopes, *anchor;
     const int64_t *columns, *targets, *held_columns, *held;
     const double *factor, *offset;
-    double *coming;
+    double *coming, *middle;
     const int32_t *signals;
     int32_t count, held_count;
     double when;
@@ -83,6 +102,11 @@ typedef struct { /* see recorder.py */
     int32_t count, whole_count, filled, room;
 } Recorder;
 
+typedef struct { /* see pace.py */
+    double h, smallest, largest, before, uncut;
+    int32_t power, repeats;
+} Pace;
+
 typedef struct Run Run;
 struct Run {
     double *real, *real_kept, *used, *slopes;
@@ -98,12 +122,18 @@ struct Run {
     /* the plan */
     const int32_t *turns;
     uint8_t *stepped;
-    int32_t order, degree, sequential, passes;
+    int32_t degree, sequential, passes, corrected;
     double tolerance;
+    const int32_t *bonds; /* of each the signals of effort and flow */
+    int32_t bond_count;
     /* the march */
-    double start, step, t, length, patience;
-    int64_t total, done, steps, all_passes;
-    int32_t keeps;
+    Pace *pace; /* NULL: all steps are equal */
+    double adaptive;
+    int32_t by_energy, free, keeps;
+    const double *events;
+    int64_t event_count, event;
+    double start, step, t, length, older, shorter, shortest, longest, patience;
+    int64_t total, done, steps, all_passes, repeated;
     /* the judge of every status that is not OK; says what to do */
     int32_t (*judge)(const void *access, int32_t part, int32_t status);
     double reached;
@@ -116,23 +146,40 @@ int keep_part(Run *, int k);
 int restore_part(Run *, int k);
 double seconds(void);
 
+/* loop.c: 0 or what `judge` said */
+int solve_loop(Run *, const Loop *);
+
 /* signal.c */
-void predict(Signal *, int order, double step);
-void interpolate(Signal *, int degree, double h);
-double arrive(Signal *, double value, double slope, double h, double step);
-void accept(Signal *, double h);
+void drive(Signal *, double middle, double value1, double h);
+void predict(Signal *, double h, double step);
+void interpolate(Signal *, int degree, double h, double step);
+void give_back(Signal *, double h, double step);
+void arrive(Signal *, double value, double slope, double h, double step, double older);
+void accept(Signal *, double h, double step);
+double magnitude(const Signal *);
+double share(const Signal *, double deviation);
+double miss(const Signal *, double h);
+double deviation(const Signal *, double h, int repeated);
+double defect(const Signal *, double h);
 void shift(const double c[], double by, double shifted[]);
 void project(double c[], int degree, double h);
 double value_at(const double c[], double s);
+double slope_at(const double c[], double s);
 
 /* driver.c */
 void look(Driver *, double t);
 int put(Run *, double t);
 
 /* sweep.c */
-int sweep(Run *, double h);
-double arrive_all(Run *, double h, int maker);
+int sweep(Run *, double h, int *passes);
+double step_error(const Run *, double h);
+double power_error(const Run *, double h);
+void arrive_all(Run *, double h, int maker);
 enum { EVERYBODY = -2 };
+
+/* pace.c */
+double pace_length(Pace *, double room);
+int pace_good(Pace *, double e, double h);
 
 /* march.c: one block; CONTINUE when there is more to do or all is done */
 int32_t march(Run *);

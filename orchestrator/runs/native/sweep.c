@@ -1,5 +1,6 @@
 /* One communication step as a plan says; see sweep.py and part.py. */
 
+#include <math.h>
 #include <string.h>
 
 #include "run.h"
@@ -15,8 +16,8 @@ static int give(Run *run, Part *p, double begin, double length, int last) {
         project(c, s->degree, length);
         if (p->revalued) p->values[i] = c[0];
         for (int32_t k = 0; k < s->degree && k < s->wanted; k++) *derivative++ = factorial[k] * c[k + 1];
-        if (begin == 0.0) run->used[s->target] = c[0];
-        if (last) run->used[run->reals + s->target] = value_at(c, length);
+        if (begin == 0.0 && s->wanted) run->used[s->target] = c[0];
+        if (last && s->wanted) run->used[run->reals + s->target] = value_at(c, length);
     }
     return carry_out(run, &p->writers);
 }
@@ -37,32 +38,44 @@ static int advance(Run *run, int k, double h, double *clock) {
     return CONTINUE;
 }
 
-double arrive_all(Run *run, double h, int maker) {
-    double change = 0.0;
+/* Let inputs that could only be followed roughly end as they should, before outputs are read. */
+static int finish(Run *run, const Part *p, double h) {
+    if (!p->rough) return CONTINUE;
+    double *derivative = p->derivatives;
+    for (int32_t i = 0; i < p->count; i++) {
+        const Signal *s = &run->signals[p->first + i];
+        p->values[i] = value_at(s->c, h);
+        for (int32_t k = 0; k < s->degree && k < s->wanted; k++) *derivative++ = k == 0 ? slope_at(s->c, h) : 0.0;
+    }
+    return carry_out(run, &p->writers);
+}
+
+void arrive_all(Run *run, double h, int maker) {
     for (int32_t i = 0; i < run->signal_count; i++) {
         Signal *s = &run->signals[i];
         if (s->maker == DRIVEN || (maker != EVERYBODY && s->maker != maker)) continue;
         const double value = run->real[s->source] * s->factor + s->offset;
         const double slope = s->slope == NO_SLOPE ? 0.0 : run->slopes[s->slope] * s->factor;
-        const double found = arrive(s, value, slope, h, run->length);
-        if (found > change) change = found;
+        arrive(s, value, slope, h, run->length, run->older);
     }
-    return change;
 }
 
 static void shape(Run *run, const Part *p, int n, double h) {
     for (int32_t i = 0; i < p->count; i++) {
         Signal *s = &run->signals[p->first + i];
-        if (s->maker == DRIVEN) interpolate(s, 1, h);
-        else if (n || run->stepped[s->maker]) interpolate(s, run->degree, h);
-        else predict(s, run->order, run->length);
+        if (s->maker == DRIVEN) continue;
+        if (s->wanted && (n || run->stepped[s->maker])) {
+            interpolate(s, run->degree, h, run->length);
+            continue;
+        }
+        predict(s, h, run->length);
+        if (run->corrected && s->wanted) give_back(s, h, run->length);
     }
 }
 
-/* All components once; `change`: the largest of a signal since the pass before. */
-static int pass(Run *run, int n, double h, double *change) {
+/* All components once. */
+static int pass(Run *run, int n, double h) {
     double clock = seconds();
-    *change = 0.0;
     memset(run->stepped, 0, (size_t)run->part_count);
     for (int32_t i = 0; i < run->part_count; i++) {
         const int k = run->turns[i];
@@ -74,28 +87,65 @@ static int pass(Run *run, int n, double h, double *change) {
         if (!verdict) verdict = advance(run, k, h, &clock);
         if (verdict) return verdict;
         if (!run->sequential) continue;
-        verdict = carry_out(run, &p->reads);
+        verdict = finish(run, p, h);
+        if (!verdict) verdict = carry_out(run, &p->reads);
         if (!verdict) verdict = carry_out(run, &p->tell);
         if (verdict) return verdict;
-        const double found = arrive_all(run, h, k);
-        if (found > *change) *change = found;
+        arrive_all(run, h, k);
         run->stepped[k] = 1;
     }
     return CONTINUE;
 }
 
-int sweep(Run *run, double h) {
-    if (run->driver) {
-        Driver *d = run->driver;
-        look(d, run->t + h);
-        for (int32_t i = 0; i < d->count; i++) run->signals[d->signals[i]].value1 = d->coming[i];
-    }
+/* What another pass could change, at most. */
+static double largest_miss(const Run *run, double h) {
+    double worst = 0.0;
+    for (int32_t i = 0; i < run->signal_count; i++)
+        if (run->signals[i].maker != DRIVEN) worst = fmax(worst, miss(&run->signals[i], h));
+    return worst;
+}
+
+static void ahead(Run *run, double h) {
+    Driver *d = run->driver;
+    if (!d) return;
+    look(d, run->t + 0.5 * h);
+    memcpy(d->middle, d->coming, (size_t)d->count * sizeof *d->middle);
+    look(d, run->t + h);
+    for (int32_t i = 0; i < d->count; i++)
+        drive(&run->signals[d->signals[i]], d->middle[i], d->coming[i], h);
+}
+
+int sweep(Run *run, double h, int *passes) {
+    ahead(run, h);
     for (int n = 0; n < run->passes; n++) {
-        double change;
-        const int verdict = pass(run, n, h, &change);
+        const int verdict = pass(run, n, h);
         if (verdict) return verdict;
-        run->all_passes++;
-        if (n && change <= run->tolerance) break;
+        *passes = n + 1;
+        if (run->passes > 1 && largest_miss(run, h) <= run->tolerance) break;
     }
     return CONTINUE;
+}
+
+double step_error(const Run *run, double h) {
+    double worst = 0.0;
+    for (int32_t i = 0; i < run->signal_count; i++) {
+        const Signal *s = &run->signals[i];
+        const int by_mean = run->corrected && s->maker != DRIVEN;
+        const double off = by_mean ? defect(s, h) : deviation(s, h, run->passes > 1);
+        worst = fmax(worst, share(s, off));
+    }
+    return worst;
+}
+
+double power_error(const Run *run, double h) {
+    double worst = 0.0;
+    for (int32_t i = 0; i < run->bond_count; i++) {
+        const Signal *effort = &run->signals[run->bonds[2 * i]], *flow = &run->signals[run->bonds[2 * i + 1]];
+        const int repeated = run->passes > 1;
+        const double power =
+            effort->value1 * deviation(flow, h, repeated) - flow->value1 * deviation(effort, h, repeated);
+        const double size = magnitude(effort) * magnitude(flow);
+        worst = fmax(worst, size > 0.0 ? fabs(power) / size : 0.0);
+    }
+    return worst;
 }
