@@ -96,8 +96,8 @@ class Study:
         return sorted(found, key=lambda row: row.mean_step if row.case else row.step)
 
     def order(self, row: Row, group: str) -> float | None:
-        """Order of convergence between the next smaller step and this one, where both are stable."""
-        finer = [r for r in self.of(row.setting) if r.mean_step < row.mean_step]
+        """Order of convergence between the next smaller step given and this one, where both are stable."""
+        finer = [r for r in self.of(row.setting) if r.step < row.step]
         if not finer or not finer[-1].stable or not row.stable:
             return None
         small, large = finer[-1].error(group), row.error(group)

@@ -41,13 +41,11 @@ def duration(step: float) -> str:
 def nrmse(study: Study, group: str) -> Text:
     """The worst signal of a group: root mean square error over its range, and the order."""
 
-    title = f"{group}: worst NRMSE against {study.truth.title}; {ORDER}"
-    return _text(study, title, lambda row: _share(study, row, group))
+    def cell(row: Row) -> str:
+        order = study.order(row, group)
+        return share(row.error(group)) + ("" if order is None else f" {order:4.1f}")
 
-
-def _share(study: Study, row: Row, group: str) -> str:
-    order = study.order(row, group)
-    return share(row.error(group)) + ("" if order is None else f" {order:4.1f}")
+    return _text(study, f"{group}: worst NRMSE against {study.truth.title}; {ORDER}", cell)
 
 
 def maximum(study: Study, group: str) -> Text:
@@ -74,10 +72,10 @@ def own_steps(study: Study) -> Text | None:
     """Settings that choose their steps: a line for each case; None if there are none."""
     groups = list(study.truth.groups)
     lines = []
-    for row in (row for setting in study.settings if setting.own for row in study.of(setting)):
-        known = [str(row.taken), f"{1e3 * row.mean_step:.3g} ms"]
-        known += [_cell(row, lambda row, group=group: _share(study, row, group)) for group in groups]  # type: ignore[misc]
-        lines.append((f"{row.setting.label} {row.case}", *known, _cell(row, _cost)))
+    for row in (row for row in study.rows if row.case):
+        errors = [share(row.error(group)) if row.stable else _cell(row, _cost) for group in groups]
+        known = (str(row.taken), f"{1e3 * row.mean_step:.3g} ms", *errors, _cell(row, _cost))
+        lines.append((f"{row.setting.label} {row.case}", *known))
     head = ("master", "steps", "mean step", *groups, "wall [ms/s]")
     return (
         Text(f"steps of their own: worst NRMSE against {study.truth.title}", head, tuple(lines))
@@ -133,7 +131,7 @@ def rich(text: Text) -> Table:
     """For the terminal, without its title."""
     table = Table(box=SIMPLE_HEAD)
     for place, heading in enumerate(text.head):
-        table.add_column(heading, justify="right" if place else "left", no_wrap=True)
+        table.add_column(Words(heading), justify="right" if place else "left", no_wrap=True)
     for line in text.lines:
         table.add_row(*(Words(c, "red" if c in (UNSTABLE, REFUSED) else "") for c in line))
     return table

@@ -11,7 +11,7 @@ from orchestrator import Trace, assemble, run, write
 from orchestrator.__main__ import main
 from orchestrator.convergence import SETTINGS, Study, choose, from_reference, from_run, study
 from orchestrator.convergence.settings import Setting, rates
-from orchestrator.convergence.table import UNSTABLE, ends, markdown, nrmse
+from orchestrator.convergence.table import UNSTABLE, ends, markdown, nrmse, own_steps
 from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem
 from orchestrator.validation import read_reference
@@ -143,6 +143,19 @@ def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
     assert list(ends(Study(truth, (second,)))) == ["gauss-seidel order 0: not possible: no second run"]
     with pytest.raises(Problem, match="no second run"):
         list(study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
+
+
+def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, truth):
+    """A line for each case, with the steps it took; the tables over given steps do not know them."""
+    own = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
+    chosen = [Setting("free", Coupling("jacobi"), own=own), *choose(["jacobi order 0"])]
+    found = Study(truth, tuple(study(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
+    assert len(nrmse(found, "position").lines) == 1
+    table = own_steps(found)
+    assert [line[0] for line in table.lines] == ["free coarse", "free fine"]
+    assert [line[1:3] for line in table.lines] == [("200", "5 ms")] * 2
+    assert found.rows[1].error("position") < found.rows[2].error("position")  # order 1 is better than 0
+    assert own_steps(Study(truth, tuple(row for row in found.rows if not row.case))) is None
 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
