@@ -1,9 +1,10 @@
-"""One component in an algebraic loop: its inputs and outputs there, and how the ones change with the others."""
+"""One component in an algebraic loop: its inputs and outputs there, and how these change with those."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import groupby
 from math import copysign
 
@@ -12,38 +13,59 @@ import numpy as np
 from orchestrator.errors import Problem
 from orchestrator.slaves.slave import Buffer, Call, Slave, access
 
-SHIFT = 1e-6  # of the magnitude: far above rounding, single precision included, far below what curves a function
+SHIFT = 1e-6  # of the magnitude: far above rounding, even of single precision; below what bends a function
 ALIKE = 0.1  # derivatives further from differences than this share of the largest would spoil convergence
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Variables of a component, those of one type side by side, and their places in an array of a loop."""
+
+    names: Sequence[str]
+    values: Buffer
+    first: int
+
+    @property
+    def range(self) -> range:
+        """Their places."""
+        return range(self.first, self.first + len(self.names))
+
+    @property
+    def own(self) -> Buffer:
+        """Their values, as a view."""
+        return self.values[self.first : self.first + len(self.names)]
+
+    def calls(self, slave: Slave, make: Callable[[Sequence[str], Buffer], Call]) -> list[Call]:
+        """One call for each type of variable."""
+        made, at, types = list[Call](), 0, slave.interface.variables
+        for _, group in groupby(self.names, key=lambda name: access(types[name])):
+            same = list(group)
+            made.append(make(same, self.own[at : at + len(same)]))
+            at += len(same)
+        return made
 
 
 class Member:
     """Sets its inputs and reads its outputs in the arrays of a loop.
 
-    first, count            its inputs stand there in `u`
-    first_output, outputs   its outputs stand there in `y`
-    derivative              call that puts into `into` how the outputs change when the inputs move along `seed`;
-                            None where the FMU offers none, or wrong ones
+    derivative   call that puts into `into` how the outputs change when the inputs move along `seed`; None
+                 where the FMU offers none
+    trusted      shape (1,): 1 as long as it is used
     """
 
-    def __init__(
-        self, slave: Slave, names: tuple[Sequence[str], Sequence[str]], u: Buffer, y: Buffer, at: tuple[int, int]
-    ) -> None:
-        """names: of inputs and outputs, alike by `access`; at: the places of the first of them in `u` and `y`."""
-        inputs, outputs = names
-        self.u, self.y, self.name = u, y, slave.name
-        (self.first, self.first_output), self.count, self.outputs = at, len(inputs), len(outputs)
-        u, y = u[self.first : self.first + self.count], y[self.first_output : self.first_output + self.outputs]
-        self.starters = _calls(slave, slave.reader, inputs, u)
-        self.writers = _calls(slave, slave.writer, inputs, u)
-        self.readers = _calls(slave, slave.reader, outputs, y)
-        self.seed, self.into = np.zeros(self.count), np.zeros(self.outputs)
+    def __init__(self, slave: Slave, inputs: Slots, outputs: Slots) -> None:
+        self.inputs, self.outputs = inputs, outputs
+        self._starters = inputs.calls(slave, slave.reader)
+        self.writers, self.readers = inputs.calls(slave, slave.writer), outputs.calls(slave, slave.reader)
+        self.seed, self.into = np.zeros(len(inputs.names)), np.zeros(len(outputs.names))
         self.derivative: Call | None = None
+        self.trusted = np.array([slave.interface.directional], np.int32)
         if slave.interface.directional:
-            self.derivative = slave.derivative(outputs, inputs, self.seed, self.into)
+            self.derivative = slave.derivative(outputs.names, inputs.names, self.seed, self.into)
 
     def start(self) -> None:
         """Read from the FMU what its inputs are."""
-        for read in self.starters:
+        for read in self._starters:
             read()
 
     def __call__(self) -> None:
@@ -54,37 +76,37 @@ class Member:
         """Put into `slopes`, shape (outputs, inputs) of the loop, how outputs change with inputs.
 
         unit   magnitudes of the inputs of the loop
-        Inputs and outputs of the FMU are not what they were, those in the arrays are.
+        Inputs and outputs of the FMU are not what they were afterwards, those in the arrays are.
         """
-        if self.derivative:
+        if self.derivative and self.trusted[0]:
             self._told(self.derivative, slopes)
         else:
             self._measured(unit, slopes)
 
     def _told(self, derivative: Call, slopes: Buffer) -> None:
-        for j in range(self.count):
+        for k, j in enumerate(self.inputs.range):
             self.seed[:] = 0.0
-            self.seed[j] = 1.0
+            self.seed[k] = 1.0
             derivative()
-            slopes[self.first_output : self.first_output + self.outputs, self.first + j] = self.into
+            slopes[self.outputs.range, j] = self.into
 
     def _measured(self, unit: Buffer, slopes: Buffer) -> None:
-        own = slice(self.first_output, self.first_output + self.outputs)
-        before = self.y[own].copy()
-        for j in range(self.first, self.first + self.count):
-            u = float(self.u[j])
-            self.u[j] = u + copysign(SHIFT * float(unit[j]), u)
-            moved = float(self.u[j]) - u
+        u, before = self.inputs.values, self.outputs.own.tolist()
+        for j in self.inputs.range:
+            here = float(u[j])
+            u[j] = here + copysign(SHIFT * float(unit[j]), here)
+            moved = float(u[j]) - here
             self()
-            slopes[own, j] = [(a - b) / moved for a, b in zip(self.y[own].tolist(), before.tolist(), strict=True)]
-            self.u[j] = u
-        self.y[own] = before
+            after = self.outputs.own.tolist()
+            slopes[self.outputs.range, j] = [(a - b) / moved for a, b in zip(after, before, strict=True)]
+            u[j] = here
+        self.outputs.own[:] = before
 
     def trust(self, unit: Buffer) -> None:
         """Do without derivatives that fail, or that are not what the outputs do."""
         if not self.derivative:
             return
-        told, measured = (np.zeros((len(self.y), len(self.u))) for _ in range(2))
+        told, measured = (np.zeros((len(self.outputs.values), len(unit))) for _ in range(2))
         self._measured(unit, measured)
         self()
         with suppress(Problem), np.errstate(invalid="ignore", over="ignore"):
@@ -92,16 +114,4 @@ class Member:
             largest = np.max(np.abs(measured) * unit, axis=1, keepdims=True)
             if np.all(np.abs(told - measured) * unit <= ALIKE * largest):
                 return
-        self.derivative = None
-
-
-def _calls(
-    slave: Slave, make: Callable[[Sequence[str], Buffer], Call], names: Sequence[str], values: Buffer
-) -> list[Call]:
-    """One call for each type of variable."""
-    calls, first = list[Call](), 0
-    for _, group in groupby(names, key=lambda name: access(slave.interface.variables[name])):
-        same = list(group)
-        calls.append(make(same, values[first : first + len(same)]))
-        first += len(same)
-    return calls
+        self.trusted[0] = 0

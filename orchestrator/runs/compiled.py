@@ -13,6 +13,7 @@ from orchestrator.coupling import signal
 from orchestrator.coupling.bank import Link
 from orchestrator.coupling.driver import Driver
 from orchestrator.coupling.grid import Grid
+from orchestrator.coupling.loop import Loop
 from orchestrator.coupling.network import Network
 from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.part import Part
@@ -20,11 +21,13 @@ from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Discarded, Problem
 from orchestrator.runs import layout, native
 from orchestrator.runs.energy import ROWS, Monitor
+from orchestrator.runs.loops import Filler, Judge
 from orchestrator.runs.march import March
 from orchestrator.runs.recorder import BLOCK, Recorder
 from orchestrator.slaves.access import Access, Stepping
 from orchestrator.slaves.slave import Call
 
+KINDS = {layout.Access: layout.ACCESS, layout.Link: layout.LINK, layout.Loop: layout.LOOP}
 PATIENCE = 0.1  # [s], the longest time between two looks at the keyboard
 
 
@@ -44,7 +47,7 @@ class Compiled(March):
     ) -> None:
         """Raises TypeError where a component is no FMU that C can call, see `stepping`."""
         super().__init__(network, sweep, times, recorder, monitor, pace, by_energy, tolerance)
-        self._accesses: dict[int, Access] = {}
+        self._judges: dict[int, Judge] = {}
         self._alive: list[Any] = []  # what C has the addresses of
         self._problem: BaseException | None = None
         self._steppings = [stepping(part) for part in network.parts]
@@ -78,8 +81,8 @@ class Compiled(March):
     def _judge(self, where: int | None, part: int, status: int) -> int:
         """Called from C: what to do after a status that is not OK."""
         try:
-            if where in self._accesses:
-                self._accesses[where].judge(status)
+            if where in self._judges:
+                self._judges[where].judge(status)
             elif where:
                 slave = self._network.parts[part].slave
                 slave.calls.judge(status, f"saving or restoring the state of {slave.name}")  # type: ignore[attr-defined]
@@ -133,20 +136,22 @@ class Compiled(March):
         return array.ctypes.data
 
     def _program(self, calls: Sequence[Call]) -> layout.Program:
-        """Calls as instructions; a function that is neither an access nor a link cannot be one."""
+        """Calls as instructions; a function that is no access, link or loop cannot be one."""
         instructions = (layout.Instruction * max(len(calls), 1))()
         for instruction, call in zip(instructions, calls, strict=False):
             what = self._instruction(call)
-            instruction.kind = layout.LINK if isinstance(call, Link) else layout.ACCESS
+            instruction.kind = KINDS[type(what)]
             self._alive.append(what)
             instruction.what = ctypes.addressof(what)
         return layout.Program(len(calls), instructions)
 
-    def _instruction(self, call: Call) -> layout.Link | layout.Access:
+    def _instruction(self, call: Call) -> layout.Link | layout.Access | layout.Loop:
         if isinstance(call, Link):
             return self._link(call)
         if isinstance(call, Access):
             return self._access(call)
+        if isinstance(call, Loop):
+            return Filler(self._at, self._program, self._judges).loop(call)
         raise TypeError(f"{call!r} cannot be called from C")
 
     def _access(self, call: Access) -> layout.Access:
@@ -163,7 +168,7 @@ class Compiled(March):
             bank=layout.REAL if call.values.dtype == np.float64 else layout.WHOLE,
             sets=call.sets,
         )
-        self._accesses[ctypes.addressof(made)] = call
+        self._judges[ctypes.addressof(made)] = call
         return made
 
     def _link(self, call: Link) -> layout.Link:

@@ -49,7 +49,7 @@ class Program(Structure):
 class Member(Structure):
     _fields_ = [
         *_all(Program, "writers readers"),
-        *_all(c_void_p, "derivative component of by seed into"),
+        *_all(c_void_p, "derivative component trusted of by seed into"),
         *_all(c_int32, "fmi first count first_output outputs"),
     ]
 

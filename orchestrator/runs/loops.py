@@ -15,8 +15,8 @@ from orchestrator.runs import layout
 from orchestrator.slaves.access import Derivative
 from orchestrator.slaves.slave import Call
 
-ARRAYS = "u y g residual step before start scale unit seen slopes matrix shares"
-PLACES = "source targets sources factor offset rows flags counts"
+ARRAYS = "u y g residual step before start scale unit seen slopes matrix shares source factor offset rows"
+ARRAYS += " flags counts"
 
 
 class Judge(Protocol):
@@ -45,7 +45,9 @@ class Filler:
             self._fill(made, member)
         found = layout.Loop(
             members=members,
-            **{name: self.at(getattr(loop, name)) for name in f"{ARRAYS} {PLACES}".split()},
+            **{name: self.at(getattr(loop.newton, name)) for name in ARRAYS.split()},
+            targets=self.at(loop.targets),
+            sources=self.at(loop.sources),
             member_count=len(members),
             count=len(loop.inputs),
             outputs=len(loop.outputs),
@@ -56,10 +58,10 @@ class Filler:
 
     def _fill(self, made: layout.Member, member: Member) -> None:
         made.writers, made.readers = self.program(member.writers), self.program(member.readers)
-        made.first, made.count = member.first, member.count
-        made.first_output, made.outputs = member.first_output, member.outputs
+        made.first, made.count = member.inputs.first, len(member.inputs.names)
+        made.first_output, made.outputs = member.outputs.first, len(member.outputs.names)
         made.seed, made.into = self.at(member.seed), self.at(member.into)
-        told = member.derivative
+        made.trusted, told = self.at(member.trusted), member.derivative
         if told is None:
             return
         if not isinstance(told, Derivative):

@@ -26,7 +26,7 @@ from orchestrator.slaves.fmi2 import Fmi2
 from orchestrator.slaves.fmi3 import Fmi3
 from orchestrator.slaves.library import Library
 from orchestrator.slaves.log import ERROR, Log
-from orchestrator.slaves.slave import Buffer, Call, access
+from orchestrator.slaves.slave import Buffer, access
 from orchestrator.slaves.values import address, packed, unpacked
 from orchestrator.system.interface import Interface, Value
 

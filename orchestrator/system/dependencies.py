@@ -1,9 +1,9 @@
 """In which order outputs become known at a communication point, from the declared direct feed-through.
 
 An output without feed-through is known right after the step. One with feed-through is known once the
-inputs it depends on are set. Outputs that depend on each other in a circle are one `Knot`: a loop of declared
-feed-through is an algebraic loop, which `coupling/loop.py` solves. One that exists only because an FMU does not
-declare its dependencies is carried round until nothing changes, and solved if that does not help.
+inputs it depends on are set. Outputs that depend on each other in a circle are one `Knot`, which
+`coupling/loop.py` unties: it solves a loop of declared feed-through. Where a circle exists only because an
+FMU does not declare its dependencies it carries values round, and solves only if they do not settle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from orchestrator.system.system import Connection, Port, System
 class Order:
     """stages[port]: the stages, counted from 0, in which an output is read. `notes`: remarks for the user.
 
-    knots   algebraic loops, and the stages in which they are solved; their ports are not read and set otherwise
+    knots   with the stages in which they are untied; nothing else reads their outputs and sets their inputs
     """
 
     stages: Mapping[Port, tuple[int, ...]]
@@ -54,7 +54,7 @@ def _checked(system: System, knot: Knot) -> list[str]:
     """What to say about signals of a knot that are not Real."""
     if knot.discrete:
         kind = system.variable(knot.discrete).kind
-        raise Problem(f"{knot.text}: expected Real signals, which can be solved for, got {kind} {knot.discrete}")
+        raise Problem(f"{knot.text}: expected Real signals, to be solved for, got {kind} {knot.discrete}")
     if knot.rounds == 1:
         return []
     return [f"{knot.text}; its signals that are not Real are read {knot.rounds} times per step"]

@@ -95,7 +95,8 @@ class Feedthrough:
     def _silence(self, group: list[Port], involved: list[str]) -> str:
         silent = ", ".join(sorted(str(y) for y in group if not self.declares(y)))
         whole = " and ".join(involved)
-        return f"{silent}: direct dependencies are not declared, which would make an algebraic loop of {whole}"
+        told = f"{silent}: direct dependencies are not declared"
+        return f"{told}, which would make an algebraic loop of {whole}"
 
     def _wire(self, source: Port, output: Port) -> Connection:
         """The connection by which `source` reaches `output`."""

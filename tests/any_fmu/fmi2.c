@@ -1,4 +1,4 @@
-/* The models behind FMI 2.0. Directional derivatives are left out on purpose: they are optional. */
+/* The models behind FMI 2.0. fmi2CancelStep is left out on purpose: there has to be an FMU that lacks something. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -137,6 +137,16 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     return as2(status);
 }
 
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t rows,
+                                        const fmi2ValueReference knowns[], size_t columns, const fmi2Real seed[],
+                                        fmi2Real sensitivity[]) {
+    for (size_t i = 0; i < rows; i++) {
+        sensitivity[i] = 0;
+        for (size_t j = 0; j < columns; j++) sensitivity[i] += gain(c, (int)unknowns[i], (int)knowns[j]) * seed[j];
+    }
+    return fmi2OK;
+}
+
 /* ---- steps */
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_rollback) {
@@ -146,7 +156,6 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ro
     return as2(advance(m, t, h));
 }
 
-fmi2Status fmi2CancelStep(fmi2Component c) { return as2(complain(c, FAILED, "no cancel", 0)); }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     if (kind != fmi2LastSuccessfulTime) return fmi2Discard;

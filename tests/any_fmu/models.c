@@ -9,7 +9,7 @@ int instances = 0, saved = 0;
 
 enum Model named(const char *guid) {
     static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails",
-                                  "types",  "spring", "wide",   "drift",  "glide", "quirk"};
+                                  "types",  "spring", "wide",   "drift",  "glide", "quirk", "bent"};
     for (int model = MASS_A; model < MODELS; model++)
         if (!strcmp(guid, guids[model])) return model;
     return NOBODY;
@@ -32,6 +32,7 @@ void begin(Instance *m, enum Model model, const char *name, const char *resource
     case SPRING: m->r[K_STIFFNESS] = 100; break;
     case SOURCE: m->r[S_AMPLITUDE] = 1, m->r[S_OMEGA] = 1; break;
     case GAIN: m->r[G_FACTOR] = 1; break;
+    case BENT: m->r[C_FACTOR] = 1; break;
     case FAILS: m->r[F_WHEN] = 1e9; break;
     case QUIRK: m->r[Q_GAIN] = 1, m->r[Q_WHEN] = 1e9, m->i[Q_HIGHEST] = ORDERS, m->i[Q_MUTE] = -1; break;
     case TYPES: m->r[T_GAIN] = 1; strcpy(m->s[T_LABEL], "nobody"); break;
@@ -56,6 +57,7 @@ void outputs(Instance *m) {
     case SPRING: r[K_FORCE] = r[K_STIFFNESS] * r[K_STRETCH]; break;
     case SOURCE: r[S_Y] = r[S_OFFSET] + r[S_AMPLITUDE] * sin(r[S_OMEGA] * m->time); break;
     case GAIN: r[G_Y] = r[G_FACTOR] * r[G_U] + r[G_OFFSET]; break;
+    case BENT: r[C_Y] = r[C_W] + r[C_FACTOR] * r[C_U] + r[C_BEND] * r[C_U] * r[C_U]; break;
     case TYPES:
         r[T_OUT] = r[T_GAIN] * r[T_IN];
         i[T_INT_OUT] = i[T_INT] + 1, i[T_BOOL_OUT] = !i[T_BOOL], i[T_ENUM_OUT] = i[T_ENUM], i[T_ALIVE] = instances;
@@ -121,6 +123,10 @@ int derivative(const Instance *m, int reference, double *value) {
 }
 
 double gain(const Instance *m, int output, int input) {
+    if (m->model == BENT && output == C_Y) {
+        double slopes[] = {m->r[C_FACTOR] + 2 * m->r[C_BEND] * m->r[C_U], 1, 0, m->r[C_U], m->r[C_U] * m->r[C_U]};
+        return slopes[input];
+    }
     if (m->model != GAIN || output != G_Y) return NAN;
     return input == G_U ? m->r[G_FACTOR] : input == G_FACTOR ? m->r[G_U] : 1;
 }

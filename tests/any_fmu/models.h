@@ -9,7 +9,9 @@
 #include <stddef.h>
 
 enum { REALS = 16, INTEGERS = 20, STRINGS = 4, LENGTH = 256, STATES = 2, ORDERS = 3 };
-enum Model { NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, QUIRK, MODELS };
+enum Model {
+    NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, QUIRK, BENT, MODELS
+};
 enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
 enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
 enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK };
@@ -20,6 +22,7 @@ enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING };                   /* MASS_B: x'' =
 enum { K_V, K_FORCE, K_STRETCH, K_STIFFNESS };                 /* SPRING: stretch' = v, force = k stretch */
 enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET };                   /* SOURCE: y = offset + amplitude sin(omega t) */
 enum { G_U, G_Y, G_FACTOR, G_OFFSET };                          /* GAIN: y = factor u + offset */
+enum { C_U, C_W, C_Y, C_FACTOR, C_BEND };                       /* BENT: y = w + factor u + bend u^2 */
 enum { F_U, F_Y, F_WHEN };                                      /* FAILS: y' = u, fails once t >= when */
 enum { F_HOW };
 enum { T_IN, T_OUT, T_GAIN }; /* TYPES: every output follows its input */

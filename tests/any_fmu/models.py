@@ -85,6 +85,13 @@ MODELS: Mapping[str, list[V]] = {
         V("factor", "parameter", None, 1.0),
         V("offset", "parameter", "m", 0.0),
     ],
+    "bent": [
+        V("u", "input", "m", 0.0),
+        V("w", "input", "m", 0.0),
+        V("y", "output", "m", depends=["u", "w"]),
+        V("factor", "parameter", None, 1.0),
+        V("bend", "parameter", None, 0.0),
+    ],
     "fails": [
         V("u", "input", None, 0.0),
         V("y", "output"),

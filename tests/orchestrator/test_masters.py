@@ -97,14 +97,6 @@ def test_a_chain_of_gains_passes_in_one_instant(fmus):
     assert trace["g3.y"][3] != 0
 
 
-def test_an_algebraic_loop_is_named(fmus):
-    """A loop of declared feed-through is refused with its connections."""
-    system = assemble({"p": fmus["gain"], "q": fmus["gain"]}, ["p.y -> q.u", "q.y -> p.u"])
-    with pytest.raises(Exception, match=r"algebraic loop.*p\.y -> q\.u") as caught:
-        run(system, step=0.1, stop=1.0)
-    assert "q.y -> p.u" in str(caught.value)
-
-
 @pytest.mark.parametrize("interpolates", [False, True])
 def test_driven_inputs_move_inside_the_step(fmus, interpolates):
     """An integrator follows a ramp exactly, with slopes and with the mean over each step."""

@@ -1,4 +1,4 @@
-/* Algebraic loops; see loop.py, member.py and linear.py. */
+/* Algebraic loops; see loop.py, newton.py, member.py and linear.py. */
 
 #include <math.h>
 #include <string.h>
@@ -6,7 +6,7 @@
 #include "run.h"
 
 enum { SOLVED = 0, SINGULAR = -1, STUCK = -2 };
-enum { USABLE, REAL_LOOP };       /* flags */
+enum { USABLE, CIRCULAR };        /* flags */
 enum { SOLVES, EVALUATIONS };     /* counts */
 enum { NORM, SHARE, WORST };      /* shares */
 enum { LIMIT = 20, HALVINGS = 10 };
@@ -148,7 +148,7 @@ static int linearise(Run *run, const Loop *p, int *found) {
     }
     for (int32_t k = 0; k < p->member_count; k++) {
         const Member *m = &p->members[k];
-        const int verdict = m->derivative ? told(run, p, m) : measured(run, p, m);
+        const int verdict = *m->trusted ? told(run, p, m) : measured(run, p, m);
         if (verdict) return verdict;
     }
     for (int32_t i = 0; i < n; i++)
@@ -205,12 +205,12 @@ static int find(Run *run, const Loop *p, int *how) {
     *how = SOLVED;
     memset(p->scale, 0, (size_t)p->count * sizeof *p->scale);
     p->counts[SOLVES]++;
-    if (p->sweeps && !p->flags[REAL_LOOP]) {
+    if (p->sweeps && !p->flags[CIRCULAR]) {
         int settled = 0;
         copy(p, p->start, p->u);
         const int verdict = carry_round(run, p, &settled);
         if (verdict || settled) return verdict;
-        p->flags[REAL_LOOP] = 1;
+        p->flags[CIRCULAR] = 1;
         copy(p, p->u, p->start);
     }
     int verdict = evaluate(run, p);

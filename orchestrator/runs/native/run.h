@@ -39,13 +39,14 @@ typedef struct {
 
 typedef struct { /* see member.py */
     Program writers, readers;
-    void *derivative, *component; /* NULL: by differences */
+    void *derivative, *component;
+    const int32_t *trusted; /* whether the derivative is used */
     const uint32_t *of, *by;
     double *seed, *into;
     int32_t fmi, first, count, first_output, outputs;
 } Member;
 
-typedef struct { /* see loop.py */
+typedef struct { /* see newton.py */
     const Member *members;
     double *u, *y, *g, *residual, *step, *before, *start, *scale, *unit, *seen, *slopes, *matrix, *shares;
     const int64_t *source, *targets, *sources;

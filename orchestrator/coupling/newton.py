@@ -1,0 +1,181 @@
+"""Newton's method for the inputs of an algebraic loop; native/loop.c does the same, operation by operation.
+
+The unknowns u are the inputs of a loop. The FMUs make outputs y of them, and the connections should make the
+same inputs of those:
+
+    r(u) = u - g(u) = 0,   g_i = factor_i y_k(u) + offset_i                  r_i in the unit of u_i
+
+A step d of Newton's method solves  dr/du d = r  and goes from u to u - d. dy/du comes from directional
+derivatives where an FMU has them, else from differences, one input after the other. The Jacobian is kept, to
+the next communication point, too, as long as the residual falls fast with it. A step that does not make the
+residual smaller is halved.
+
+Where nobody declared a loop, values are first carried round: without one they settle, exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+import numpy as np
+
+from orchestrator.coupling.linear import factorised, solve
+from orchestrator.coupling.member import Member
+from orchestrator.slaves.slave import Buffer
+
+# Residuals as shares of the magnitude of the input: its largest value until now, or its nominal value.
+NEAR = 1e-10  # wanted: below the error of any coupling, above the rounding of a model in double precision
+ENOUGH = 1e-6  # accepted where no step makes it smaller: single precision, or an FMU that iterates inside
+LIMIT = 20  # steps; Newton's method doubles the digits with each, so this is long after it failed
+FAST = 0.1  # a kept Jacobian is good while each step takes away nine tenths of the residual
+HALVINGS = 10  # of a step; then its direction is wrong
+SOLVED, SINGULAR, STUCK = 0, -1, -2
+USABLE, CIRCULAR = 0, 1  # flags: there is a Jacobian; values that were carried round did not settle
+SOLVES, EVALUATIONS = 0, 1  # counts
+NORM, SHARE, WORST = 0, 1, 2  # residuals: over the magnitude at first; over the one now; largest accepted
+
+Wire = tuple[int, float, float]  # number of an output, factor and offset from there to an input
+
+
+class Newton:
+    """Solves for `u`, from where it is. All that lasts stands in arrays, which C uses, too.
+
+    u, y, g, residual   inputs, outputs, what these make of the inputs, and the difference; shapes (n,), (m,)
+    seen, unit          magnitudes of the inputs: largest so far; those that the Jacobian is made for
+    """
+
+    def __init__(
+        self, u: Buffer, y: Buffer, members: Sequence[Member], wires: Sequence[Wire], seen: Buffer
+    ) -> None:
+        """seen: magnitudes of the inputs that are known before."""
+        n, m = len(u), len(y)
+        self.members, self.wires = members, wires
+        self.u, self.y, self.seen = u, y, seen
+        self.source = np.array([k for k, _, _ in wires], np.int64)
+        self.factor, self.offset = (np.array([w[i] for w in wires]) for i in (1, 2))
+        self.g, self.residual, self.step, self.before = (np.zeros(n) for _ in range(4))
+        self.start, self.scale, self.unit = (np.zeros(n) for _ in range(3))
+        self.slopes, self.matrix, self.rows = np.zeros((m, n)), np.zeros((n, n)), np.zeros(n, np.int32)
+        self.flags, self.counts, self.shares = np.zeros(2, np.int32), np.zeros(2, np.int64), np.zeros(3)
+
+    def begin(self, trusts: bool) -> None:
+        """Start at what the inputs of the FMUs are. trusts: use their derivatives, where they prove right."""
+        for member in self.members:
+            member.start()
+        self._evaluate()
+        self._measure_units()
+        for member in self.members:
+            if trusts:
+                member.trust(self.unit)
+            else:
+                member.trusted[0] = 0
+        self.counts[:] = 0
+
+    def solve(self, sweeps: int) -> int:
+        """SOLVED, or why not. sweeps: how often values are carried round before."""
+        self.scale[:] = 0.0
+        self.counts[SOLVES] += 1
+        if sweeps and not self.flags[CIRCULAR]:
+            self.start[:] = self.u
+            if self._carry_round(sweeps):
+                return self._accept()
+            self.flags[CIRCULAR] = 1
+            self.u[:] = self.start
+        self._evaluate()
+        verdict = self._iterate()
+        return self._accept() if self.shares[SHARE] <= ENOUGH and verdict != SINGULAR else verdict
+
+    def _carry_round(self, sweeps: int) -> bool:
+        """Set the inputs to what the outputs make of them, until that changes nothing."""
+        for _ in range(sweeps):
+            self._evaluate()
+            if self.shares[SHARE] == 0.0:
+                return True
+            self.u[:] = self.g
+        self._evaluate()
+        return bool(self.shares[SHARE] <= NEAR)
+
+    def _iterate(self) -> int:
+        """From an evaluated start to where the residual is small, or no longer becomes smaller."""
+        fresh = False
+        for _ in range(LIMIT):
+            if self.shares[SHARE] <= NEAR:
+                return SOLVED
+            if not self.flags[USABLE]:
+                if not self._linearise():
+                    return SINGULAR
+                fresh = True
+            norm = float(self.shares[NORM])
+            better = self._descend(norm, fresh)
+            if fresh and not better:
+                return STUCK
+            self.flags[USABLE] = better and self.shares[NORM] <= FAST * norm
+            fresh = False
+        return SOLVED if self.shares[SHARE] <= NEAR else STUCK
+
+    def _descend(self, norm: float, fresh: bool) -> bool:
+        """Take a step, so long that the residual becomes smaller; with an old Jacobian try it only once."""
+        unit, residual = self.unit.tolist(), self.residual.tolist()
+        step = [r / w for r, w in zip(residual, unit, strict=True)]
+        solve(self.matrix.tolist(), self.rows.tolist(), step)
+        self.step[:] = [d * w for d, w in zip(step, unit, strict=True)]
+        self.before[:] = self.u
+        size = 1.0
+        for _ in range(HALVINGS if fresh else 1):
+            before, step = self.before.tolist(), self.step.tolist()
+            self.u[:] = [a - size * d for a, d in zip(before, step, strict=True)]
+            self._evaluate()
+            if self.shares[NORM] < norm:
+                return True
+            size *= 0.5
+        self.u[:] = self.before
+        self._evaluate()
+        return False
+
+    def _evaluate(self) -> None:
+        """The outputs that belong to the inputs, and the residual."""
+        for member in self.members:
+            member()
+        self.counts[EVALUATIONS] += 1
+        norm = share = 0.0
+        y = self.y.tolist()
+        for i, (u, (k, factor, offset)) in enumerate(zip(self.u.tolist(), self.wires, strict=True)):
+            g = y[k] * factor + offset
+            r = u - g
+            self.g[i], self.residual[i] = g, r
+            if not abs(r) < inf:
+                norm = share = inf
+            elif r != 0.0:
+                size = max(float(self.seen[i]), abs(u), abs(g))
+                if self.scale[i] == 0.0:
+                    self.scale[i] = size
+                norm, share = max(norm, abs(r) / float(self.scale[i])), max(share, abs(r) / size)
+        self.shares[NORM], self.shares[SHARE] = norm, share
+
+    def _measure_units(self) -> None:
+        """The magnitudes of the inputs."""
+        for i, u in enumerate(self.u.tolist()):
+            size = max(float(self.seen[i]), abs(u))
+            self.unit[i] = 1.0 if size == 0.0 else size
+
+    def _linearise(self) -> bool:
+        """Find the Jacobian, of residuals and inputs over their magnitudes, and its factors."""
+        self._measure_units()
+        for member in self.members:
+            member.slope(self.unit, self.slopes)
+        unit, slopes = self.unit.tolist(), self.slopes.tolist()
+        matrix = [
+            [float(i == j) - factor * slopes[k][j] * unit[j] / unit[i] for j in range(len(unit))]
+            for i, (k, factor, _) in enumerate(self.wires)
+        ]
+        rows = [0] * len(unit)
+        found = factorised(matrix, rows)
+        self.matrix[:], self.rows[:] = matrix, rows
+        return found
+
+    def _accept(self) -> int:
+        for i, u in enumerate(self.u.tolist()):
+            self.seen[i] = max(float(self.seen[i]), abs(u))
+        self.shares[WORST] = max(float(self.shares[WORST]), float(self.shares[SHARE]))
+        return SOLVED

@@ -1,0 +1,317 @@
+"""Algebraic loops through direct feed-through are found, solved and told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from any_fmu.models import Workshop
+
+from orchestrator import Problem, assemble, run
+from orchestrator.coupling.initialise import initialise
+from orchestrator.coupling.linear import factorised, solve
+from orchestrator.coupling.settings import Coupling
+from orchestrator.files.archive import Location
+from orchestrator.runs.simulation import RunFailed, open_slave
+from orchestrator.slaves.fmu import FmuSlave
+from orchestrator.system.dependencies import output_order
+from orchestrator.system.description import read_interface
+
+# Solutions are as good as the residual, 1e-10 of the magnitude, times what the loop makes of it, at most 5.
+CLOSE = 1e-9
+PAIR = ["p.y -> q.u", "q.y -> p.u"]
+
+
+@pytest.fixture(params=[False, True], ids=["differences", "directional"])
+def told(request) -> bool:
+    """Do the FMUs offer directional derivatives?"""
+    return bool(request.param)
+
+
+def able(fmus: Workshop, model: str, told: bool, slopes: bool = True) -> Path:
+    """An FMU with or without directional derivatives, and with or without slopes of its outputs."""
+    word = "providesDirectionalDerivative" + ("s" if fmus.fmi == 3 else "")
+    abilities = {word: str(told).lower(), "maxOutputDerivativeOrder": int(slopes)}
+    return fmus.make(model, f"{model}_{told}_{slopes}", able=abilities)
+
+
+def forced(fmus: Workshop, told: bool, there: float, back: float, bend: float = 0.0, slopes: bool = True):
+    """p.y = w + there p.u + bend p.u^2 with w = 2 + sin t, and p.u = back p.y."""
+    files = {"s": able(fmus, "source", True, slopes)}
+    files |= {"p": able(fmus, "bent", told, slopes), "q": able(fmus, "gain", told, slopes)}
+    start = {"s.offset": 2.0, "p.factor": there, "p.bend": bend, "q.factor": back}
+    return assemble(files, ["s.y -> p.w", *PAIR], start)
+
+
+def root(trace, there: float, back: float, bend: float):
+    """The solution near w: y = w + a y + c y^2 with a = there back and c = bend back^2."""
+    w, a, c = trace["s.y"], there * back - 1, bend * back**2
+    return -2 * w / (a - np.sqrt(a * a - 4 * c * w)) if c else -w / a
+
+
+# ---- solutions
+
+
+@pytest.mark.parametrize(("there", "back"), [(0.5, 0.5), (3.0, -2.0), (3.0, 2.0), (-1e4, 1e3)])
+def test_linear_loops_are_solved_at_every_point(each, told, there, back):
+    """Also where carrying values round would make them grow, and at the first point."""
+    result = run(forced(each, told, there, back), step=0.1, stop=2.0)
+    exact = result.trace["s.y"] / (1 - there * back)
+    np.testing.assert_allclose(result.trace["p.y"], exact, rtol=CLOSE)
+    np.testing.assert_allclose(result.trace["p.u"], back * exact, rtol=CLOSE)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_a_loop_that_is_not_linear_is_solved(each, told, master):
+    """The root that follows from the one before is found at each point."""
+    system = forced(each, told, 0.5, -1.0, -0.2)
+    trace = run(system, master=master, step=0.1, stop=5.0).trace
+    np.testing.assert_allclose(trace["p.y"], root(trace, 0.5, -1.0, -0.2), rtol=CLOSE)
+
+
+def test_hermite_solves_loops(each, told):
+    """With several passes per step and sources whose slopes follow from values."""
+    system = forced(each, told, 0.5, -1.0, -0.2, slopes=False)
+    trace = run(system, master=Coupling("hermite"), step=0.1, stop=1.0).trace
+    np.testing.assert_allclose(trace["p.y"], root(trace, 0.5, -1.0, -0.2), rtol=CLOSE)
+
+
+def test_units_are_converted_inside_a_loop(each):
+    """A wire with factor 1e5 and one with an offset of 273.15 K: the solution of the two equations."""
+    files = {"p": each.make("gain", "warm", units={"u": "Pa", "y": "K", "offset": "K"})}
+    files |= {"q": each.make("gain", "pressed", units={"u": "degC", "y": "bar", "offset": "bar"})}
+    start = {"p.factor": 2e-5, "p.offset": 280.0, "q.factor": -3.0, "q.offset": 5.0}
+    trace = run(assemble(files, PAIR, start), step=0.1, stop=0.3).trace
+    # y_p = 2e-5 * 1e5 * y_q + 280 and y_q = -3 (y_p - 273.15) + 5
+    kelvin = (2 * (3 * 273.15 + 5) + 280) / 7
+    np.testing.assert_allclose(trace["p.y"], kelvin, rtol=CLOSE)
+    # differences of kelvins: 1e-10 of 300 K is 1e-8 of 3 K
+    np.testing.assert_allclose(trace["q.u"], kelvin - 273.15, rtol=1e-7)
+    np.testing.assert_allclose(trace["p.u"], 1e5 * (5 - 3 * (kelvin - 273.15)), rtol=1e-7)
+
+
+def test_three_components_in_one_loop(each, told):
+    """y1 = 2 y3 + 1, y2 = 3 y1, y3 = -y2 + 1, with a branch of the loop that leads nowhere."""
+    files = {name: able(each, "gain", told) for name in ("a", "b", "c", "out")}
+    wires = ["a.y -> b.u", "b.y -> c.u", "c.y -> a.u", "b.y -> out.u"]
+    start = {"a.factor": 2.0, "a.offset": 1.0, "b.factor": 3.0, "c.factor": -1.0, "c.offset": 1.0}
+    trace = run(assemble(files, wires, start), step=0.1, stop=0.3).trace
+    for name, exact in {"a": 3 / 7, "b": 9 / 7, "c": -2 / 7, "out": 9 / 7}.items():
+        np.testing.assert_allclose(trace[f"{name}.y"], exact, rtol=CLOSE)
+
+
+def test_a_component_in_a_loop_with_itself(each, told):
+    """y = 3 u + 1 and u = -2 y."""
+    system = assemble(
+        {"a": able(each, "gain", told)}, [("a.y", "a.u", -2.0)], {"a.factor": 3.0, "a.offset": 1.0}
+    )
+    np.testing.assert_allclose(run(system, step=0.1, stop=0.3).trace["a.y"], 1 / 7, rtol=CLOSE)
+
+
+def test_two_loops_one_behind_the_other_and_a_stage_after_them(each, told):
+    """The first loop drives the second, whose output goes through one more gain at the same instant."""
+    files = {"s": each["source"], "after": each["gain"]}
+    files |= {name: able(each, "bent", told) for name in ("p", "r")}
+    files |= {name: able(each, "gain", told) for name in ("q", "t")}
+    wires = ["t.y -> after.u", "r.y -> t.u", "t.y -> r.u", "q.y -> r.w", *PAIR, "s.y -> p.w"]
+    start = {"q.factor": -6.0, "r.factor": 4.0, "t.factor": 2.0, "after.factor": 0.5}
+    system = assemble(files, wires, start)
+    result = run(system, step=0.1, stop=1.0)
+    first = -6 * result.trace["s.y"] / 7
+    for name, exact in {"q.y": first, "t.y": -2 * first / 7, "after.y": -first / 7}.items():
+        # values begin at 0, where the residual is compared with the largest so far
+        np.testing.assert_allclose(result.trace[name], exact, rtol=0, atol=CLOSE)
+    assert [stages for _, stages in output_order(system).knots] == [(1,), (2,)]
+    assert sum("algebraic loop" in note for note in result.card.notes) == 2
+
+
+def test_single_precision_is_as_good_as_it_can_be(fmus3):
+    """A loop through Float32: the residual stays at their rounding, which is told."""
+    files = {"p": fmus3["bent"], "w": fmus3["wide"]}
+    wires = ["p.y -> w.float32_in", "w.float32_out -> p.u"]
+    result = run(assemble(files, wires, {"p.factor": -2.0, "p.w": 1.0}), step=0.1, stop=1.0)
+    # half a unit in the last place of a float is 6e-8; the loop makes at most 3 of it
+    np.testing.assert_allclose(result.trace["p.y"], 1 / 3, rtol=2e-7)
+    assert "residual at most" in result.card.notes[-1]
+
+
+# ---- what is told
+
+
+def test_the_card_tells_loop_and_method(each, told):
+    """Which connections, how solved, with how many evaluations, how well."""
+    result = run(forced(each, told, 3.0, -2.0), step=0.1, stop=1.0)
+    method = "directional derivatives" if told else "differences"
+    note = result.card.notes[-1]
+    assert note.startswith("algebraic loop ")
+    assert "p.y -> q.u" in note
+    assert "q.y -> p.u" in note
+    assert f"Newton's method with {method}, " in note
+    # the Jacobian of a linear loop is kept: one evaluation, and one after a step, except at first
+    assert "1.9 evaluations each" in note
+
+
+def test_wrong_derivatives_are_not_used(fmus3):
+    """The mass declares directional derivatives and answers NaN: it gets differences."""
+    files = {"m": fmus3["mass_a"], "g": fmus3.make("gain", "soft", units={"u": "N"})}
+    wires = ["m.force -> g.u", "g.y -> m.x2"]
+    result = run(assemble(files, wires, {"g.factor": -0.05}), step=0.01, stop=0.1)
+    exact = -100 * result.trace["m.x"] / 6  # F = 100 (-0.05 F - x)
+    np.testing.assert_allclose(result.trace["m.force"], exact, rtol=CLOSE, atol=1e-12)
+    assert "with differences and directional derivatives" in result.card.notes[-1]
+
+
+# ---- initialisation
+
+
+def test_loops_are_solved_in_initialisation_mode(each, told):
+    """Inputs and outputs fit before the first step."""
+    system = forced(each, told, 3.0, -2.0, 0.1)
+    slaves = {name: open_slave(component) for name, component in system.components.items()}
+    initialise(system, slaves, {}, (0.0, 1.0))
+    y = slaves["p"].get("y")
+    # y = 2 - 6 y + 0.4 y^2
+    assert y == pytest.approx((7 - np.sqrt(49 - 3.2)) / 0.8, rel=CLOSE)
+    assert slaves["p"].get("u") == pytest.approx(-2 * y, rel=CLOSE)
+    for slave in slaves.values():
+        slave.close()
+
+
+# ---- no solution
+
+
+def test_a_loop_without_solution_is_named(each, told):
+    """One line with the connections: y = y + 1."""
+    system = assemble({n: able(each, "gain", told) for n in "pq"}, PAIR, {"p.offset": 1.0})
+    with pytest.raises(Problem, match=r"algebraic loop .*p\.y -> q\.u.*: no solution at t = 0 s") as caught:
+        run(system, step=0.1, stop=1.0)
+    assert "q.y -> p.u" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_a_loop_that_loses_its_solution_ends_the_run(each, told, native):
+    """y = w + y^2 / 4 has none above w = 1: the run keeps what is before, and tells time and residual."""
+    system = forced(each, told, 0.0, 1.0, 0.25).with_start({"s.offset": 0.5})
+    with pytest.raises(
+        RunFailed, match=r"algebraic loop .*: no solution at t = 0\.5 s.*residual of"
+    ) as caught:
+        run(system, step=0.1, stop=2.0, native=native)
+    assert caught.value.result.trace.time[-1] == pytest.approx(0.5)  # sin 0.5 < 0.5 < sin 0.6
+
+
+def test_a_loop_of_numbers_that_are_not_numbers_is_told(fmus):
+    """An output that is NaN is named."""
+    with pytest.raises(Problem, match=r"algebraic loop .*: no solution at t = 0 s: p\.y is nan"):
+        run(forced(fmus, False, 1.0, 0.5).with_start({"p.factor": float("nan")}), step=0.1, stop=1.0)
+
+
+def test_a_loop_of_whole_numbers_is_refused(each):
+    """Nothing between two integers can be solved for."""
+    files = {name: each["types"] for name in "ab"}
+    with pytest.raises(
+        Problem, match=r"algebraic loop .*expected Real signals, .* got Integer [ab]\.int_out"
+    ):
+        run(assemble(files, ["a.int_out -> b.int_in", "b.int_out -> a.int_in"]), step=0.1, stop=1.0)
+
+
+# ---- undeclared dependencies
+
+
+def test_a_loop_that_nobody_declared_is_solved(each):
+    """Where values carried round do not settle there is a loop, and the note tells that it was solved."""
+    files = {name: each.make("gain", f"silent_{name}", undeclared=True) for name in "pq"}
+    result = run(
+        assemble(files, PAIR, {"p.factor": 3.0, "p.offset": 1.0, "q.factor": -2.0}), step=0.1, stop=1.0
+    )
+    np.testing.assert_allclose(result.trace["p.y"], 1 / 7, rtol=CLOSE)
+    assert "direct dependencies are not declared" in result.card.notes[-1]
+    assert "Newton's method" in result.card.notes[-1]
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_whole_numbers_that_only_seem_to_be_in_a_loop(each, native):
+    """Without declarations integers look as if they were in the loop: it is solved, and they pass through."""
+    files = {name: each.make("types", f"silent_{name}", undeclared=True) for name in "ab"}
+    files["c"] = each.make("bent", "silent_c", undeclared=True)
+    wires = ["a.real_out -> b.real_in", "b.real_out -> c.u", "c.y -> a.real_in", "a.int_out -> b.int_in"]
+    start = {"a.gain": 3.0, "b.gain": -2.0, "c.w": 1.0, "a.int_in": 4}
+    result = run(assemble(files, wires, start), step=0.1, stop=1.0, native=native)
+    np.testing.assert_allclose(result.trace["c.y"], 1 / 7, rtol=CLOSE)
+    np.testing.assert_array_equal(result.trace["b.int_out"], 6)
+    assert any("not Real are read 4 times per step" in note for note in result.card.notes)
+
+
+# ---- the same in C
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
+def test_python_and_c_agree_bit_for_bit(each, told, master):
+    """1000 steps of a loop that is not linear, with all signals."""
+    system = forced(each, told, 0.5, -1.0, -0.2, slopes=False)
+    fast, slow = (run(system, master=master, step=0.02, stop=20.0, native=n) for n in (True, False))
+    assert len(fast.trace.time) == 1001
+    for name, values in slow.trace.signals.items():
+        np.testing.assert_array_equal(fast.trace[name], values)
+    assert fast.card.notes == slow.card.notes
+
+
+@pytest.mark.parametrize("undeclared", [False, True])
+def test_python_and_c_agree_on_loops_of_several(each, undeclared):
+    """Two nested loops that are not linear."""
+    files = {"s": each["source"]}
+    files |= {n: each.make("bent", f"{n}_{undeclared}", undeclared=undeclared) for n in "abc"}
+    wires = ["a.y -> b.u", "b.y -> c.u", "c.y -> a.u", ("b.y", "a.w", -40.0), "s.y -> b.w", "a.y -> c.w"]
+    start = {
+        "a.bend": 0.3,
+        "b.factor": 5.0,
+        "c.factor": -3.0,
+        "c.bend": 0.05,
+        "s.offset": 0.5,
+        "s.amplitude": 3.0,
+    }
+    system = assemble(files, wires, start)
+    fast, slow = (run(system, step=0.02, stop=20.0, native=n) for n in (True, False))
+    for name, values in slow.trace.signals.items():
+        np.testing.assert_array_equal(fast.trace[name], values)
+    y = {n: slow.trace[f"{n}.y"] for n in "abc"}
+    np.testing.assert_allclose(y["b"], slow.trace["s.y"] + 5 * y["a"], rtol=0, atol=1e-7)  # 1e-10 of 100
+    np.testing.assert_allclose(y["a"], y["c"] + 0.3 * y["c"] ** 2 - 40 * y["b"], rtol=0, atol=1e-6)
+
+
+# ---- linear equations
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_linear_equations(n):
+    """The solution fits, also where the diagonal is empty."""
+    random = np.random.default_rng(n)
+    matrix, right = random.normal(size=(n, n)), random.normal(size=n)
+    if n > 1:
+        matrix[np.arange(n), np.arange(n)] = 0.0
+    factors, rows, found = matrix.tolist(), [0] * n, right.tolist()
+    assert factorised(factors, rows)
+    solve(factors, rows, found)
+    # rounding times the condition of these matrices, below 100
+    np.testing.assert_allclose(matrix @ found, right, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("matrix", [[[0.0]], [[1.0, 2.0], [2.0, 4.0]], [[float("nan"), 1.0], [1.0, 1.0]]])
+def test_equations_without_a_solution_are_seen(matrix):
+    """Singular, and not a number."""
+    assert not factorised(matrix, [0] * len(matrix))
+
+
+def test_derivatives_in_fmi2(fmus):
+    """y = w + factor u + bend u^2 along a direction of u and w."""
+    bent = Location(able(fmus, "bent", True))
+    slave = FmuSlave("it", read_interface(bent), bent)
+    assert slave.interface.directional
+    slave.setup(0.0, 1.0, None)
+    slave.enter()
+    slave.writer(["u", "bend"], np.array([3.0, 0.5]))()
+    seed, into = np.array([1.0, 10.0]), np.zeros(1)
+    slave.derivative(["y"], ["u", "w"], seed, into)()
+    assert into[0] == 1.0 + 2 * 0.5 * 3.0 + 10.0
+    slave.close()
