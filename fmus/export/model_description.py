@@ -133,11 +133,12 @@ def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
     """Writes the variables; returns their index by name, counted from 1."""
     parent = etree.SubElement(root, "ModelVariables")
     index = {v.name: i for i, v in enumerate(face.variables, start=1)}
+    derived = {f"der_{v.name}": index[v.name] for v in face.states}
+    derived |= {v.quantity.rate: index[v.name] for v in face.inputs if v.quantity.rate}
     for v in face.variables:
-        state = index[v.name.removeprefix("der_")] if v.kind == "DERIVATIVE" else None
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
         element = etree.SubElement(parent, "ScalarVariable", attributes | causality(v))
-        etree.SubElement(element, "Real", _real(v, state))
+        etree.SubElement(element, "Real", _real(v, derived.get(v.name)))
     return index
 
 
@@ -154,8 +155,9 @@ def causality(v: Variable) -> dict[str, str]:
     }
 
 
-def _real(v: Variable, state: int | None) -> dict[str, str]:
-    return numbers(v) | ({"derivative": str(state)} if state is not None else {})
+def _real(v: Variable, derived: int | None) -> dict[str, str]:
+    """derived: the index of the state, or of the input, whose time derivative this is."""
+    return numbers(v) | ({"derivative": str(derived)} if derived is not None else {})
 
 
 def numbers(v: Variable) -> dict[str, str]:

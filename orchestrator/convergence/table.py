@@ -30,7 +30,11 @@ class Text:
 
 def share(value: float) -> str:
     """A pure number with two digits, such as 6.4e-5."""
-    return f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e+")
+    return _short(f"{value:.1e}")
+
+
+def _short(number: str) -> str:
+    return number.replace("e-0", "e-").replace("e+0", "e+")
 
 
 def duration(step: float) -> str:
@@ -54,7 +58,7 @@ def maximum(study: Study, group: str) -> Text:
 
     def cell(row: Row) -> str:
         error = row.maximum(group)
-        return f"{error.maximum * linear(error.unit, finer(unit), error.signal)[0]:.2g}"
+        return _short(f"{error.maximum * linear(error.unit, finer(unit), error.signal)[0]:.2g}")
 
     return _text(study, f"{group}: largest difference [{finer(unit) or '1'}] from {study.truth.title}", cell)
 

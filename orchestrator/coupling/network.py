@@ -168,8 +168,10 @@ class Network:
         known = self.system.connections if plan.watches else plan.moved
         found = [c for c in known if self._continuous(c.target) and self._continuous(c.source)]
         found = [c for c in found if self.system.variable(c.target).causality == "input"]
+        inert = {name: slave.interface.inert for name, slave in self.slaves.items()}
+        found = [c for c in found if c.target.variable not in inert[c.target.component]]
         moved = {c.target for c in plan.moved}
-        self.carried = self._carried({c.target for c in found} & moved)
+        self.carried = self._carried({c.target for c in found})
         wired = {c.target: c for c in found if c.target not in self.carried}
         driven = self.driver.moving if self.driver else []
         told = self._read_slopes([c.source for c in wired.values()] if plan.sloped else [])
@@ -207,7 +209,7 @@ class Network:
     ) -> Signal:
         """An input that moves; without `moved` one that is only watched."""
         slave, target = self.slaves[port.component], self.real.index[port]
-        scale = abs(self.system.variable(port).nominal or 0.0)
+        scale = abs(self.system.variable(port).nominal or 1.0)  # the standard says: 1 if not declared
         if wire is None:
             return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, slave.follows(port.variable, 1), 1, scale=scale)
         rated = Port(port.component, slave.interface.rates.get(port.variable, "")) in self.real.index
@@ -223,9 +225,13 @@ class Network:
             wanted=wanted,
             order=plan.order if moved else min(1, plan.order + rated),
             free=not self.system.components[wire.source.component].interface.of("input"),
-            matters=float(slave.interface.remembers(port.variable)),
+            matters=float(slave.interface.matters(port.variable, self._sources(port.component))),
             scale=scale,
         )
+
+    def _sources(self, component: str) -> set[str]:
+        """Outputs of a component that feed others."""
+        return {c.source.variable for c in self.connections if c.source.component == component}
 
     def _read_slopes(self, sources: Iterable[Port]) -> dict[Port, int]:
         """Arrange for the slopes of outputs to be read; returns their places among `slopes`."""

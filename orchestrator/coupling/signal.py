@@ -24,7 +24,7 @@ class Signal:
     order             at which the source is continued
     free              the source has no inputs: it may have corners, but nothing depends on passes
     matters           1, or 0 for an input that nothing depends on: its error is none
-    scale             magnitude: the nominal value, or the largest value seen if that is larger
+    scale             magnitude: the nominal value (1 if none is declared), or the largest seen if larger
     known             how far back the past is known: a source is continued at most at this order
     value, slope0     at the beginning of the step, in the input's unit
     value1, slope1    at its end, as far as it is known

@@ -37,6 +37,14 @@ class Sweep:
             if plan.passes > 1 and self._miss(h) <= plan.tolerance:
                 break
 
+    @property
+    def power(self) -> int:
+        """The power of the step that the estimate of the error goes with."""
+        if self.plan.passes > 1:
+            return self.plan.degree + 1
+        order = max((s.order for s in self.network.signals), default=0)
+        return order + (2 if self.plan.corrected else 1)
+
     def error(self, h: float) -> float:
         """How far the inputs of the step were from the truth: the worst, as a share of its magnitude."""
         worst, repeated = 0.0, self.plan.passes > 1

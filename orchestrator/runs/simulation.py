@@ -209,7 +209,7 @@ class _Job:
         if c.adaptive is None:
             return None, False, 1.0
         rolls = all(component.interface.rollback for component in self.system.components.values())
-        pace = Pace(times.first, sweep.plan.power, c.smallest, c.largest, rolls)
+        pace = Pace(times.first, sweep.power, c.smallest, c.largest, rolls)
         return pace, c.control == "energy", c.adaptive
 
     def _left_out(self) -> tuple[str, ...]:

@@ -77,6 +77,7 @@ def _interface(description: Any, root: Any) -> Interface:
         only_one="canBeInstantiatedOnlyOncePerProcess" in able,
         varies="canHandleVariableCommunicationStepSize" in able,
         stateless=description.modelExchange is not None and not description.derivatives,
+        inert=frozenset(inputs - _needed(description, inputs)),
         directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
         start=_number(experiment, "startTime"),
@@ -111,6 +112,16 @@ def _check(variables: Mapping[str, Variable], refused: Mapping[str, str], declar
         unit = v.unit if v.causality == "independent" else None
         if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND, 1, 0):
             raise Problem(f"{v.name}: expected time in seconds, got {unit}")
+
+
+def _needed(description: Any, inputs: Collection[str]) -> set[str]:
+    """The inputs that states or outputs depend on, as far as the FMU declares it."""
+    if description.modelExchange is None:
+        return set(inputs)
+    unknowns = [*description.derivatives, *description.outputs]
+    if any(u.dependencies is None for u in unknowns):
+        return set(inputs)
+    return {d.name for u in unknowns for d in u.dependencies}
 
 
 def _names(variables: Iterable[Variable], fmi: int) -> Mapping[str, Collection[str]]:

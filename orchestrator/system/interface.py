@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.errors import Unsupported
@@ -71,6 +71,7 @@ class Interface:
     only_one      only one instance of it may exist in a process
     varies        it takes steps of any length; else all have to be of the same
     stateless     it declares, for model exchange, that it has no continuous states
+    inert         inputs that, as it declares, neither a state nor an output depends on after the start
     directional   it offers directional derivatives
     start, step, stop, tolerance   of the experiment that the FMU suggests
     version, tool, text   of the FMU: its version, what made it, its description
@@ -91,6 +92,7 @@ class Interface:
     only_one: bool = False
     varies: bool = True
     stateless: bool = False
+    inert: frozenset[str] = frozenset()
     directional: bool = False
     categories: tuple[str, ...] = ()
     start: float | None = None
@@ -117,9 +119,9 @@ class Interface:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return known
 
-    def remembers(self, variable: str) -> bool:
-        """False for an input that nothing depends on: no output directly, and there is no state."""
-        return not self.stateless or any(variable in self.depends(y.name) for y in self.of("output"))
+    def matters(self, variable: str, outputs: Iterable[str]) -> bool:
+        """False for an input that none of these outputs depends on: not directly, and there is no state."""
+        return not self.stateless or any(variable in self.depends(y) for y in outputs)
 
     @property
     def sloped(self) -> frozenset[str]:

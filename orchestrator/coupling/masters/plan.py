@@ -40,13 +40,6 @@ class Plan:
         """Are the slopes of sources wanted?"""
         return self.order > 0 or self.degree > 1 or self.corrected or self.watches
 
-    @property
-    def power(self) -> int:
-        """The power of the step that the estimate of the error goes with."""
-        if self.passes > 1:
-            return self.degree + 1
-        return self.order + (2 if self.corrected else 1)
-
 
 def turns(system: System) -> list[int]:
     """The order, by number, in which components step one after the other."""
