@@ -15,7 +15,10 @@ class Unsupported(Problem):
 
 
 class Discarded(Problem):
-    """An FMU did only part of a step: up to `reached` [s], NaN if it does not say."""
+    """An FMU did only part of a step: up to `reached` [s], NaN if it does not say.
+
+    An error in a step counts as one: both versions of FMI allow to go on from a state saved before.
+    """
 
     reached = float("nan")
 

@@ -90,6 +90,8 @@ class Compiled(March):
                 self._steppings[part].judge(status)
         except Discarded as problem:
             self._problem, self._run.reached = problem, problem.reached
+            if self.keeps:
+                self._network.parts[part].slave.log.withdraw()
             return layout.DISCARDED
         except BaseException as problem:
             self._problem = problem

@@ -113,6 +113,8 @@ class March:
         shorter = reached if LEAST * h < reached < h else 0.5 * h
         if not self.keeps or shorter <= LEAST * self._times.step:
             return False
+        for slave in self._network.slaves.values():
+            slave.log.withdraw()
         self._network.restore(self.t)
         self._shorter = shorter
         return True

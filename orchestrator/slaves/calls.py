@@ -9,7 +9,7 @@ from typing import Any
 
 from orchestrator.errors import Discarded, Ended, Problem
 from orchestrator.slaves.library import Library
-from orchestrator.slaves.log import FATAL, STATUS, WARNING, Log
+from orchestrator.slaves.log import DISCARD, FATAL, STATUS, WARNING, Log
 from orchestrator.slaves.slave import Call
 
 
@@ -96,7 +96,8 @@ def stopped(calls: Calls, status: int, reached: float, ended: bool) -> Discarded
         text = f"asks to end the simulation at t = {reached:.9g} s"
         problem: Discarded | Ended = Ended(calls.told("the step", f"is the last: the FMU {text}"))
     else:
-        text = f"with status {label(status)} (the FMU got as far as t = {reached:.9g} s)"
-        problem = Discarded(calls.told("the step failed", text))
+        far = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
+        problem = Discarded(calls.told("the step failed", f"with status {label(status)}{far}"))
+        calls.worst = max(calls.worst, status)
     problem.reached = reached
     return problem

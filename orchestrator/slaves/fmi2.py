@@ -11,7 +11,7 @@ from orchestrator.errors import Problem
 from orchestrator.slaves.callbacks import Environment, callbacks2
 from orchestrator.slaves.calls import Calls, stopped
 from orchestrator.slaves.library import Library
-from orchestrator.slaves.log import DISCARD, Log
+from orchestrator.slaves.log import DISCARD, ERROR, Log
 from orchestrator.system.interface import Interface
 
 LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
@@ -63,6 +63,8 @@ class Fmi2:
 
     def stepped(self, calls: Calls, status: int) -> None:
         """Judge a step whose status is not OK."""
+        if status == ERROR:
+            raise stopped(calls, status, float("nan"), False)
         if status != DISCARD:
             return calls.judge(status, "the step")
         reached, ended = ctypes.c_double(float("nan")), ctypes.c_int(0)

@@ -14,7 +14,7 @@ from orchestrator.errors import Problem
 from orchestrator.slaves.callbacks import Environment, logger3
 from orchestrator.slaves.calls import Calls, ready, stopped
 from orchestrator.slaves.library import Library
-from orchestrator.slaves.log import DISCARD, WARNING, Log
+from orchestrator.slaves.log import DISCARD, ERROR, WARNING, Log
 from orchestrator.system.interface import Interface
 
 EVENT, TERMINATE, EARLY = range(3)  # bytes of `flags`
@@ -76,8 +76,9 @@ class Fmi3:
         """Judge a step whose status is not OK or which wants something."""
         event, terminate, early, _ = bytes(self.flags)
         self.flags.value = 0
-        if status == DISCARD or terminate:
-            raise stopped(calls, status, self._reached.value, bool(terminate))
+        if status in (DISCARD, ERROR) or terminate:
+            reached = self._reached.value if status != ERROR else float("nan")
+            raise stopped(calls, status, reached, bool(terminate) and status != ERROR)
         if status:
             calls.judge(status, "the step")
         if early:

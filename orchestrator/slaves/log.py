@@ -58,6 +58,10 @@ class Log:
         label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
         self.messages.append(Message(self.time, self.component, label, " ".join(text.split())))
 
+    def withdraw(self) -> None:
+        """Forget the messages of a step that is going to be repeated."""
+        self.messages = [m for m in self.messages if not m.time >= self.time]
+
     def last(self, count: int = 3) -> str:
         """The last messages of the latest step, or its errors, as one line to end an error with."""
         recent = self.messages[-count:]
