@@ -19,6 +19,7 @@ from fmus.components import orifice
 from fmus.contract import quantities, symbolic, unstack
 from fmus.parameters import values
 from orchestrator import read
+from orchestrator.convergence import choose
 from orchestrator.validation import read_reference
 
 ROOT = Path(__file__).parents[1]
@@ -26,6 +27,7 @@ EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
 sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
 
 import run
+import steps
 from arm import ARM
 from hydraulics import HYDRAULICS, model
 from machine import SUBSYSTEMS, build, solve
@@ -307,6 +309,18 @@ def test_another_manoeuvre_is_another_file(systems, tmp_path):
     assert np.ptp(outcome.truth["arm.s1"]) > 0.01
     # a kink inside a step is smeared over that step; else the errors of M1
     assert outcome.error("arm.s1") < 5e-6
+
+
+def test_all_masters_in_one_call(systems):
+    """The study of README.md: who is stable at which step, and the errors of a single run in its table."""
+    settings = choose(["jacobi plain", "jacobi order 0", "hermite to tolerance"])
+    found = steps.manipulator(systems["rates"], settings, (1e-3, 0.1), repeats=1)
+    stable = {(row.setting.label, row.step): row.stable for row in found.rows}
+    lost = [case for case, kept in stable.items() if not kept]
+    assert lost == [("jacobi order 0", 0.1)]
+    held = run.simulate(systems["held"], run.M1, 1e-3, "jacobi")
+    # plain is without rate ports; the same runs but for the order in which values are summed
+    assert found.rows[0].maximum("position").maximum == pytest.approx(held.error("arm.s1"), rel=1e-6)
 
 
 def test_command_line(tmp_path):

@@ -5,6 +5,7 @@ python examples/hydraulic_manipulator/steps.py
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read, run
-from orchestrator.convergence import SETTINGS, Study, Truth, from_run, study
+from orchestrator.convergence import SETTINGS, Setting, Study, Truth, from_run, study
 from orchestrator.convergence.command import tell, watched
 from orchestrator.convergence.table import maximum, show
 from orchestrator.coupling.settings import Coupling
@@ -22,6 +23,7 @@ from orchestrator.validation import read_reference
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
+REPEATS = 9  # a run takes milliseconds
 BARE = tuple(target for _, target in RATES)
 SIGNALS = ("hydraulics.p_1", "hydraulics.p_2", "arm.s1")  # the first quantity is drawn
 DRAWN = {
@@ -40,11 +42,16 @@ def truth() -> Truth:
     return from_run("the joined ODE", solve(read(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
 
 
-def manipulator(system: Path, repeats: int = 3) -> Study:
+def manipulator(
+    system: Path,
+    settings: Sequence[Setting] = SETTINGS,
+    steps: Sequence[float] = STEPS,
+    repeats: int = REPEATS,
+) -> Study:
     """All masters at all steps."""
     against = truth()
-    rows = study(load(system), against, SETTINGS, STEPS, repeats, BARE, scenario=M1)
-    return Study(against, tuple(watched(rows, len(SETTINGS) * len(STEPS))))
+    rows = study(load(system), against, settings, steps, repeats, BARE, scenario=M1)
+    return Study(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
 
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:

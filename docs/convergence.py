@@ -1,0 +1,75 @@
+"""Draws and fills in docs/convergence.md and the tables of examples/hydraulic_manipulator: minutes.
+
+    python docs/convergence.py                       # builds the machine first
+    python docs/convergence.py build/harvester.ssp   # takes one that is built
+
+The same studies by commands: `harvester convergence`, and `python examples/hydraulic_manipulator/steps.py`.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+from orchestrator.convergence import Study, draw_error, draw_work, markdown
+from orchestrator.convergence.command import convergence
+from orchestrator.convergence.table import cost, maximum, nrmse
+from orchestrator.validation.figures import png
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
+IMAGES = ROOT / "docs" / "images"
+PAGE = ROOT / "docs" / "convergence.md"
+STEPS = "0.0005,0.001,0.002,0.005,0.01,0.02"  # [s]
+DPI = 110
+
+sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
+
+
+def main() -> None:
+    """Run both studies, draw, fill in the tables."""
+    from machine import build
+    from steps import beside_the_published, manipulator
+
+    from fmus.build import build_machine, data
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        machine = Path(sys.argv[1]) if len(sys.argv) > 1 else folder / "harvester.ssp"
+        if len(sys.argv) < 2:
+            build_machine(folder)
+        usual = data("reference/work_cycle.csv")
+        cycle = convergence(machine, None, folder / "cycle", STEPS, "", (), 3, usual)
+        systems = build(folder / "manipulator")
+        benchmark = manipulator(systems["rates"])
+        beside_the_published(systems, EXAMPLE / "steps.png")
+    pictures("work-cycle", cycle)
+    pictures("m1", benchmark)
+    for group in ("speed", "pressure"):
+        fill(PAGE, f"work cycle, {group}", markdown(nrmse(cycle, group)))
+    fill(PAGE, "work cycle, cost", markdown(cost(cycle)))
+    for document in (PAGE, EXAMPLE / "README.md"):
+        fill(document, "M1, pressure", markdown(nrmse(benchmark, "pressure")))
+        fill(document, "M1, length", markdown(maximum(benchmark, "position")))
+
+
+def pictures(name: str, study: Study) -> None:
+    """Error over step, and error over wall time."""
+    IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw_error(study), DPI))
+    IMAGES.joinpath(f"convergence-{name}-cost.png").write_bytes(png(draw_work(study), DPI))
+
+
+def fill(document: Path, name: str, table: str) -> None:
+    """Put a table in its place, between <!-- name --> and <!-- end -->."""
+    text = document.read_text(encoding="utf-8")
+    place = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(\n<!-- end -->)", re.DOTALL)
+    if not place.search(text):
+        raise SystemExit(f"{document}: expected a place <!-- {name} -->")
+    told = place.sub(lambda found: found[1] + table + found[2], text)
+    document.write_text(told, encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main()
