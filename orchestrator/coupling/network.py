@@ -178,7 +178,7 @@ class Network:
         for name, part in zip(self.slaves, self.parts, strict=True):
             ports = [p for p in [*wired, *driven] if p.component == name]
             mine = [self._signal(p, wired.get(p), plan, p in moved, told) for p in ports]
-            part.follow([p.variable for p in ports], mine)
+            part.follow([p.variable for p in ports], mine, plan.corrected)
             self.signals += mine
         self.moving = {*wired} & moved | {*driven}
         by_target = {s.target: s for s in self.signals}
@@ -213,7 +213,7 @@ class Network:
         if wire is None:
             return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, slave.follows(port.variable, 1), 1, scale=scale)
         rated = Port(port.component, slave.interface.rates.get(port.variable, "")) in self.real.index
-        wanted = max(plan.order, plan.degree) if moved else 0
+        wanted = max(plan.order, plan.degree, int(plan.corrected)) if moved else 0
         return Signal(
             target=target,
             source=self.real.index[wire.source],

@@ -35,15 +35,15 @@ class Part:
         self.writers: list[Call] = []  # of values and derivatives
         self.state: object = None
 
-    def follow(self, names: Sequence[str], signals: Sequence[Signal]) -> None:
-        """Let these inputs move; `names` of the variables."""
+    def follow(self, names: Sequence[str], signals: Sequence[Signal], jumps: bool) -> None:
+        """Let these inputs move; `names` of the variables; they may jump at the beginning of a step."""
         self.signals = list(signals)
         if not signals:
             return
         face, slave = self.slave.interface, self.slave
         moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
         self.rough = any(s.degree < s.wanted for s in signals)
-        if self.factor > 1 or self.rough:
+        if self.factor > 1 or self.rough or jumps:
             self.values = np.zeros(len(signals))
             self.writers.append(slave.writer(list(names), self.values))
         rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]

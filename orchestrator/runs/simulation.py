@@ -208,6 +208,10 @@ class _Job:
         c = self.coupling
         if c.adaptive is None:
             return None, False, 1.0
+        if c.control == "energy" and not sweep.network.bonds:
+            raise Problem(
+                "control of the energy: expected a power bond with inputs that may move on both sides, got none"
+            )
         rolls = all(component.interface.rollback for component in self.system.components.values())
         pace = Pace(times.first, sweep.power, c.smallest, c.largest, rolls)
         return pace, c.control == "energy", c.adaptive
