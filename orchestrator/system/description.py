@@ -78,6 +78,8 @@ def _interface(description: Any, root: Any) -> Interface:
         varies="canHandleVariableCommunicationStepSize" in able,
         stateless=description.modelExchange is not None and not description.derivatives,
         inert=frozenset(inputs - _needed(description, inputs)),
+        states=_states(description, variables),
+        knowns=outputs | _dependencies(description.derivatives, names),
         directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
         categories=tuple(c.name for c in description.logCategories),
         start=_number(experiment, "startTime"),
@@ -122,6 +124,13 @@ def _needed(description: Any, inputs: Collection[str]) -> set[str]:
     if any(u.dependencies is None for u in unknowns):
         return set(inputs)
     return {d.name for u in unknowns for d in u.dependencies}
+
+
+def _states(description: Any, variables: Mapping[str, Variable]) -> dict[str, str]:
+    """Continuous states and their time derivatives."""
+    found = {u.variable.derivative.name: u.variable.name for u in description.derivatives if u.variable.derivative}
+    complete = len(found) == len(description.derivatives)
+    return found if complete and all(name in variables for pair in found.items() for name in pair) else {}
 
 
 def _names(variables: Iterable[Variable], fmi: int) -> Mapping[str, Collection[str]]:

@@ -73,6 +73,8 @@ class Interface:
     stateless     it declares, for model exchange, that it has no continuous states
     inert         inputs that, as it declares, neither a state nor an output depends on after the start
     directional   it offers directional derivatives
+    states        continuous state -> its time derivative; empty where the FMU does not list all of them
+    knowns        output or time derivative of a state -> inputs and states it depends on; None: not declared
     start, step, stop, tolerance   of the experiment that the FMU suggests
     version, tool, text   of the FMU: its version, what made it, its description
     """
@@ -94,6 +96,8 @@ class Interface:
     stateless: bool = False
     inert: frozenset[str] = frozenset()
     directional: bool = False
+    states: Mapping[str, str] = field(default_factory=dict)
+    knowns: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     categories: tuple[str, ...] = ()
     start: float | None = None
     step: float | None = None
