@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from orchestrator.errors import Problem, Unsupported, suggest
 from orchestrator.files.trace import Trace
-from orchestrator.system.interface import Value
+from orchestrator.system.interface import Value, Variable
 from orchestrator.system.system import Port, System
 from orchestrator.system.units import Linear
 
+LARGEST = 2**31 - 1  # of whole numbers in a run
 MUCH, LEAST = 1e-3, 1e-6  # of the range of a column: change of its slope, times the gap between samples
 SHARPER = 10.0  # times as much as at the samples around it
 
@@ -120,8 +121,9 @@ class Drive:
         now, held = self.table.at(t), self.table.sample(t)
         values: dict[Port, Value] = {}
         for port, (column, linear) in self.columns.items():
-            if system.variable(port).is_real:
-                values[port] = linear(float(now[column]))
+            variable = system.variable(port)
+            if variable.is_real:
+                values[port] = linear(float((now if variable.is_continuous else held)[column]))
             else:
                 values[port] = round(float(held[column]))
         return values
@@ -143,7 +145,17 @@ def drive(system: System, scenario: Trace, label: str = "scenario") -> Drive:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in scenario.signals.values()], axis=1)
+    for port, (k, _) in columns.items():
+        _whole(system.variable(port), table[:, k], f"{label}: column {list(scenario.signals)[k]!r}")
     return Drive(Table(scenario.time, table), columns)
+
+
+def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:
+    """Refuse what a run cannot keep as a whole number."""
+    wrong = ~(np.abs(values) <= LARGEST)
+    if not variable.is_real and wrong.any():
+        found = values[np.argmax(wrong)]
+        raise Problem(f"{where}: expected whole numbers up to {LARGEST}, got {found:.17g}")
 
 
 def _listens(system: System, component: str) -> bool:

@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 class Driver:
     """Sets driven inputs at communication points, and knows what they will be at the next one.
 
-    moving   the driven Real inputs, which move at a straight line over a step
+    moving   the driven inputs that are continuous, which move at a straight line over a step
     coming   their values at the time looked up last, shape (n,)
     middle   their values at the middle of the step looked up last, shape (n,)
+    steady   places of the other Real ones, which keep the value of the last sample
+    held     places of the driven inputs that are no Real numbers
     """
 
     def __init__(self, network: Network, drive: Drive) -> None:
@@ -30,20 +32,26 @@ class Driver:
             for b in bank.blocks
             if any(p in drive.columns for p in b.ports)
         ]
-        self.moving = [p for p in drive.columns if network.system.variable(p).is_real]
-        held = [p for p in drive.columns if p not in self.moving]
+        self.moving = [p for p in drive.columns if network.system.variable(p).is_continuous]
+        held = [p for p in drive.columns if not network.system.variable(p).is_real]
+        steady = [p for p in drive.columns if p not in self.moving and p not in held]
         self._real, self._whole = network.real.values, network.whole.values
-        self.targets, self.held = network.real.places(self.moving), network.whole.places(held)
+        self.targets, self.steady = network.real.places(self.moving), network.real.places(steady)
+        self.held = network.whole.places(held)
         self.columns = self._column(drive, self.moving)
-        self.held_columns = self._column(drive, held)
-        self.factor = np.array([drive.columns[p][1].factor for p in self.moving])
-        self.offset = np.array([drive.columns[p][1].offset for p in self.moving])
+        self.steady_columns, self.held_columns = self._column(drive, steady), self._column(drive, held)
+        self.factor, self.offset = self._map(drive, self.moving)
+        self.steady_factor, self.steady_offset = self._map(drive, steady)
         self.coming = np.zeros(len(self.moving))
         self.middle = np.zeros(len(self.moving))
         self._when: float | None = None
 
     def _column(self, drive: Drive, ports: list[Port]) -> NDArray[np.intp]:
         return np.array([drive.columns[p][0] for p in ports], dtype=np.intp)
+
+    def _map(self, drive: Drive, ports: list[Port]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        maps = [drive.columns[p][1] for p in ports]
+        return np.array([m.factor for m in maps]), np.array([m.offset for m in maps])
 
     def look(self, t: float) -> None:
         """Find the values at t [s]."""
@@ -61,6 +69,9 @@ class Driver:
         """Set the driven inputs to their value at t [s]."""
         self.look(t)
         self._real[self.targets] = self.coming
+        if len(self.steady):
+            latest = self.table.sample(t)[self.steady_columns]
+            self._real[self.steady] = latest * self.steady_factor + self.steady_offset
         if len(self.held):
             self._whole[self.held] = np.rint(self.table.sample(t)[self.held_columns])
         for write in self.writers:

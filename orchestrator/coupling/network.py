@@ -10,7 +10,7 @@ Between communication points the inputs that a master moves follow the polynomia
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -80,6 +80,8 @@ class Network:
 
     def exchange(self, t: float) -> None:
         """Set driven inputs to their value at t, then bring all outputs and inputs up to date."""
+        for slave in self.slaves.values():
+            slave.log.time = t
         if self.driver:
             self.driver.put(t)
         for call in self.exchange_calls:
@@ -135,13 +137,15 @@ class Network:
         """Remember the beginning of a step, to be able to repeat it."""
         self._kept[0][:], self._kept[1][:] = self.real.values, self.whole.values
         for part in self.parts:
-            part.keep()
+            if part.kept:
+                part.keep()
 
     def restore(self, t: float) -> None:
         """Go back to the beginning of the step, t."""
         self.real.values[:], self.whole.values[:] = self._kept
         for part in self.parts:
-            part.restore()
+            if part.kept:
+                part.restore()
         self.exchange(t)  # for FMUs whose inputs are not part of their state
 
     def forget(self) -> None:
@@ -187,8 +191,7 @@ class Network:
         self.bonds = [(by_target[e], by_target[f]) for e, f in pairs if e in by_target and f in by_target]
 
     def _continuous(self, port: Port) -> bool:
-        variable = self.system.variable(port)
-        return variable.is_real and variable.variability == "continuous"
+        return self.system.variable(port).is_continuous
 
     def _carried(self, moved: set[Port]) -> set[Port]:
         """Inputs that move by themselves, with a rate input, or that merely are the rate of a moved one."""
@@ -235,14 +238,18 @@ class Network:
 
     def _read_slopes(self, sources: Iterable[Port]) -> dict[Port, int]:
         """Arrange for the slopes of outputs to be read; returns their places among `slopes`."""
-        able = [p for p in dict.fromkeys(sources) if self.slaves[p.component].interface.slopes >= 1]
-        able.sort(key=lambda p: list(self.slaves).index(p.component))
+        wanted = dict.fromkeys(sources)
+        able = []
+        for name, slave in self.slaves.items():
+            mine = [p for p in wanted if p.component == name]
+            told = set(slave.tells([p.variable for p in mine]) if mine else ())
+            able += [p for p in mine if p.variable in told]
         self.slopes = np.zeros(len(able))
         for name, part in zip(self.slaves, self.parts, strict=True):
-            mine = [i for i, p in enumerate(able) if p.component == name]
-            if mine:
-                into = self.slopes[mine[0] : mine[-1] + 1]
-                part.tell = part.slave.slope_reader([able[i].variable for i in mine], into)
+            rows = [i for i, p in enumerate(able) if p.component == name]
+            if rows:
+                into = self.slopes[rows[0] : rows[-1] + 1]
+                part.tell = part.slave.slope_reader([able[i].variable for i in rows], into)
         return {p: i for i, p in enumerate(able)}
 
     # ---- building: the exchange

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 
 from orchestrator.coupling.polynomial import at, projected, shifted, slope_at
 from orchestrator.coupling.signal import Signal
-from orchestrator.slaves.slave import Buffer, Call, Slave
+from orchestrator.slaves.slave import Buffer, Call, Slave, access
 
 
 class Part:
@@ -20,6 +21,8 @@ class Part:
     newest    calls that set inputs which cannot move to their newest value, for masters that step one by one
     rough     some inputs cannot follow the polynomial that is wanted
     factor    how many steps the FMU takes in one communication step
+    even      length of each of them [s] if it must be the same to the last bit, else 0
+    kept      its state is kept at the beginning of every step, to go back there
     """
 
     def __init__(self, slave: Slave, used: Buffer) -> None:
@@ -29,7 +32,7 @@ class Part:
         self.reads: Sequence[Call] = ()
         self.newest: Sequence[Call] = ()
         self.tell: Call | None = None
-        self.factor = 1
+        self.factor, self.even, self.kept = 1, 0.0, False
         self.rough = False
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.writers: list[Call] = []  # of values and derivatives
@@ -40,19 +43,36 @@ class Part:
         self.signals = list(signals)
         if not signals:
             return
-        face, slave = self.slave.interface, self.slave
         moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
         self.rough = any(s.degree < s.wanted for s in signals)
         if self.factor > 1 or self.rough or jumps:
             self.values = np.zeros(len(signals))
-            self.writers.append(slave.writer(list(names), self.values))
+            self._set(names)
         rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]
         self.derivatives = np.zeros(len(rows))
-        if rows:
-            names = [name for name, _ in rows]
-            orders = [order for _, order in rows]
-            write = slave.slope_writer(names, self.derivatives, orders if face.interpolates else [])
+        self._set_derivatives(rows)
+
+    def _set(self, names: Sequence[str]) -> None:
+        """Calls that set `values`, one for each row of variables of one type."""
+        first, variables = 0, self.slave.interface.variables
+        for _, group in groupby(names, key=lambda name: access(variables[name])):
+            row = list(group)
+            self.writers.append(self.slave.writer(row, self.values[first : first + len(row)]))
+            first += len(row)
+
+    def _set_derivatives(self, rows: Sequence[tuple[str, int]]) -> None:
+        """Calls that set `derivatives` of names and orders; as rate inputs they may be of several types."""
+        face, first = self.slave.interface, 0
+
+        def word(row: tuple[str, int]) -> str:
+            return "" if face.interpolates else access(face.variables[face.rates[row[0]]])
+
+        for _, group in groupby(rows, key=word):
+            names, orders = zip(*group, strict=True)
+            into = self.derivatives[first : first + len(names)]
+            write = self.slave.slope_writer(names, into, orders if face.interpolates else ())
             self.writers.append(write)
+            first += len(names)
 
     def give(self, begin: float, length: float, last: bool) -> None:
         """Give the inputs their polynomials from `begin` [s] after the start of the step on."""
@@ -78,7 +98,7 @@ class Part:
             begin, end = h * j / many, h * (j + 1) / many
             self.give(begin, end - begin, j == many - 1)
             now = t + begin
-            self.slave.step(now, t + end - now)
+            self.slave.step(now, self.even or t + end - now)
 
     def finish(self, h: float) -> None:
         """Let inputs that could only be followed roughly end as they should, before outputs are read."""

@@ -34,7 +34,7 @@ class Sweep:
         for n in range(plan.passes):
             self._pass(t, h, n)
             self.passes = n + 1
-            if plan.passes > 1 and self._miss(h) <= plan.tolerance:
+            if plan.passes > 1 and not self._miss(h) > plan.tolerance:
                 break
 
     @property
@@ -51,7 +51,7 @@ class Sweep:
         for s in self.network.signals:
             by_mean = self.plan.corrected and s.maker != DRIVEN
             off = s.defect(h) if by_mean else s.deviation(h, repeated)
-            worst = max(worst, s.share(off))
+            worst = _worse(worst, s.share(off))
         return worst
 
     def power_error(self, h: float) -> float:
@@ -60,7 +60,7 @@ class Sweep:
         for effort, flow in self.network.bonds:
             power = effort.value1 * flow.deviation(h, repeated) - flow.value1 * effort.deviation(h, repeated)
             size = effort.magnitude() * flow.magnitude()
-            worst = max(worst, abs(power) / size if size > 0.0 else 0.0)
+            worst = _worse(worst, abs(power) / size if size > 0.0 else 0.0)
         return worst
 
     def _pass(self, t: float, h: float, n: int) -> None:
@@ -69,7 +69,7 @@ class Sweep:
         stepped = set[int]()
         for k in plan.turns:
             part = network.parts[k]
-            if n and not part.signals:
+            if n and k not in plan.repeated:
                 continue  # nothing changes what it did
             self._shape(part, h, stepped if n == 0 else None)
             if n:
@@ -98,7 +98,16 @@ class Sweep:
 
     def _miss(self, h: float) -> float:
         """What another pass could change, at most: see `Signal.miss`."""
-        return max((s.miss(h) for s in self.network.signals if s.maker != DRIVEN), default=0.0)
+        worst = 0.0
+        for s in self.network.signals:
+            if s.maker != DRIVEN:
+                worst = _worse(worst, s.miss(h))
+        return worst
+
+
+def _worse(a: float, b: float) -> float:
+    """The larger of two errors; one that is no number is worse than any."""
+    return a if b <= a or a != a else b
 
 
 def newest(network: Network, turns: Sequence[int]) -> list[list[Call]]:

@@ -27,6 +27,10 @@ from orchestrator.runs.recorder import BLOCK, Recorder
 from orchestrator.slaves.access import Access, Stepping
 from orchestrator.slaves.slave import Call
 
+DRIVEN = (  # what a driver keeps in arrays
+    *("columns", "targets", "factor", "offset"),
+    *("steady_columns", "steady", "steady_factor", "steady_offset", "held_columns", "held"),
+)
 KINDS = {layout.Access: layout.ACCESS, layout.Link: layout.LINK, layout.Loop: layout.LOOP}
 PATIENCE = 0.1  # [s], the longest time between two looks at the keyboard
 
@@ -81,17 +85,16 @@ class Compiled(March):
     def _judge(self, where: int | None, part: int, status: int) -> int:
         """Called from C: what to do after a status that is not OK."""
         try:
-            if where in self._judges:
+            if status == layout.WITHDRAWN:
+                self._withdraw()
+            elif where in self._judges:
                 self._judges[where].judge(status)
-            elif where:
-                slave = self._network.parts[part].slave
-                slave.calls.judge(status, f"saving or restoring the state of {slave.name}")  # type: ignore[attr-defined]
             else:
-                self._steppings[part].judge(status)
+                step = self._steppings[part]
+                states = {step.get_state: step.judge_get, step.set_state: step.judge_set}
+                (states[where] if where else step.judge)(status)
         except Discarded as problem:
             self._problem, self._run.reached = problem, problem.reached
-            if self.keeps:
-                self._network.parts[part].slave.log.withdraw()
             return layout.DISCARDED
         except BaseException as problem:
             self._problem = problem
@@ -111,7 +114,9 @@ class Compiled(March):
         self._signals = (layout.Signal * max(len(network.signals), 1))()
         self._signals_of(network.signals)
         run.signals, run.signal_count = self._signals, len(network.signals)
-        self._parts = (layout.Part * len(network.parts))(*map(self._part, network.parts, self._steppings))
+        numbers = range(len(network.parts))
+        parts = map(self._part, numbers, network.parts, self._steppings)
+        self._parts = (layout.Part * len(network.parts))(*parts)
         run.parts, run.part_count = self._parts, len(network.parts)
         if network.driver:
             run.driver = ctypes.pointer(self._driver(network.driver))
@@ -127,7 +132,7 @@ class Compiled(March):
         run.events, run.event_count = self._at(np.array(times.events, float)), len(times.events)
         run.shortest = np.inf
         run.start, run.step, run.t, run.patience = times.start, times.step, times.start, PATIENCE
-        run.total, run.keeps = times.steps, self.keeps
+        run.total, run.keeps, run.goes_back = times.steps, self.keeps, self.goes_back
         run.judge = layout.JUDGE(self._judge)
 
     def _at(self, array: NDArray[Any]) -> int:
@@ -189,7 +194,7 @@ class Compiled(March):
                 if name != "c":
                     setattr(mine, name, getattr(one, name))
 
-    def _part(self, part: Part, step: Stepping) -> layout.Part:
+    def _part(self, k: int, part: Part, step: Stepping) -> layout.Part:
         signals = self._network.signals
         first = signals.index(part.signals[0]) if part.signals else 0
         results = dict(zip(("event", "terminate", "early", "last"), step.results, strict=False))
@@ -201,7 +206,10 @@ class Compiled(March):
             flags=step.flags,
             clock=self._at(step.clock),
             fmi=step.fmi,
-            final=not self.keeps,
+            final=not part.kept,
+            kept=part.kept,
+            repeated=k in self._sweep.plan.repeated,
+            even=part.even,
             factor=part.factor,
             first=first,
             count=len(part.signals),
@@ -242,16 +250,12 @@ class Compiled(March):
             **arrays,
             samples=len(table.arrays[0]),
             width=table.arrays[1].shape[1],
-            columns=self._at(driver.columns),
-            targets=self._at(driver.targets),
-            held_columns=self._at(driver.held_columns),
-            held=self._at(driver.held),
-            factor=self._at(driver.factor),
-            offset=self._at(driver.offset),
+            **{name: self._at(getattr(driver, name)) for name in DRIVEN},
             coming=self._at(np.zeros(len(signals))),
             middle=self._at(np.zeros(len(signals))),
             signals=self._at(signals),
             count=len(signals),
+            steady_count=len(driver.steady),
             held_count=len(driver.held),
             when=np.nan,
             writers=self._program(driver.writers),
@@ -292,4 +296,4 @@ def stepping(part: Part) -> Stepping:
     found = getattr(part.slave, "stepping", None)
     if found is None:
         raise TypeError(f"{part.slave.name} cannot be stepped from C")
-    return found()  # type: ignore[no-any-return]
+    return found(part.kept)  # type: ignore[no-any-return]

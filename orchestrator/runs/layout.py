@@ -9,7 +9,7 @@ from typing import Any
 REAL, WHOLE = 0, 1
 ACCESS, LINK, LOOP = 0, 1, 2
 CONTINUE, STOP, DISCARDED = 0, 1, 2
-OUT_OF_RANGE = -1
+OUT_OF_RANGE, WITHDRAWN = -1, -3
 TYPES = (
     *(ctypes.c_double, ctypes.c_float, ctypes.c_int8, ctypes.c_uint8, ctypes.c_int16, ctypes.c_uint16),
     *(ctypes.c_int32, ctypes.c_uint32, ctypes.c_int64, ctypes.c_uint64, ctypes.c_bool),
@@ -77,8 +77,8 @@ class Part(Structure):
     _fields_ = [
         *_all(c_void_p, "component do_step get_state set_state state"),
         *_all(c_void_p, "event terminate early last flags clock"),
-        ("busy", c_double),
-        *_all(c_int32, "fmi final factor first count revalued rough"),
+        *_all(c_double, "busy even"),
+        *_all(c_int32, "fmi final factor first count revalued rough kept repeated"),
         *_all(c_void_p, "values derivatives"),
         *_all(Program, "writers reads newest tell"),
     ]
@@ -88,9 +88,9 @@ class Driver(Structure):
     _fields_ = [
         *_all(c_int64, "samples width row"),
         *_all(c_void_p, "time base slopes anchor"),
-        *_all(c_void_p, "columns targets held_columns held"),
-        *_all(c_void_p, "factor offset coming middle signals"),
-        *_all(c_int32, "count held_count"),
+        *_all(c_void_p, "columns targets steady_columns steady held_columns held"),
+        *_all(c_void_p, "factor offset steady_factor steady_offset coming middle signals"),
+        *_all(c_int32, "count steady_count held_count"),
         ("when", c_double),
         ("writers", Program),
     ]
@@ -138,7 +138,7 @@ class Run(Structure):
         ("bond_count", c_int32),
         ("pace", POINTER(Pace)),
         ("adaptive", c_double),
-        *_all(c_int32, "by_energy free keeps"),
+        *_all(c_int32, "by_energy free keeps goes_back"),
         ("events", c_void_p),
         *_all(c_int64, "event_count event"),
         *_all(c_double, "start step t length older shorter shortest longest patience"),

@@ -24,7 +24,8 @@ class March:
     steps      communication steps that were taken and stand
     passes     passes over all components, of all steps
     repeated   steps that did not stand
-    keeps      the beginning of each step is kept, to go back to
+    keeps      the beginning of each step is kept, as far as the FMUs can
+    goes_back  all of it, so that a shorter step can be tried
     """
 
     def __init__(
@@ -45,7 +46,12 @@ class March:
         self.t = times.start
         self.done = self.steps = self.passes = self.repeated = 0
         self.shortest, self.longest = float("inf"), 0.0
-        self.keeps = sweep.plan.passes > 1 or (pace is not None and pace.repeats)
+        iterates = sweep.plan.passes > 1 and len(sweep.plan.repeated) > 0
+        self.keeps = iterates or (pace is not None and pace.repeats)
+        for part in network.parts:
+            part.kept = self.keeps and part.slave.interface.rollback
+            part.even = 0.0 if part.slave.interface.varies else times.step / part.factor
+        self.goes_back = all(part.kept and not part.even for part in network.parts)
         self._event = 0  # the next one
         self._shorter = 0.0  # an FMU could not go further than that [s]; 0: none said so
 
@@ -111,13 +117,17 @@ class March:
     def _go_back(self, reached: float, h: float) -> bool:
         """To the beginning of a step that an FMU did only the first part of, `reached` [s] long."""
         shorter = reached if LEAST * h < reached < h else 0.5 * h
-        if not self.keeps or shorter <= LEAST * self._times.step:
+        if not self.goes_back or shorter <= LEAST * self._times.step:
             return False
-        for slave in self._network.slaves.values():
-            slave.log.withdraw()
+        self._withdraw()
         self._network.restore(self.t)
         self._shorter = shorter
         return True
+
+    def _withdraw(self) -> None:
+        """Forget what the FMUs said in a step that is repeated."""
+        for slave in self._network.slaves.values():
+            slave.log.withdraw()
 
 
 def marching(fast: bool, network: Network, *others: object) -> March:

@@ -14,9 +14,10 @@ from orchestrator.coupling.initialise import initialise
 from orchestrator.coupling.masters import plan
 from orchestrator.coupling.network import Network
 from orchestrator.coupling.pace import Pace
+from orchestrator.coupling.remarks import remarks
 from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.sweep import Sweep
-from orchestrator.errors import Problem
+from orchestrator.errors import Ended, Problem
 from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.card import Card, compare
@@ -41,7 +42,8 @@ class Result:
     trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
     card       the accuracy card
     messages   what the FMUs logged
-    complete   False when the run ended early; the trace then holds what was recorded until there
+    complete   False when the run ended early; the trace then holds what was recorded until there. A run that
+               an FMU asked to end is complete, and has a note that says so
     """
 
     system: System
@@ -73,7 +75,7 @@ def open_slave(component: Component) -> Slave:
         raise Problem(f"{component.name}: has no FMU file")
     from orchestrator.slaves.fmu import FmuSlave
 
-    return FmuSlave(component.name, component.interface, component.source)
+    return FmuSlave(component.name, component.interface, component.source, component.start)
 
 
 def run(
@@ -169,6 +171,15 @@ def _scenario(system: System, scenario: Trace | str | Path | Location | None) ->
     return drive(system, trace, label), trace
 
 
+def _check_single(system: System) -> None:
+    """Refuse two instances of an FMU that can have only one."""
+    seen: dict[tuple[str, str], str] = {}
+    for name, component in system.components.items():
+        face = component.interface
+        if face.only_one and (other := seen.setdefault((face.guid, face.identifier), name)) != name:
+            raise Problem(f"{other} and {name}: expected one instance, their FMU can have no more, got two")
+
+
 @dataclass
 class _Job:
     """One system and one way to run it, on any time grid."""
@@ -185,6 +196,7 @@ class _Job:
     def run(self, times: Grid, progress: bool) -> Result:
         """Open all FMUs, run, close them whatever happens."""
         chosen = None if self.record is None else [self.system.port(name) for name in self.record]
+        _check_single(self.system)
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}
             for name, component in self.system.components.items():
@@ -198,7 +210,7 @@ class _Job:
             monitor = Monitor(network, self._bonds())
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
-            loop = _Loop(network, recorder, monitor, times, bar)
+            loop = _Loop(network, recorder, monitor, times, bar, remarks(network, sweep.plan))
             stack.callback(network.forget)
             march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
             return self._judge(loop, march)
@@ -212,7 +224,11 @@ class _Job:
             raise Problem(
                 "control of the energy: expected a power bond with inputs that may move on both sides, got none"
             )
-        rolls = all(component.interface.rollback for component in self.system.components.values())
+        faces = {name: component.interface for name, component in self.system.components.items()}
+        if even := [name for name, face in faces.items() if not face.varies]:
+            told = f"{', '.join(even)}: the FMU takes steps of one length only"
+            raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {told}")
+        rolls = all(face.rollback for face in faces.values())
         pace = Pace(times.first, sweep.power, c.smallest, c.largest, rolls)
         return pace, c.control == "energy", c.adaptive
 
@@ -232,6 +248,8 @@ class _Job:
             loop.go(march)
         except KeyboardInterrupt:
             raise Interrupted(self._result(loop, march, began, False)) from None
+        except Ended as wish:
+            loop.notes += (f"the run ends early: {wish}",)
         except Problem as problem:
             raise RunFailed(problem, self._result(loop, march, began, False)) from problem
         return self._result(loop, march, began, True)
@@ -254,7 +272,10 @@ class _Job:
             bonds=tuple(loop.monitor.energies()),
             warnings=tuple(line for log in logs for line in log.warnings(trace)),
             inside={name: slave.busy for name, slave in loop.network.slaves.items()},
-            notes=self.system.notes + self._left_out() + loop.network.notes + loop.times.notes,
+            notes=(
+                *(self.system.notes + self._left_out() + loop.network.notes),
+                *(loop.times.notes + loop.notes),
+            ),
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
         return Result(self.system, trace, card, tuple(messages), complete)
@@ -269,13 +290,18 @@ class _Loop:
     monitor: Monitor
     times: Grid
     bar: Progress
+    notes: tuple[str, ...]
 
     def go(self, march: March) -> None:
         """From the start to the stop time; the recorder sees the first instant and every step."""
         march.begin()
         self.recorder.settle()
         while march.done < self.times.steps:
-            march.block()
+            try:
+                march.block()
+            except Problem:
+                self.recorder.settle()  # a number that is not finite may be why a later step failed
+                raise
             self.recorder.settle()
             if self.monitor.full:
                 self.monitor.sum()

@@ -47,7 +47,8 @@ class Access:
         if self.own.dtype == self.values.dtype:
             self.call()
         elif self.sets:
-            self.own[:] = self.values
+            with np.errstate(over="ignore"):  # what is too large in single precision becomes infinite
+                self.own[:] = self.values
             check(self.values, self.own, self.names)
             self.call()
         else:
@@ -96,11 +97,11 @@ class Derivative:
 class Stepping:
     """What it takes to step an instance, and to save and restore its state, from C.
 
-    do_step, get_state, set_state   addresses of the FMI functions; 0 where the FMU cannot
+    do_step, get_state, set_state   addresses of the FMI functions; 0 for those that are not needed
     results                         addresses of what FMI 3.0 says of a step: event, terminate, early, last
     flags                           address of the first three of them together; 0 in FMI 2.0
-    judge                           raises what stepping from Python would raise for a status
-    clock                           where the time of the step is noted for messages, shape (1,)
+    judge, judge_get, judge_set     raise what each of the three, called from Python, would for a status
+    clock                           where the time is noted for messages, see `Log.clock`
     """
 
     component: int
@@ -111,6 +112,8 @@ class Stepping:
     results: tuple[int, ...]
     flags: int
     judge: Callable[[int], None]
+    judge_get: Callable[[int], None]
+    judge_set: Callable[[int], None]
     clock: NDArray[np.float64]
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import ctypes
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -26,6 +27,7 @@ from orchestrator.slaves.fmi2 import Fmi2
 from orchestrator.slaves.fmi3 import Fmi3
 from orchestrator.slaves.library import Library
 from orchestrator.slaves.log import ERROR, Log
+from orchestrator.slaves.rehearsal import Rehearsal
 from orchestrator.slaves.slave import Buffer, access
 from orchestrator.slaves.values import address, packed, unpacked
 from orchestrator.system.interface import Interface, Value
@@ -65,9 +67,13 @@ STANDARDS: dict[int, Callable[[Interface, Log], Standard]] = {2: Fmi2, 3: Fmi3}
 class FmuSlave:
     """One instance of a co-simulation FMU."""
 
-    def __init__(self, name: str, interface: Interface, fmu: Location) -> None:
+    def __init__(
+        self, name: str, interface: Interface, fmu: Location, start: Mapping[str, Value] | None = None
+    ) -> None:
+        """start: values for instances that only try what the FMU does; this one gets its own by `set`."""
         self.name, self.interface, self.log = name, interface, Log(name)
-        self._label, self._source = f"{name} ({fmu})", fmu
+        self._label, self._source, self._start = f"{name} ({fmu})", fmu, start or {}
+        self._rehearsal = Rehearsal(self._another)
         self._cubic: bool | None = None
         self._stepping, self._final = False, 1  # final: no step will be repeated
         self.busy = 0.0
@@ -110,6 +116,7 @@ class FmuSlave:
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
+        self._rehearsal.end()
         self.log.time = start
         self._fmi.setup(self.calls, start, stop, tolerance)
 
@@ -124,6 +131,7 @@ class FmuSlave:
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
+        self._rehearsal.end()
         if self._stepping and self.calls.worst < ERROR:
             self._stepping = False
             with suppress(Problem):
@@ -216,21 +224,39 @@ class FmuSlave:
             return 0
         if degree == 1 or not self.interface.interpolates:
             return 1
-        if self._cubic is None:
-            self._cubic = self._takes_third_derivatives(variable)
+        if self._cubic is None:  # FMI 2.0 has no declaration for it
+            ask = partial(
+                FmuSlave.slope_writer, variables=[variable] * 3, slopes=np.zeros(3), orders=[1, 2, 3]
+            )
+            self._cubic = self._rehearsal.passes(ask) or False
         return 3 if self._cubic else 1
 
-    def _takes_third_derivatives(self, variable: str) -> bool:
-        """FMI 2.0 has no declaration for this: try it on an instance that nobody uses."""
+    def tells(self, outputs: Sequence[str]) -> Sequence[str]:
+        """Those of the outputs whose first time derivatives the FMU tells; some tell only those of states."""
+        if self.interface.slopes < 1:
+            return []
+
+        def refused(names: Sequence[str]) -> bool:
+            ask = partial(FmuSlave.slope_reader, variables=names, into=np.zeros(len(names)))
+            return self._rehearsal.passes(ask) is False
+
+        return [y for y in outputs if not refused([y])] if refused(outputs) else outputs
+
+    def _another(self) -> FmuSlave:
+        """One more instance, ready for its first step."""
         if self.interface.only_one:
-            return False
-        with suppress(Problem), closing(FmuSlave(self.name, self.interface, self._source)) as trial:
-            trial.setup(0.0, 1.0, None)
-            trial.enter()
-            trial.exit()
-            trial.slope_writer([variable] * 3, np.zeros(3), [1, 2, 3])()
-            return trial.calls.worst == 0
-        return False
+            raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
+        other = FmuSlave(self.name, self.interface, self._source)
+        try:
+            other.setup(0.0, 1.0, None)
+            for variable, value in self._start.items():
+                other.set(variable, value)
+            other.enter()
+            other.exit()
+        except Problem:
+            other.close()
+            raise
+        return other
 
     def get(self, variable: str) -> Value:
         """The value of one variable."""
@@ -259,16 +285,16 @@ class FmuSlave:
 
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]; raises Discarded and Ended, which say how far it got."""
-        self.log.time = t
+        self.log.begin_step(t)
         began = perf_counter()
         status = self._step(ctypes.c_double(t), ctypes.c_double(h), self._final, *self._results)
         self.busy += perf_counter() - began
         if status or self._flags.value:
             self._fmi.stepped(self.calls, status)
 
-    def stepping(self) -> Stepping:
-        """What it takes to step from C."""
-        rolls, state = self.interface.rollback, self._fmi.state
+    def stepping(self, rolls: bool) -> Stepping:
+        """What it takes to step from C; rolls: the state is to be saved and restored, too."""
+        state, prefix = self._fmi.state, self._fmi.prefix
         return Stepping(
             component=self.calls.handle.value or 0,
             fmi=self.interface.fmi,
@@ -278,6 +304,8 @@ class FmuSlave:
             results=self._fmi.places,
             flags=ctypes.addressof(self._flags) if self._fmi.places else 0,
             judge=lambda status: self._fmi.stepped(self.calls, status),
+            judge_get=lambda status: self.calls.judge(status, f"{prefix}Get{state}"),
+            judge_set=lambda status: self.calls.judge(status, f"{prefix}Set{state}"),
             clock=self.log.clock,
         )
 
@@ -295,8 +323,10 @@ class FmuSlave:
         self.calls.call(f"Set{self._fmi.state}", state)
 
     def forget(self, state: ctypes.c_void_p) -> None:
-        """Free a snapshot."""
-        self.calls.call(f"Free{self._fmi.state}", ctypes.byref(state))
+        """Free a snapshot; after an error it is only tried."""
+        free = self.calls.bound(f"Free{self._fmi.state}", ctypes.byref(state))
+        with suppress(Problem) if self.calls.worst >= ERROR else nullcontext():
+            self.calls.unless_fatal(free)
 
     def pack(self, state: ctypes.c_void_p) -> bytes:
         """A snapshot as bytes, for another process."""

@@ -20,12 +20,13 @@ _TIME = re.compile(rf"\bt = {_NUMBER.pattern}")
 
 @dataclass(frozen=True)
 class Message:
-    """One log message of an FMU; time [s] is the last communication point."""
+    """One log message of an FMU; time [s] is the last communication point, step the beginning of the step."""
 
     time: float
     component: str
     status: str
     text: str
+    step: float = field(default=np.nan, compare=False)
 
     def __str__(self) -> str:
         return f"{self.component} at t = {self.time:.6g} s: {self.text}"
@@ -33,12 +34,15 @@ class Message:
 
 @dataclass
 class Log:
-    """The messages of one component, in order; `clock`, shape (1,), holds the last communication point."""
+    """The messages of one component, in order.
+
+    clock   shape (2,) [s]: the last communication point, and where the last step began
+    """
 
     component: str
     messages: list[Message] = field(default_factory=list)
     dropped: int = 0
-    clock: NDArray[np.float64] = field(default_factory=lambda: np.full(1, np.nan))
+    clock: NDArray[np.float64] = field(default_factory=lambda: np.full(2, np.nan))
 
     @property
     def time(self) -> float:
@@ -49,6 +53,10 @@ class Log:
     def time(self, t: float) -> None:
         self.clock[0] = t
 
+    def begin_step(self, t: float) -> None:
+        """A step begins at t [s]."""
+        self.clock[:] = t
+
     def add(self, status: int, text: str) -> None:
         """Keep a message, up to KEPT of them."""
         if len(self.messages) >= KEPT:
@@ -56,11 +64,11 @@ class Log:
             return
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # the function that was called is of no use to a reader
         label = STATUS[status] if 0 <= status < len(STATUS) else str(status)
-        self.messages.append(Message(self.time, self.component, label, " ".join(text.split())))
+        self.messages.append(Message(self.time, self.component, label, " ".join(text.split()), self.clock[1]))
 
     def withdraw(self) -> None:
         """Forget the messages of a step that is going to be repeated."""
-        self.messages = [m for m in self.messages if not m.time >= self.time]
+        self.messages = [m for m in self.messages if m.step != self.clock[1]]
 
     def last(self, count: int = 3) -> str:
         """The last messages of the latest step, or its errors, as one line to end an error with."""

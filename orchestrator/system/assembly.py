@@ -68,6 +68,9 @@ def connection(system: System, source: Port, target: Port, linear: Linear) -> Co
         raise Problem(f"{result}: expected an output and an input, got {y.causality} and {u.causality}")
     if family(y) != family(u) or y.kind == "String":
         raise Problem(f"{result}: variables of type {y.kind} and {u.kind} cannot be connected")
+    if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
+        told = f"{linear.factor:g} and {linear.offset:g}"
+        raise Problem(f"{result}: expected whole factor and offset, got {told}")
     return result
 
 

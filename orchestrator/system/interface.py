@@ -48,6 +48,11 @@ class Variable:
         return self.kind == "Real"
 
     @property
+    def is_continuous(self) -> bool:
+        """May it change inside a step? Real variables that are discrete or tunable do not."""
+        return self.is_real and self.variability == "continuous"
+
+    @property
     def settable(self) -> bool:
         """True when a start value may be given before initialisation."""
         return self.variability != "constant" and (

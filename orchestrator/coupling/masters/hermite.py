@@ -4,25 +4,35 @@ Values and slopes at both ends of a step make a cubic. In the first pass the far
 sources are continued as Gauss-Seidel does it; each further pass starts again from the saved states, with the
 cubics to where the pass before it ended. When passes change nothing any more the input of every component is
 its source up to h^4, so the order of convergence is 4; docs/coupling.md has the measurements.
+
+A component that only hears from ones that have stepped before it is right in the first pass already. When all
+others can go back to a saved state the step is repeated, else it is computed once.
 """
 
 from __future__ import annotations
 
-from orchestrator.coupling.masters.plan import Plan, turns
+from orchestrator.coupling.masters.plan import Plan, turns, unsettled
 from orchestrator.coupling.settings import Coupling
 from orchestrator.system.system import System
 
 
 def hermite(system: System, coupling: Coupling) -> Plan:
     """At most `passes` passes, fewer when one changes all signals by less than the tolerance."""
+    order = turns(system)
+    repeated, components = unsettled(system, order), list(system.components.values())
+    stuck = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
+    told = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
+    passes = 1 if stuck else coupling.passes
     return Plan(
-        turns(system),
+        order,
         system.connections,
         coupling.extrapolation,
         degree=3,
         sequential=True,
-        passes=coupling.passes,
+        passes=passes,
         tolerance=coupling.miss,
-        corrected=coupling.correct and coupling.passes == 1,
+        corrected=coupling.correct and passes == 1,
         watches=coupling.adaptive is not None,
+        repeated=repeated,
+        notes=(told,) if stuck and coupling.passes > 1 else (),
     )

@@ -23,6 +23,8 @@ class Plan:
                  magnitude
     corrected    continued sources get back what they lost, see `Signal.give_back`
     watches      the inputs that do not move are watched too, for the estimate of the error
+    repeated     the components, by number, that further passes compute again
+    notes        what to tell the user
     """
 
     turns: Sequence[int]
@@ -34,6 +36,8 @@ class Plan:
     tolerance: float = 0.0
     corrected: bool = False
     watches: bool = False
+    repeated: frozenset[int] = frozenset()
+    notes: tuple[str, ...] = ()
 
     @property
     def sloped(self) -> bool:
@@ -45,3 +49,16 @@ def turns(system: System) -> list[int]:
     """The order, by number, in which components step one after the other."""
     places = {name: i for i, name in enumerate(system.components)}
     return [places[name] for name in sequence(system)]
+
+
+def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:
+    """The components, by number, that a second pass can change when they step in this order.
+
+    These are fed by one that does not step before them, or by one that a second pass changes.
+    """
+    names, wires = list(system.components), system.connections
+    turn = {names[k]: i for i, k in enumerate(order)}
+    found = {c.target.component for c in wires if turn[c.source.component] >= turn[c.target.component]}
+    while more := {c.target.component for c in wires if c.source.component in found} - found:
+        found |= more
+    return frozenset(map(names.index, found))

@@ -122,7 +122,7 @@ int carry_out(Run *run, const Program *program) {
 
 int step_part(Run *run, int k, double t, double h) {
     Part *p = &run->parts[k];
-    *p->clock = t;
+    p->clock[0] = p->clock[1] = t;
     int status;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->component, t, h, p->final);
     else

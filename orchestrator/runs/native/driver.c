@@ -27,12 +27,16 @@ void look(Driver *d, double t) {
     d->when = t;
 }
 
+/* The beginning of an exchange at t. */
 int put(Run *run, double t) {
     Driver *d = run->driver;
+    for (int32_t k = 0; k < run->part_count; k++) run->parts[k].clock[0] = t;
     if (!d) return CONTINUE;
     look(d, t);
     for (int32_t i = 0; i < d->count; i++) run->real[d->targets[i]] = d->coming[i];
     const double *base = d->base + row_of(d, t) * d->width;
+    for (int32_t i = 0; i < d->steady_count; i++)
+        run->real[d->steady[i]] = base[d->steady_columns[i]] * d->steady_factor[i] + d->steady_offset[i];
     for (int32_t i = 0; i < d->held_count; i++)
         run->whole[d->held[i]] = (int32_t)rint(base[d->held_columns[i]]);
     return carry_out(run, &d->writers);

@@ -16,8 +16,6 @@ typedef int Derivative2(void *, const uint32_t *, size_t, const uint32_t *, size
 typedef int Derivative3(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t,
                         double *, size_t);
 
-static double larger(double a, double b) { return b > a ? b : a; }
-
 static void copy(const Loop *p, double *to, const double *from) {
     memcpy(to, from, (size_t)p->count * sizeof *to);
 }

@@ -15,7 +15,7 @@ static int keep(Run *run) {
     memcpy(run->real_kept, run->real, (size_t)run->reals * sizeof *run->real);
     memcpy(run->whole_kept, run->whole, (size_t)run->wholes * sizeof *run->whole);
     for (int32_t k = 0; k < run->part_count; k++) {
-        const int verdict = keep_part(run, k);
+        const int verdict = run->parts[k].kept ? keep_part(run, k) : CONTINUE;
         if (verdict) return verdict;
     }
     return CONTINUE;
@@ -72,7 +72,7 @@ static int go_back(Run *run) {
     memcpy(run->real, run->real_kept, (size_t)run->reals * sizeof *run->real);
     memcpy(run->whole, run->whole_kept, (size_t)run->wholes * sizeof *run->whole);
     for (int32_t k = 0; k < run->part_count; k++) {
-        const int verdict = restore_part(run, k);
+        const int verdict = run->parts[k].kept ? restore_part(run, k) : CONTINUE;
         if (verdict) return verdict;
     }
     const int verdict = put(run, run->t);
@@ -84,8 +84,9 @@ static int discarded(Run *run, double h) {
     static const double least = 1e-9;
     const double reached = run->reached - run->t;
     const double shorter = least * h < reached && reached < h ? reached : 0.5 * h;
-    if (!run->keeps || shorter <= least * run->step) return STOP;
+    if (!run->goes_back || shorter <= least * run->step) return STOP;
     run->shorter = shorter;
+    run->judge(0, 0, WITHDRAWN);
     return go_back(run);
 }
 
@@ -118,11 +119,11 @@ static int one_step(Run *run, double h, int *stands) {
 static int next(Run *run) {
     const double point = run->start + (double)(run->done + 1) * run->step;
     while (run->event < run->event_count && run->events[run->event] <= run->t) run->event++;
-    const double target = run->event < run->event_count ? fmin(point, run->events[run->event]) : point;
+    const double target = run->event < run->event_count ? smaller(point, run->events[run->event]) : point;
     const double room = target - run->t;
     double h = run->pace ? pace_length(run->pace, room) : room;
     int stands;
-    if (run->shorter > 0.0) h = fmin(h, run->shorter);
+    if (run->shorter > 0.0) h = smaller(h, run->shorter);
     const int verdict = one_step(run, h, &stands);
     if (verdict) return verdict;
     if (!stands) {
@@ -132,8 +133,8 @@ static int next(Run *run) {
     run->t = h == room ? target : run->t + h;
     run->shorter = 0.0;
     run->steps++;
-    run->shortest = fmin(run->shortest, h);
-    run->longest = fmax(run->longest, h);
+    run->shortest = smaller(run->shortest, h);
+    run->longest = larger(run->longest, h);
     if (run->t == point) run->done++;
     if (run->t == point || run->free) record(run);
     return CONTINUE;

@@ -68,9 +68,9 @@ typedef struct { /* see part.py */
     void *component, *do_step, *get_state, *set_state, *state;
     void *event, *terminate, *early, *last; /* where FMI 3.0 tells about a step */
     const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
-    double *clock;                          /* time of the step, for messages */
-    double busy;
-    int32_t fmi, final, factor, first, count, revalued, rough;
+    double *clock;                          /* the last communication point, where the step began */
+    double busy, even;                      /* even: length of each of its own steps; 0 where that may vary */
+    int32_t fmi, final, factor, first, count, revalued, rough, kept, repeated;
     double *values, *derivatives;
     Program writers, reads, newest, tell;
 } Part;
@@ -78,11 +78,11 @@ typedef struct { /* see part.py */
 typedef struct { /* see drive.py and driver.py */
     int64_t samples, width, row;
     const double *time, *base, *slopes, *anchor;
-    const int64_t *columns, *targets, *held_columns, *held;
-    const double *factor, *offset;
+    const int64_t *columns, *targets, *steady_columns, *steady, *held_columns, *held;
+    const double *factor, *offset, *steady_factor, *steady_offset;
     double *coming, *middle;
     const int32_t *signals;
-    int32_t count, held_count;
+    int32_t count, steady_count, held_count;
     double when;
     Program writers;
 } Driver;
@@ -130,7 +130,7 @@ struct Run {
     /* the march */
     Pace *pace; /* NULL: all steps are equal */
     double adaptive;
-    int32_t by_energy, free, keeps;
+    int32_t by_energy, free, keeps, goes_back;
     const double *events;
     int64_t event_count, event;
     double start, step, t, length, older, shorter, shortest, longest, patience;
@@ -139,6 +139,13 @@ struct Run {
     int32_t (*judge)(const void *access, int32_t part, int32_t status);
     double reached;
 };
+
+enum { WITHDRAWN = -3 }; /* as a status: the step is repeated, so what the FMUs said in it does not count */
+
+/* max and min of Python, where numbers that are none are concerned; and the worse of two errors */
+static inline double larger(double a, double b) { return b > a ? b : a; }
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+static inline double worse(double a, double b) { return b <= a || a != a ? a : b; }
 
 /* calls.c: 0 or what `judge` said */
 int carry_out(Run *, const Program *);

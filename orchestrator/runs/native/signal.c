@@ -68,7 +68,7 @@ static int straight(const Signal *s, double h) {
     if (!s->free) return 0;
     const double chord = (s->value1 - s->value) / h;
     const double room = CORNER * (fabs(chord) + fabs(s->slope0) + fabs(s->slope1));
-    return fmin(fabs(chord - s->slope0), fabs(chord - s->slope1)) <= room;
+    return smaller(fabs(chord - s->slope0), fabs(chord - s->slope1)) <= room;
 }
 
 void interpolate(Signal *s, int degree, double h, double step) {
@@ -119,12 +119,12 @@ void accept(Signal *s, double h, double step) {
     s->value = s->value1;
     s->known += s->known == 1 ? 2 : 1;
     if (s->known > 3) s->known = 3;
-    s->scale = fmax(s->scale, fabs(s->value));
+    s->scale = larger(s->scale, fabs(s->value));
 }
 
 /* ---- how far off the input was ------------------------------------------------------------------- */
 
-double magnitude(const Signal *s) { return fmax(s->scale, fabs(s->value1)); }
+double magnitude(const Signal *s) { return larger(s->scale, fabs(s->value1)); }
 
 double share(const Signal *s, double deviation) {
     const double size = magnitude(s);
@@ -133,7 +133,7 @@ double share(const Signal *s, double deviation) {
 
 double miss(const Signal *s, double h) {
     double off = fabs(value_at(s->c, h) - s->value1);
-    if (!s->free) off = fmax(off, h * fabs(slope_at(s->c, h) - s->slope1));
+    if (!s->free) off = larger(off, h * fabs(slope_at(s->c, h) - s->slope1));
     return share(s, off);
 }
 

@@ -29,7 +29,7 @@ static int advance(Run *run, int k, double h, double *clock) {
     for (int32_t j = 0; j < many; j++) {
         const double begin = h * j / many, end = h * (j + 1) / many, now = run->t + begin;
         int verdict = give(run, p, begin, end - begin, j == many - 1);
-        if (!verdict) verdict = step_part(run, k, now, run->t + end - now);
+        if (!verdict) verdict = step_part(run, k, now, p->even != 0.0 ? p->even : run->t + end - now);
         if (verdict) return verdict;
     }
     const double before = *clock;
@@ -80,7 +80,7 @@ static int pass(Run *run, int n, double h) {
     for (int32_t i = 0; i < run->part_count; i++) {
         const int k = run->turns[i];
         Part *p = &run->parts[k];
-        if (n && !p->count) continue; /* nothing changes what it did */
+        if (n && !p->repeated) continue; /* nothing changes what it did */
         shape(run, p, n, h);
         int verdict = n ? restore_part(run, k) : CONTINUE;
         if (!verdict) verdict = carry_out(run, &p->newest);
@@ -101,7 +101,7 @@ static int pass(Run *run, int n, double h) {
 static double largest_miss(const Run *run, double h) {
     double worst = 0.0;
     for (int32_t i = 0; i < run->signal_count; i++)
-        if (run->signals[i].maker != DRIVEN) worst = fmax(worst, miss(&run->signals[i], h));
+        if (run->signals[i].maker != DRIVEN) worst = worse(worst, miss(&run->signals[i], h));
     return worst;
 }
 
@@ -121,7 +121,7 @@ int sweep(Run *run, double h, int *passes) {
         const int verdict = pass(run, n, h);
         if (verdict) return verdict;
         *passes = n + 1;
-        if (run->passes > 1 && largest_miss(run, h) <= run->tolerance) break;
+        if (run->passes > 1 && !(largest_miss(run, h) > run->tolerance)) break;
     }
     return CONTINUE;
 }
@@ -132,7 +132,7 @@ double step_error(const Run *run, double h) {
         const Signal *s = &run->signals[i];
         const int by_mean = run->corrected && s->maker != DRIVEN;
         const double off = by_mean ? defect(s, h) : deviation(s, h, run->passes > 1);
-        worst = fmax(worst, share(s, off));
+        worst = worse(worst, share(s, off));
     }
     return worst;
 }
@@ -145,7 +145,7 @@ double power_error(const Run *run, double h) {
         const double power =
             effort->value1 * deviation(flow, h, repeated) - flow->value1 * deviation(effort, h, repeated);
         const double size = magnitude(effort) * magnitude(flow);
-        worst = fmax(worst, size > 0.0 ? fabs(power) / size : 0.0);
+        worst = worse(worst, size > 0.0 ? fabs(power) / size : 0.0);
     }
     return worst;
 }
