@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,8 @@ DRIVEN = (  # what a driver keeps in arrays
     *("steady_columns", "steady", "steady_factor", "steady_offset", "held_columns", "held"),
 )
 KINDS = {layout.Access: layout.ACCESS, layout.Link: layout.LINK, layout.Loop: layout.LOOP}
+SAMPLE = 20  # steps after which it is known what the components cost
+WORTH = 2e-5  # [s] per step: less than that is not worth waking threads, which takes some 5e-6 s
 PATIENCE = 0.1  # [s], the longest time between two looks at the keyboard
 
 
@@ -56,7 +59,9 @@ class Compiled(March):
         self._problem: BaseException | None = None
         self._steppings = [stepping(part) for part in network.parts]
         self._run = layout.Run()
-        self._march = native.library().march  # type: ignore[union-attr]
+        library = native.library()
+        self._march, self._finish = library.march, library.finish  # type: ignore[union-attr]
+        self._decides = not sweep.plan.sequential and len(network.parts) > 1
         self._fill()
 
     # ---- the run
@@ -79,8 +84,21 @@ class Compiled(March):
         self.repeated, self.shortest, self.longest = run.repeated, run.shortest, run.longest
         for part, mine in zip(self._network.parts, self._parts, strict=True):
             part.slave.busy, part.state = mine.busy, mine.state and ctypes.c_void_p(mine.state)
+        if self._decides and self.steps >= SAMPLE:
+            self._decide()
         if verdict:
             raise self._problem or Problem("the run stopped")
+
+    def _decide(self) -> None:
+        """Let the components step at the same time if that saves more than it costs."""
+        self._decides = False
+        each = [part.busy / self.steps for part in self._parts]
+        if sum(each) - max(each) > WORTH:
+            self._run.threads = min(os.cpu_count() or 1, len(each))
+
+    def close(self) -> None:
+        """End the threads."""
+        self._finish(ctypes.byref(self._run))
 
     def _judge(self, where: int | None, part: int, status: int) -> int:
         """Called from C: what to do after a status that is not OK."""

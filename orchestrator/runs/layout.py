@@ -143,6 +143,8 @@ class Run(Structure):
         *_all(c_int64, "event_count event"),
         *_all(c_double, "start step t length older shorter shortest longest patience"),
         *_all(c_int64, "total done steps all_passes repeated"),
+        ("pool", c_void_p),
+        ("threads", c_int32),
         ("judge", JUDGE),
         ("reached", c_double),
     ]

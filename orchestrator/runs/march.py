@@ -66,6 +66,9 @@ class March:
         while self.done < self._times.steps and self._recorder.filled < BLOCK and not self._monitor.full:
             self._next()
 
+    def close(self) -> None:
+        """End what the run has started."""
+
     def _next(self) -> None:
         """One communication step; it may have to be repeated, which is another one."""
         times = self._times

@@ -213,6 +213,7 @@ class _Job:
             loop = _Loop(network, recorder, monitor, times, bar, remarks(network, sweep.plan))
             stack.callback(network.forget)
             march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
+            stack.callback(march.close)
             return self._judge(loop, march)
 
     def _pace(self, sweep: Sweep, times: Grid) -> tuple[Pace | None, bool, float]:

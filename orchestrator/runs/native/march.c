@@ -140,7 +140,13 @@ static int next(Run *run) {
     return CONTINUE;
 }
 
+EXPORT void finish(Run *run) {
+    pool_stop(run->pool);
+    run->pool = NULL;
+}
+
 EXPORT int32_t march(Run *run) {
+    if (run->threads > 1 && !run->pool) run->pool = pool_start(run, run->threads);
     const double until = seconds() + run->patience;
     while (run->done < run->total && run->recorder.filled < run->recorder.room &&
            run->monitor.rows < run->monitor.room) {

@@ -108,6 +108,7 @@ typedef struct { /* see pace.py */
     int32_t power, repeats;
 } Pace;
 
+typedef struct Pool Pool;
 typedef struct Run Run;
 struct Run {
     double *real, *real_kept, *used, *slopes;
@@ -135,6 +136,9 @@ struct Run {
     int64_t event_count, event;
     double start, step, t, length, older, shorter, shortest, longest, patience;
     int64_t total, done, steps, all_passes, repeated;
+    /* threads that step components; NULL: one after the other */
+    Pool *pool;
+    int32_t threads;
     /* the judge of every status that is not OK; says what to do */
     int32_t (*judge)(const void *access, int32_t part, int32_t status);
     double reached;
@@ -179,11 +183,17 @@ void look(Driver *, double t);
 int put(Run *, double t);
 
 /* sweep.c */
+int advance_part(Run *, int k, double h, double *clock);
 int sweep(Run *, double h, int *passes);
 double step_error(const Run *, double h);
 double power_error(const Run *, double h);
 void arrive_all(Run *, double h, int maker);
 enum { EVERYBODY = -2 };
+
+/* threads.c: as many threads, the caller's among them */
+Pool *pool_start(Run *, int threads);
+int pool_step(Pool *, double h);
+void pool_stop(Pool *);
 
 /* pace.c */
 double pace_length(Pace *, double room);
@@ -191,5 +201,6 @@ int pace_good(Pace *, double e, double h);
 
 /* march.c: one block; CONTINUE when there is more to do or all is done */
 int32_t march(Run *);
+void finish(Run *);
 
 #endif

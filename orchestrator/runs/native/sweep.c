@@ -23,7 +23,7 @@ static int give(Run *run, Part *p, double begin, double length, int last) {
 }
 
 /* A component's own steps; `clock` is the time now, and then [s]. */
-static int advance(Run *run, int k, double h, double *clock) {
+int advance_part(Run *run, int k, double h, double *clock) {
     Part *p = &run->parts[k];
     const int32_t many = p->factor;
     for (int32_t j = 0; j < many; j++) {
@@ -39,7 +39,7 @@ static int advance(Run *run, int k, double h, double *clock) {
 }
 
 /* Let inputs that could only be followed roughly end as they should, before outputs are read. */
-static int finish(Run *run, const Part *p, double h) {
+static int end_inputs(Run *run, const Part *p, double h) {
     if (!p->rough) return CONTINUE;
     double *derivative = p->derivatives;
     for (int32_t i = 0; i < p->count; i++) {
@@ -77,6 +77,10 @@ static void shape(Run *run, const Part *p, int n, double h) {
 static int pass(Run *run, int n, double h) {
     double clock = seconds();
     memset(run->stepped, 0, (size_t)run->part_count);
+    if (run->pool) {
+        for (int32_t k = 0; k < run->part_count; k++) shape(run, &run->parts[k], n, h);
+        return pool_step(run->pool, h);
+    }
     for (int32_t i = 0; i < run->part_count; i++) {
         const int k = run->turns[i];
         Part *p = &run->parts[k];
@@ -84,10 +88,10 @@ static int pass(Run *run, int n, double h) {
         shape(run, p, n, h);
         int verdict = n ? restore_part(run, k) : CONTINUE;
         if (!verdict) verdict = carry_out(run, &p->newest);
-        if (!verdict) verdict = advance(run, k, h, &clock);
+        if (!verdict) verdict = advance_part(run, k, h, &clock);
         if (verdict) return verdict;
         if (!run->sequential) continue;
-        verdict = finish(run, p, h);
+        verdict = end_inputs(run, p, h);
         if (!verdict) verdict = carry_out(run, &p->reads);
         if (!verdict) verdict = carry_out(run, &p->tell);
         if (verdict) return verdict;
