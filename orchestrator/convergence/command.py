@@ -54,9 +54,10 @@ def convergence(
         reference = _fitting(whole, usually)
     truth, note = _truth(whole, reference, signals, lengths, given)
     bare = rates(whole)
-    wires = f"plain: without the wires of rate ports: {', '.join(bare)}" if bare else ""
-    notes = tuple(filter(None, (note, *truth.notes, wires)))
     chosen, rows = possible(settings, bare), list[Row]()
+    plain = any(setting.bare for setting in chosen)
+    wires = f"plain: without the wires of rate ports: {', '.join(bare)}" if plain else ""
+    notes = tuple(filter(None, (note, *truth.notes, wires)))
     try:
         found = study(whole, truth, chosen, lengths, repeats, bare, **given)
         total = sum(len(setting.own) or len(lengths) for setting in chosen)
