@@ -50,7 +50,7 @@ def _about(row: Row) -> dict[str, Any]:
         "setting": row.setting.label,
         "master": coupling.master,
         "order": coupling.extrapolation,
-        "passes": coupling.passes if coupling.master == "hermite" else 1,
+        "passes": coupling.rounds,
         "without rate wires": row.setting.bare,
         "case": row.case,
         "step [s]": row.step,

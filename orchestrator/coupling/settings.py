@@ -2,73 +2,109 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from orchestrator.errors import Problem
+from orchestrator.errors import Problem, suggest
 
 MASTERS = ("jacobi", "gauss-seidel", "hermite")
 ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3}  # of extrapolation, where the user says nothing
-
 CONTROLS = ("error", "energy")
-MISS = 1e-4  # tolerance of the passes of hermite, where the user says nothing
+
+# Where the user says nothing: of hermite, and of adaptive runs.
+PASSES = 8
+MISS = 1e-4  # tolerance of the passes
 OF_STEP = 0.3  # of the tolerance of an adaptive step: tolerance of its passes
+SMALLEST, LARGEST = 1e-7, 0.1  # [s]
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """All choices about the coupling of a run.
+    """All choices about the coupling of a run; a choice that would have no effect is a Problem.
 
     master      one of MASTERS
     order       at which sources are continued over a step: 0, 1, 2 or 3; default: that of ORDERS
-    passes      hermite: how often a step is computed at most
+    passes      hermite: how often a step is computed at most; default: 8
     tolerance   hermite: a step is computed again while value or slope (times the step) of a signal ends
-                further from its source, as a share of its magnitude: the nominal value, or the largest seen
+                further from its source, as a share of its magnitude: the nominal value, or the largest seen;
+                default: 1e-4, of adaptive runs 0.3 of their tolerance
     correct     inputs get back what their continuation lost over the step before
     factors     component -> how many steps of its own it takes in one communication step
     adaptive    None: all steps are as long as the user says; else the tolerance of their estimated error, as
                 a share of the magnitude of each signal
-    control     what the tolerance is of: "error" of the signals, or "energy" of the power bonds
-    smallest    step [s] of adaptive runs; at it errors above the tolerance are let pass
-    largest     step [s] of adaptive runs
+    control     what that tolerance is of: "error" of the signals (default), or "energy" of the power bonds
+    smallest    step [s] of adaptive runs; at it errors above the tolerance are let pass; default: 1e-7
+    largest     step [s] of adaptive runs; default: 0.1
     """
 
     master: str = "gauss-seidel"
     order: int | None = None
-    passes: int = 8
+    passes: int | None = None
     tolerance: float | None = None
     correct: bool = False
     factors: Mapping[str, int] = field(default_factory=dict)
     adaptive: float | None = None
-    control: str = "error"
-    smallest: float = 1e-7
-    largest: float = 0.1
+    control: str | None = None
+    smallest: float | None = None
+    largest: float | None = None
 
     def __post_init__(self) -> None:
         if self.master not in MASTERS:
             raise Problem(f"unknown master {self.master!r}, expected one of {', '.join(MASTERS)}")
         if self.order not in (None, 0, 1, 2, 3):
             raise Problem(f"order of extrapolation: expected 0, 1, 2 or 3, got {self.order}")
-        if self.passes < 1:
+        if self.passes is not None and self.passes < 1:
             raise Problem(f"passes: expected at least 1, got {self.passes}")
         for name, value in (("coupling tolerance", self.tolerance), ("adaptive", self.adaptive)):
             if value is not None and not value > 0:
                 raise Problem(f"{name}: expected a positive number, got {value:g}")
-        if self.control not in CONTROLS:
+        if self.control not in (None, *CONTROLS):
             raise Problem(f"unknown control {self.control!r}, expected one of {', '.join(CONTROLS)}")
-        if not 0 < self.smallest <= self.largest:
-            raise Problem(
-                f"smallest and largest step: expected 0 < smallest <= largest, got {self.smallest:g} s and"
-                f" {self.largest:g} s"
-            )
+        smallest, largest = self.limits
+        if not 0 < smallest <= largest:
+            got = f"{smallest:g} s and {largest:g} s"
+            raise Problem(f"smallest and largest step: expected 0 < smallest <= largest, got {got}")
         for name, factor in self.factors.items():
-            if factor < 1:
-                raise Problem(f"factor of {name}: expected at least 1 step, got {factor}")
+            if factor < 1 or factor != int(factor):
+                raise Problem(f"factor of {name}: expected a whole number of steps from 1 on, got {factor}")
+        self._refuse_idle()
+
+    def _refuse_idle(self) -> None:
+        """Refuse what the other choices leave without effect."""
+        for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
+            if value is not None and self.master != "hermite":
+                raise Problem(f"{name}: only hermite computes a step again, the master is {self.master}")
+        if self.tolerance is not None and self.passes == 1:
+            raise Problem("coupling tolerance: it ends the passes of a step, expected more of them than 1")
+        if self.correct and self.master == "hermite" and self.passes != 1:
+            many = f"up to {self.rounds} passes"
+            raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
+        for name in ("control", "smallest", "largest"):
+            if getattr(self, name) is not None and self.adaptive is None:
+                raise Problem(
+                    f"{name}: only adaptive steps have one, expected a tolerance for them (adaptive)"
+                )
+
+    def check(self, components: Iterable[str]) -> None:
+        """Refuse factors of what is no component."""
+        known = list(components)
+        for name in self.factors:
+            if name not in known:
+                near = suggest(name, known) or f"; there are {', '.join(known)}"
+                raise Problem(f"factor of {name}: no component of that name{near}")
 
     @property
     def extrapolation(self) -> int:
         """The order of extrapolation."""
         return ORDERS[self.master] if self.order is None else self.order
+
+    @property
+    def rounds(self) -> int:
+        """How many passes a step takes at most."""
+        if self.master != "hermite":
+            return 1
+        return PASSES if self.passes is None else self.passes
 
     @property
     def miss(self) -> float:
@@ -78,8 +114,45 @@ class Coupling:
         return MISS if self.adaptive is None else OF_STEP * self.adaptive
 
     @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest adaptive step [s]."""
+        smallest = SMALLEST if self.smallest is None else self.smallest
+        return smallest, LARGEST if self.largest is None else self.largest
+
+    @property
+    def by_energy(self) -> bool:
+        """Is the tolerance of adaptive steps one of energy?"""
+        return self.control == "energy"
+
+    @property
     def text(self) -> str:
         """The master, with what differs from its usual settings."""
         more = [] if self.order is None else [f"of order {self.order}"]
+        if self.passes is not None:
+            more.append("in one pass" if self.passes == 1 else f"in up to {self.passes} passes")
         more += ["with correction"] if self.correct else []
+        more += ["with control of the energy"] if self.by_energy else []
+        each = [f"{factor} of {name}" for name, factor in self.factors.items() if factor > 1]
+        more += [f"with {' and '.join(each)} in each step"] if each else []
         return " ".join([self.master, *more])
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that has an effect, by name, also what nobody chose."""
+        found: dict[str, Any] = {"master": self.master, "order": self.extrapolation, "correct": self.correct}
+        found |= {"factors": dict(self.factors)} if self.factors else {}
+        found |= {"passes": self.rounds} if self.master == "hermite" else {}
+        found |= {"tolerance": self.miss} if self.rounds > 1 else {}
+        if self.adaptive is None:
+            return found
+        smallest, largest = self.limits
+        how = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
+        return found | how | {"smallest": smallest, "largest": largest}
+
+
+def chosen(given: Mapping[str, Any], usual: Coupling | None = None) -> Coupling:
+    """The choices `given` by name; a given master stands for itself, else the others are those of `usual`."""
+    if usual is None or "master" in given:
+        return Coupling(**given)
+    factors = {**usual.factors, **given.get("factors", {})}
+    return replace(usual, **{**given, "factors": factors})

@@ -221,7 +221,7 @@ class _Job:
         c = self.coupling
         if c.adaptive is None:
             return None, False, 1.0
-        if c.control == "energy" and not sweep.network.bonds:
+        if c.by_energy and not sweep.network.bonds:
             raise Problem(
                 "control of the energy: expected a power bond with inputs that may move on both sides, got none"
             )
@@ -230,8 +230,8 @@ class _Job:
             told = f"{', '.join(even)}: the FMU takes steps of one length only"
             raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {told}")
         rolls = all(face.rollback for face in faces.values())
-        pace = Pace(times.first, sweep.power, c.smallest, c.largest, rolls)
-        return pace, c.control == "energy", c.adaptive
+        pace = Pace(times.first, sweep.power, *c.limits, rolls)
+        return pace, c.by_energy, c.adaptive
 
     def _left_out(self) -> tuple[str, ...]:
         faces = {name: c.interface for name, c in self.system.components.items()}

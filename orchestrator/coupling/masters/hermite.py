@@ -22,7 +22,7 @@ def hermite(system: System, coupling: Coupling) -> Plan:
     repeated, components = unsettled(system, order), list(system.components.values())
     stuck = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
     told = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
-    passes = 1 if stuck else coupling.passes
+    passes = 1 if stuck else coupling.rounds
     return Plan(
         order,
         system.connections,
@@ -31,8 +31,8 @@ def hermite(system: System, coupling: Coupling) -> Plan:
         sequential=True,
         passes=passes,
         tolerance=coupling.miss,
-        corrected=coupling.correct and passes == 1,
+        corrected=coupling.correct,
         watches=coupling.adaptive is not None,
         repeated=repeated,
-        notes=(told,) if stuck and coupling.passes > 1 else (),
+        notes=(told,) if stuck and coupling.rounds > 1 else (),
     )
