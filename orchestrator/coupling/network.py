@@ -172,13 +172,12 @@ class Network:
         known = self.system.connections if plan.watches else plan.moved
         found = [c for c in known if self._continuous(c.target) and self._continuous(c.source)]
         found = [c for c in found if self.system.variable(c.target).causality == "input"]
-        inert = {name: slave.interface.inert for name, slave in self.slaves.items()}
-        found = [c for c in found if c.target.variable not in inert[c.target.component]]
+        found = [c for c in found if self._matters(c.target)]
         moved = {c.target for c in plan.moved}
         self.carried = self._carried({c.target for c in found})
         wired = {c.target: c for c in found if c.target not in self.carried}
         driven = self.driver.moving if self.driver else []
-        told = self._read_slopes([c.source for c in wired.values()] if plan.sloped else [])
+        told = self._read_slopes(c.source for c in wired.values() if plan.asks(c.source.component))
         for name, part in zip(self.slaves, self.parts, strict=True):
             ports = [p for p in [*wired, *driven] if p.component == name]
             mine = [self._signal(p, wired.get(p), plan, p in moved, told) for p in ports]
@@ -228,9 +227,13 @@ class Network:
             wanted=wanted,
             order=plan.order if moved else min(1, plan.order + rated),
             free=not self.system.components[wire.source.component].interface.of("input"),
-            matters=float(slave.interface.matters(port.variable, self._sources(port.component))),
             scale=scale,
         )
+
+    def _matters(self, port: Port) -> bool:
+        """Does anything that others use depend on this input?"""
+        face = self.slaves[port.component].interface
+        return port.variable not in face.inert and face.matters(port.variable, self._sources(port.component))
 
     def _sources(self, component: str) -> set[str]:
         """Outputs of a component that feed others."""

@@ -23,7 +23,6 @@ class Signal:
     wanted            the highest degree of polynomial that the master makes; 0: the input is left alone
     order             at which the source is continued
     free              the source has no inputs: it may have corners, but nothing depends on passes
-    matters           1, or 0 for an input that nothing depends on: its error is none
     scale             magnitude: the nominal value (1 if none is declared), or the largest seen if larger
     known             how far back the past is known: a source is continued at most at this order
     value, slope0     at the beginning of the step, in the input's unit
@@ -47,7 +46,6 @@ class Signal:
     wanted: int
     order: int = 0
     free: bool = False
-    matters: float = 1.0
     scale: float = 0.0
     known: int = 0
     value: float = 0.0
@@ -181,11 +179,11 @@ class Signal:
         beside = at(self.c, h) - self.value1
         if repeated and abs(beside) > abs(off):
             off = beside
-        return self.matters * off
+        return off
 
     def defect(self, h: float) -> float:
         """How far the mean of the input was from that of the source over the step of length h."""
-        return self.matters * (self._true_mean(h) - mean(self.c, h))
+        return self._true_mean(h) - mean(self.c, h)
 
     def _true_mean(self, h: float) -> float:
         return 0.5 * (self.value + self.value1) + h * (self.slope0 - self.slope1) / 12.0

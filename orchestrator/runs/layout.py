@@ -66,7 +66,7 @@ class Loop(Structure):
 class Signal(Structure):
     _fields_ = [
         *_all(c_int32, "target source maker slope degree wanted order free known"),
-        *_all(c_double, "factor offset matters scale"),
+        *_all(c_double, "factor offset scale"),
         *_all(c_double, "value slope0 value1 slope1 before chord bend"),
         *_all(c_double, "foretold weight lost returned"),
         ("c", c_double * 4),

@@ -58,7 +58,7 @@ typedef struct { /* see newton.py */
 
 typedef struct { /* see signal.py */
     int32_t target, source, maker, slope, degree, wanted, order, free, known;
-    double factor, offset, matters, scale;
+    double factor, offset, scale;
     double value, slope0, value1, slope1, before, chord, bend;
     double foretold, weight, lost, returned;
     double c[DEGREE + 1];

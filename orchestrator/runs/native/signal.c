@@ -141,7 +141,7 @@ double deviation(const Signal *s, double h, int repeated) {
     double off = s->weight * (s->foretold - s->value1);
     const double beside = value_at(s->c, h) - s->value1;
     if (repeated && fabs(beside) > fabs(off)) off = beside;
-    return s->matters * off;
+    return off;
 }
 
-double defect(const Signal *s, double h) { return s->matters * (true_mean(s, h) - mean(s->c, h)); }
+double defect(const Signal *s, double h) { return true_mean(s, h) - mean(s->c, h); }
