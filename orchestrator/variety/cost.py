@@ -60,7 +60,7 @@ def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[
     for _ in range(repeats):
         for system, best in zip(systems, least, strict=True):
             spent: Spent = {}
-            run(system, open=timed(spent), **options)
+            run(system, open=timed(spent), native=False, **options)
             for name, steps in spent.items():
                 best[name] = np.minimum(best.get(name, np.inf), steps)
     return [{n: float(np.subtract(*steps.mean(axis=0))) / 1e3 for n, steps in best.items()} for best in least]
