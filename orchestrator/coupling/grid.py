@@ -80,11 +80,9 @@ def free_grid(
     """The points that a run with steps of its own choice has to hit; `first` [s]: the step to try first."""
     begin, end = _span(system, scenario, start, stop)
     whole = _whole_steps(begin, end, end - begin)
-    points = whole if record_step is None else _whole_steps(begin, end, record_step)
+    points = whole if record_step is None else _whole_steps(begin, end, record_step, "record step")
     inside = tuple(t for t in events if begin < t < points.stop)
-    points = replace(
-        points, first=communication_step(system, first), free=record_step is None, events=inside
-    )
+    points = replace(points, first=communication_step(system, first), free=record_step is None, events=inside)
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
 
 
@@ -112,9 +110,11 @@ def _span(
 
 
 def communication_step(system: System, step: float | None) -> float:
-    """The step [s] given, else the smallest that an FMU suggests, else 1 ms."""
+    """The step [s] given, else what the system suggests, else the smallest that an FMU does, else 1 ms."""
     if step is not None:
         return step
+    if system.step is not None:
+        return system.step
     return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)
 
 
@@ -147,16 +147,16 @@ def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _whole_steps(start: float, end: float, step: float) -> Grid:
+def _whole_steps(start: float, end: float, step: float, name: str = "step") -> Grid:
     if not isfinite(step):
-        raise Problem(f"step: expected a finite time, got {step:g} s")
+        raise Problem(f"{name}: expected a finite time, got {step:g} s")
     if not step > 0:
-        raise Problem(f"step: expected a positive time, got {step:g} s")
+        raise Problem(f"{name}: expected a positive time, got {step:g} s")
     steps = int((end - start) / step + 1e-6)
     if steps < 1:
-        raise Problem(f"step: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
+        raise Problem(f"{name}: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
     reached = start + steps * step
     if abs(end - reached) > 1e-6 * step:
-        note = f"{end - start:g} s is no multiple of the step: the run ends at {reached:.9g} s"
+        note = f"{end - start:g} s is no multiple of the {name}: the run ends at {reached:.9g} s"
         return Grid(start, step, steps, notes=(note,))
     return Grid(start, step, steps)

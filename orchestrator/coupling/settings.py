@@ -82,9 +82,7 @@ class Coupling:
             raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
         for name in ("control", "smallest", "largest"):
             if getattr(self, name) is not None and self.adaptive is None:
-                raise Problem(
-                    f"{name}: only adaptive steps have one, expected a tolerance for them (adaptive)"
-                )
+                raise Problem(f"{name}: of adaptive steps only, expected a tolerance for them (adaptive)")
 
     def check(self, components: Iterable[str]) -> None:
         """Refuse factors of what is no component."""

@@ -12,6 +12,7 @@ from orchestrator.files.trace import Trace
 from orchestrator.runs.energy import BondEnergy
 
 ESTIMATE = "change when the step is halved; at order 2 the error is 4/3 of it"
+ADAPTIVE = "change at a tenth of the tolerance: about the error"
 STILL = 1e-6  # of the nominal value: what moves less stands still
 ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
 IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
@@ -21,6 +22,8 @@ LITTLE = 1e-2  # of the busiest bond: of what exchanges less the residual counts
 @dataclass(frozen=True)
 class SignalError:
     """What halving the step changes of one signal; its error at order p is 2^p / (2^p - 1) times that.
+
+    Of an adaptive run what a tenth of the tolerance changes, which is about the error.
 
     largest, rms   over the signal's range
     change         the largest, in `unit`
@@ -113,7 +116,8 @@ class Card:
             lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
-            lines += ["", ESTIMATE, *_table(head, [_error_row(e) for e in self.worst])]
+            told = ESTIMATE if self.adaptive is None else ADAPTIVE
+            lines += ["", told, *_table(head, [_error_row(e) for e in self.worst])]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
         return "\n".join(lines)

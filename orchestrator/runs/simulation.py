@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from orchestrator.coupling.drive import Drive, drive
@@ -42,6 +42,7 @@ class Result:
     trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
     card       the accuracy card
     messages   what the FMUs logged
+    coupling   all choices about it
     complete   False when the run ended early; the trace then holds what was recorded until there. A run that
                an FMU asked to end is complete, and has a note that says so
     """
@@ -51,6 +52,7 @@ class Result:
     card: Card
     messages: tuple[Message, ...] = ()
     complete: bool = True
+    coupling: Coupling = field(default_factory=Coupling)
 
 
 class RunFailed(Problem):
@@ -81,7 +83,7 @@ def open_slave(component: Component) -> Slave:
 def run(
     system: System | str | Path,
     scenario: Trace | str | Path | Location | None = None,
-    master: str | Coupling = "gauss-seidel",
+    master: str | Coupling | None = None,
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,
@@ -103,8 +105,10 @@ def run(
     scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
                     component.variable, or all component inputs of one name; a column replaces the connection
                     to its input
-    master          "jacobi", "gauss-seidel", "hermite", or a Coupling with all that can be chosen
-    step            communication step [s]; default: the smallest that an FMU suggests, else 1e-3
+    master          a name, such as "hermite", or a Coupling, such as Coupling("hermite", passes=2); default:
+                    what the system suggests, see `System.coupling`, else "gauss-seidel"
+    step            communication step [s], of adaptive runs the first to try; default: with no `master` given
+                    what the system suggests, else the smallest that an FMU does, else 1e-3
     start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
     swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
     parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
@@ -112,12 +116,12 @@ def run(
                     of a scenario
     record          names of the signals to record; default: all outputs, all inputs that are fed and all that
                     are inputs of the system, fed or not
-    record_step     interval between recorded points [s], a multiple of the step; the first and the last point
-                    are always recorded; default: every communication point
+    record_step     interval between recorded points [s], a multiple of the step; adaptive runs hit the points
+                    exactly; first and last are always recorded; default: every communication point
     bonds           power bonds as pairs of input names; default: found from the units
     tolerance       relative tolerance handed to the FMUs
-    error_estimate  run again at half and at twice the step to estimate the error of each signal at the
-                    recorded points
+    error_estimate  run again at half and at twice the step, an adaptive run at a tenth of its tolerance, to
+                    estimate the error of each signal at the recorded points
     progress        show a progress bar when the run takes longer than a second
     native          False: the loop in Python, which gives the same numbers and is slower
     open            makes the slave of a component (for tests and other kinds of components)
@@ -127,12 +131,16 @@ def run(
     from orchestrator.system.ssp import load
 
     whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
+    if master is not None:
+        coupling = master if isinstance(master, Coupling) else Coupling(master)
+        whole = replace(whole, coupling=coupling, step=None)
     whole = with_sets(whole, parameters).with_start(set or {})
     driven = _scenario(whole, scenario)
     if driven:
         whole = driven[0].released(whole)
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
-    coupling = master if isinstance(master, Coupling) else Coupling(master)
+    coupling = whole.coupling or Coupling()
+    coupling.check(whole.components)
     trace, span = driven[1] if driven else None, (start, stop, record_step)
     if coupling.adaptive is None:
         times = grid(whole, trace, step, *span)
@@ -145,14 +153,19 @@ def run(
 
 def _estimate(job: _Job, times: Grid, result: Result, progress: bool) -> Card:
     """The card of a complete run with error estimates; what happens to the other runs does not harm it."""
+    if times.free:
+        note = "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+        return replace(result.card, notes=(*result.card.notes, note))
+    adaptive = job.coupling.adaptive is not None
     try:
-        fine = job.run(times.finer(), progress).trace
-        coarse = None
-        if times.steps >= 4:
+        finer = (job.stricter(), times) if adaptive else (job, times.finer())
+        fine, coarse = finer[0].run(finer[1], progress).trace, None
+        if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
                 coarse = job.run(times.coarser(), progress).trace
     except RunFailed as failed:
-        note = f"no error estimate, the run at half the step failed: {failed}"
+        which = "a tenth of the tolerance" if adaptive else "half the step"
+        note = f"no error estimate, the run at {which} failed: {failed}"
         return replace(result.card, notes=(*result.card.notes, note))
     except Interrupted:
         raise Interrupted(result) from None
@@ -216,15 +229,21 @@ class _Job:
             stack.callback(march.close)
             return self._judge(loop, march)
 
+    def stricter(self) -> _Job:
+        """An adaptive run with a tenth of the tolerance."""
+        c = self.coupling
+        assert c.adaptive is not None
+        passes = None if c.tolerance is None else c.tolerance / 10
+        return replace(self, coupling=replace(c, adaptive=c.adaptive / 10, tolerance=passes))
+
     def _pace(self, sweep: Sweep, times: Grid) -> tuple[Pace | None, bool, float]:
         """What chooses the steps of an adaptive run, whether it looks at the energy, and the tolerance."""
         c = self.coupling
         if c.adaptive is None:
             return None, False, 1.0
         if c.by_energy and not sweep.network.bonds:
-            raise Problem(
-                "control of the energy: expected a power bond with inputs that may move on both sides, got none"
-            )
+            wanted = "a power bond with inputs that may move on both sides"
+            raise Problem(f"control of the energy: expected {wanted}, got none")
         faces = {name: component.interface for name, component in self.system.components.items()}
         if even := [name for name, face in faces.items() if not face.varies]:
             told = f"{', '.join(even)}: the FMU takes steps of one length only"
@@ -279,7 +298,7 @@ class _Job:
             ),
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
-        return Result(self.system, trace, card, tuple(messages), complete)
+        return Result(self.system, trace, card, tuple(messages), complete, self.coupling)
 
 
 @dataclass

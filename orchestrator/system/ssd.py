@@ -10,6 +10,7 @@ from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
 from orchestrator.files.xml import Element, child, children, flag, local, number, parse, transformation, units
 from orchestrator.system.interface import FLOATS
+from orchestrator.system.suggestion import Suggestion, read_suggestion
 from orchestrator.system.units import Linear, Unit
 
 SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
@@ -60,6 +61,7 @@ class Flat:
     known_units: dict[str, Unit] = field(default_factory=dict)
     start: float | None = None
     stop: float | None = None
+    suggestion: Suggestion | None = None
     notes: list[str] = field(default_factory=list)
 
     def connectors(self, owner: str, *kinds: str) -> list[Node]:
@@ -78,6 +80,7 @@ def read_ssd(file: Location) -> Flat:
         flat.start = number(file, experiment, "startTime") if "startTime" in experiment.attrib else None
         flat.stop = number(file, experiment, "stopTime") if "stopTime" in experiment.attrib else None
     _read_root(flat, file, root, "")
+    flat.suggestion = read_suggestion(file, root, flat.sources)
     return flat
 
 

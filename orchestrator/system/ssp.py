@@ -49,9 +49,11 @@ def _load_ssd(ssd: Location) -> System:
     flat = read_ssd(ssd)
     components = {name: open_component(name, fmu) for name, fmu in flat.sources.items()}
     try:
-        return _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
+        system = _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
+    told = flat.suggestion
+    return replace(system, coupling=told.coupling, step=told.step) if told else system
 
 
 def _flatten(flat: Flat, system: System) -> System:

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from orchestrator.coupling.settings import Coupling, chosen
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
 from orchestrator.system.interface import Interface, Value, Variable
@@ -74,7 +75,11 @@ class Outlet:
 
 @dataclass(frozen=True)
 class System:
-    """Everything that is known before a run. Times in [s]; `notes` are remarks to show after a run."""
+    """Everything that is known before a run. Times in [s].
+
+    coupling   how its file suggests to couple the components; step: the communication step that goes with it
+    notes      remarks to show after a run
+    """
 
     name: str
     components: Mapping[str, Component]
@@ -85,6 +90,8 @@ class System:
     stop: float | None = None
     source: Location | None = None
     notes: tuple[str, ...] = ()
+    coupling: Coupling | None = None
+    step: float | None = None
 
     def port(self, name: str) -> Port:
         """The port that `component.variable` names; both parts may contain dots."""
@@ -174,6 +181,14 @@ class System:
                 fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
         components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
         return replace(self, components=components)
+
+    def coupled(self, given: Mapping[str, Any]) -> System:
+        """The same system with other settings of its coupling, named like the fields of `Coupling`.
+
+        A master among them puts aside all that the system's file suggests, else the rest of that stays.
+        """
+        step = None if "master" in given else self.step
+        return replace(self, coupling=chosen(given, self.coupling), step=step)
 
     def without(self, *patterns: str) -> System:
         """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.
