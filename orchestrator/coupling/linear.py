@@ -1,9 +1,13 @@
-"""Small systems of linear equations; native/loop.c has the same, operation by operation."""
+"""Small systems of linear equations; C has the same, operation by operation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 Matrix = list[list[float]]
 
@@ -42,3 +46,33 @@ def solve(a: Matrix, rows: Sequence[int], b: list[float]) -> None:
         for j in range(k + 1, n):
             b[k] -= a[k][j] * b[j]
         b[k] /= a[k][k]
+
+
+def inverted(a: NDArray[Any], rows: NDArray[np.int32]) -> bool:
+    """Put the inverse of `a`, shape (n, n), in its place, by the method of Gauss and Jordan.
+
+    The pivot is the largest element of its column; `rows` notes the exchanges. False where there is none.
+    """
+    n = len(a)
+    for k in range(n):
+        best = k
+        column = a[:, k].tolist()
+        for i in range(k + 1, n):
+            if abs(column[i]) > abs(column[best]):
+                best = i
+        rows[k] = best
+        if best != k:
+            a[[k, best]] = a[[best, k]]
+        pivot = float(a[k, k])
+        if pivot == 0.0 or not abs(pivot) < inf:
+            return False
+        a[k, k] = 1.0
+        a[k] /= pivot
+        for i, factor in enumerate(a[:, k].tolist()):
+            if i != k and factor != 0.0:
+                a[i, k] = 0.0
+                a[i] -= a[k] * factor
+    for k in reversed(range(n)):
+        if rows[k] != k:
+            a[:, [k, rows[k]]] = a[:, [rows[k], k]]
+    return True

@@ -40,6 +40,16 @@ def interpolated(degree: int, value: float, slope: float, value1: float, slope1:
     return value, slope, (3.0 * chord - 2.0 * slope - slope1) / h, (slope + slope1 - 2.0 * chord) / (h * h)
 
 
+def through_thirds(value: float, v1: float, v2: float, v3: float, h: float) -> Cubic:
+    """The polynomial that changes from `value` by v1, v2 and v3 up to h/3, 2h/3 and h."""
+    return (
+        value,
+        (18.0 * v1 - 9.0 * v2 + 2.0 * v3) / (2.0 * h),
+        (-45.0 * v1 + 36.0 * v2 - 9.0 * v3) / (2.0 * h * h),
+        (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h),
+    )
+
+
 def shifted(c: Cubic, by: float) -> Cubic:
     """The same polynomial with its time counted from `by`."""
     c0, c1, c2, c3 = c

@@ -17,7 +17,8 @@ def remarks(network: Network, plan: Plan) -> tuple[str, ...]:
         return plan.notes
     names = {place: str(port) for port, place in network.real.index.items()}
     wired = [s for s in network.signals if s.maker != DRIVEN and s.wanted]
-    silent = _listed(names[s.source] for s in wired if s.slope == NO_SLOPE)
+    asked = [plan.asks(name) for name in network.slaves]
+    silent = _listed(names[s.source] for s in wired if s.slope == NO_SLOPE and asked[s.maker])
     still = _listed(names[s.target] for s in wired if s.degree == 0)
     straight = _listed(names[s.target] for s in wired if 0 < s.degree < s.wanted)
     told = {

@@ -8,8 +8,9 @@ from typing import Any
 
 from orchestrator.errors import Problem, suggest
 
-MASTERS = ("jacobi", "gauss-seidel", "hermite")
-ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3}  # of extrapolation, where the user says nothing
+MASTERS = ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")
+# of extrapolation, where the user says nothing
+ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}
 CONTROLS = ("error", "energy")
 
 # Where the user says nothing: of hermite, and of adaptive runs.
@@ -30,6 +31,7 @@ class Coupling:
                 further from its source, as a share of its magnitude: the nominal value, or the largest seen;
                 default: 1e-4, of adaptive runs 0.3 of their tolerance
     correct     inputs get back what their continuation lost over the step before
+    lag         interface-jacobian: steps for which a linearisation is kept
     factors     component -> how many steps of its own it takes in one communication step
     adaptive    None: all steps are as long as the user says; else the tolerance of their estimated error, as
                 a share of the magnitude of each signal
@@ -43,6 +45,7 @@ class Coupling:
     passes: int | None = None
     tolerance: float | None = None
     correct: bool = False
+    lag: int = 1
     factors: Mapping[str, int] = field(default_factory=dict)
     adaptive: float | None = None
     control: str | None = None
@@ -56,6 +59,8 @@ class Coupling:
             raise Problem(f"order of extrapolation: expected 0, 1, 2 or 3, got {self.order}")
         if self.passes is not None and self.passes < 1:
             raise Problem(f"passes: expected at least 1, got {self.passes}")
+        if self.lag < 1:
+            raise Problem(f"lag: expected at least 1 step, got {self.lag}")
         for name, value in (("coupling tolerance", self.tolerance), ("adaptive", self.adaptive)):
             if value is not None and not value > 0:
                 raise Problem(f"{name}: expected a positive number, got {value:g}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from orchestrator.coupling import polynomial
 from orchestrator.coupling.polynomial import Cubic, at, interpolated, mean, predicted, slope_at
 
 DRIVEN = -1  # as maker: a scenario
@@ -30,6 +31,7 @@ class Signal:
     before, chord     over the step before: slope at its beginning, mean slope
     bend              divided difference of second order over the two steps before
     c                 coefficients over the step
+    foreseen          `Foresight` makes the polynomial
     foretold          what the past said of the end of the step, for the estimate of the error
     weight            of the difference to that
     lost              mean of the source less mean of the input as continued, over the last step
@@ -56,6 +58,7 @@ class Signal:
     chord: float = 0.0
     bend: float = 0.0
     c: Cubic = (0.0, 0.0, 0.0, 0.0)
+    foreseen: bool = False
     foretold: float = 0.0
     weight: float = 0.0
     lost: float = 0.0
@@ -73,6 +76,16 @@ class Signal:
         """Continue the source over a step of length h; `step` [s] is the length of the one before."""
         self.c = self._continued(self.order, step)
         self.foretold, self.weight, self.returned = at(self.c, h), 1.0, 0.0
+
+    def foresee(self, v1: float, v2: float, v3: float, h: float) -> None:
+        """Take what changes are foretold up to h/3, 2h/3 and h."""
+        self.c = polynomial.through_thirds(self.value, v1, v2, v3, h)
+        self.foretold, self.weight, self.returned = at(self.c, h), 1.0, 0.0
+
+    def hit(self, h: float) -> None:
+        """Let what was foretold end where the source did."""
+        c0, c1, c2, c3 = self.c
+        self.c = (c0, c1, c2, c3 + (self.value1 - at(self.c, h)) / (h * h * h))
 
     def interpolate(self, degree: int, h: float, step: float) -> None:
         """Connect both ends of the step.

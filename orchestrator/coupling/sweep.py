@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from orchestrator.coupling.bank import Link
+from orchestrator.coupling.foresight import Foresight
 from orchestrator.coupling.masters.plan import Plan
 from orchestrator.coupling.network import Network
 from orchestrator.coupling.part import Part
@@ -15,17 +16,45 @@ from orchestrator.slaves.slave import Call
 class Sweep:
     """Takes the components of a network over a step.
 
-    passes   how many passes the last step took
+    turns       the components, by number, in the order in which they step
+    foresight   of the inputs, where the plan wants it
+    passes      how many passes the last step took
     """
 
     def __init__(self, network: Network, plan: Plan) -> None:
-        self.network, self.plan = network, plan
+        self.network, self.plan, self.turns = network, plan, list(plan.turns)
         self.passes = 0
         network.move(plan)
-        if plan.sequential:
-            found = newest(network, plan.turns)
-            for part, name, calls in zip(network.parts, network.slaves, found, strict=True):
-                part.reads, part.newest = network.read_again(name), calls
+        self.foresight = Foresight(network, plan.outlook, plan.turns) if plan.outlook else None
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Give the components what they need when they step one by one."""
+        if not self.plan.sequential:
+            return
+        network = self.network
+        for k, calls in enumerate(newest(network, self.turns)):
+            network.parts[k].newest = calls
+        for k, name in enumerate(network.slaves):
+            network.parts[k].reads = network.read_again(name)
+
+    def begin(self, t: float) -> None:
+        """Once all components are initialised, at t [s]: find out what they tell."""
+        if self.foresight:
+            self.network.exchange(t)
+            self.turns = self.foresight.begin()
+            self._arrange()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to tell the user."""
+        return self.foresight.notes if self.foresight else ()
+
+    def accept(self, h: float) -> None:
+        """The step of length h stands."""
+        self.network.accept(h)
+        if self.foresight:
+            self.foresight.accept(h)
 
     def step(self, t: float, h: float) -> None:
         """From t to t + h [s]; then all outputs are to be exchanged."""
@@ -67,8 +96,10 @@ class Sweep:
         """All components once."""
         network, plan = self.network, self.plan
         stepped = set[int]()
-        for k in plan.turns:
+        for i, k in enumerate(self.turns):
             part = network.parts[k]
+            if self.foresight and i == self.foresight.leads:
+                self.foresight.look(h)
             if n and k not in plan.repeated:
                 continue  # nothing changes what it did
             self._shape(part, h, stepped if n == 0 else None)
@@ -89,7 +120,10 @@ class Sweep:
         for s in part.signals:
             if s.maker == DRIVEN:
                 continue
-            if s.wanted and (stepped is None or s.maker in stepped):
+            if s.foreseen:
+                if stepped is not None and s.maker in stepped:
+                    s.hit(h)
+            elif s.wanted and (stepped is None or s.maker in stepped):
                 s.interpolate(self.plan.degree, h, length)
             else:
                 s.predict(h, length)

@@ -53,6 +53,8 @@ class Compiled(March):
         tolerance: float = 1.0,
     ) -> None:
         """Raises TypeError where a component is no FMU that C can call, see `stepping`."""
+        if sweep.foresight:
+            raise TypeError("a foresight is not there in C yet")
         super().__init__(network, sweep, times, recorder, monitor, pace, by_energy, tolerance)
         self._judges: dict[int, Judge] = {}
         self._alive: list[Any] = []  # what C has the addresses of

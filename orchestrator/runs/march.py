@@ -110,7 +110,7 @@ class March:
         if self._pace is not None and not self._pace.good(self._error(h) / self._tolerance, h):
             network.restore(self.t)
             return False
-        network.accept(h)
+        self._sweep.accept(h)
         monitor.settled()
         return True
 

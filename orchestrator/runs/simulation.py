@@ -220,10 +220,12 @@ class _Job:
             sweep = Sweep(network, plan(self.system, self.coupling))
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
+            sweep.begin(times.start)
             monitor = Monitor(network, self._bonds())
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
-            loop = _Loop(network, recorder, monitor, times, bar, remarks(network, sweep.plan))
+            notes = (*remarks(network, sweep.plan), *sweep.notes)
+            loop = _Loop(network, recorder, monitor, times, bar, notes)
             stack.callback(network.forget)
             march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
             stack.callback(march.close)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from orchestrator.coupling.masters.gauss_seidel import gauss_seidel
 from orchestrator.coupling.masters.hermite import hermite
+from orchestrator.coupling.masters.interface_jacobian import interface_jacobian
 from orchestrator.coupling.masters.jacobi import jacobi
 from orchestrator.coupling.masters.plan import Plan
 from orchestrator.coupling.settings import Coupling
@@ -15,6 +16,7 @@ MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {
     "jacobi": jacobi,
     "gauss-seidel": gauss_seidel,
     "hermite": hermite,
+    "interface-jacobian": interface_jacobian,
 }
 
 

@@ -6,7 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from orchestrator.system.dependencies import sequence
-from orchestrator.system.system import Connection, System
+from orchestrator.system.system import Connection, Port, System
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What `foresight.py` works with.
+
+    leads   so many components step first: their future depends on no other component
+    open    components that declare to tell how their states and outputs change
+    heard   inputs that a state depends on, or an output that feeds another component
+    lag     steps for which a linearisation is kept
+    """
+
+    leads: int
+    open: frozenset[str]
+    heard: frozenset[Port]
+    lag: int
 
 
 @dataclass(frozen=True)
@@ -25,6 +41,7 @@ class Plan:
     watches      the inputs that do not move are watched too, for the estimate of the error
     repeated     the components, by number, that further passes compute again
     notes        what to tell the user
+    outlook      inputs are foretold from linearisations
     """
 
     turns: Sequence[int]
@@ -38,11 +55,16 @@ class Plan:
     watches: bool = False
     repeated: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
+    outlook: Outlook | None = None
 
     @property
     def sloped(self) -> bool:
         """Are the slopes of sources wanted?"""
         return self.order > 0 or self.degree > 1 or self.corrected or self.watches
+
+    def asks(self, component: str) -> bool:
+        """Are the slopes of the outputs of this component wanted?"""
+        return self.sloped and not (self.outlook and component in self.outlook.open)
 
 
 def turns(system: System) -> list[int]:
