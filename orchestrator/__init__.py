@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orchestrator.coupling.settings import Coupling
     from orchestrator.errors import Problem
     from orchestrator.files.trace import Trace, read, write
     from orchestrator.runs.card import Card
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "Card": "runs.card",
+    "Coupling": "coupling.settings",
     "Interrupted": "runs.simulation",
     "Problem": "errors",
     "Result": "runs.simulation",
@@ -37,7 +39,7 @@ _WHERE = {
 }
 
 __all__ = [
-    "Card", "Interrupted", "Problem", "Result", "RunFailed", "System", "Trace",
+    "Card", "Coupling", "Interrupted", "Problem", "Result", "RunFailed", "System", "Trace",
     "assemble", "load", "read", "run", "write",
 ]  # fmt: skip
 

@@ -9,6 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from orchestrator.commands.interrupt import ends_clean
+from orchestrator.commands.options import Case, Coupled, Steps, Swap, System, seconds
+from orchestrator.commands.spread import spread
+from orchestrator.commands.texts import swaps
 from orchestrator.errors import Problem
 
 app = typer.Typer(
@@ -19,77 +22,9 @@ app = typer.Typer(
 )
 
 
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise typer.BadParameter(f"expected a number of seconds, got {text!r}") from None
-
-
 INTERRUPTED = 130  # exit status, as of a shell
 SYSTEM, BUILD = Path("build/harvester.ssp"), Path("build")
 STUDY = BUILD / "convergence"
-
-# What `run` and `validate` share.
-System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
-Scenario = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Inputs over time (.csv, .parquet); default: what the system plays by itself,"
-        " for the harvester the work cycle.",
-    ),
-]
-Master = Annotated[str, typer.Option(metavar="NAME", help="jacobi or gauss-seidel.")]
-Step = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        help="Communication step [s]; default: what the FMUs suggest, 1e-3 for the harvester.",
-        parser=_seconds,
-    ),
-]
-RecordStep = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        help="Time between recorded points [s], a multiple of the step; default: 0.005, at least a step.",
-        parser=_seconds,
-    ),
-]
-Start = Annotated[float | None, typer.Option(metavar="T", help="Start time [s].", parser=_seconds)]
-Stop = Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].", parser=_seconds)]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Start value of a COMPONENT.VARIABLE, or of all inputs of a name"
-        " (supply_pressure sets both drives); repeatable.",
-    ),
-]
-Parameters = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="SET",
-        help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
-    ),
-]
-Swap = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="COMPONENT=FMU",
-        help="Another FMU in the place of a component: the name of a variant, such as boom_stick=detailed,"
-        " or a path, boom_stick=FILE.fmu; repeatable.",
-    ),
-]
-Cut = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="TARGET",
-        help="Leave out the connections to these inputs, such as '*_rate'; repeatable.",
-    ),
-]
 
 
 @app.callback()
@@ -98,46 +33,30 @@ def _group() -> None:
 
 
 @app.command()
+@spread
 def run(
+    *,
     system: System = SYSTEM,
-    scenario: Scenario = None,
-    master: Master = "gauss-seidel",
-    step: Step = None,
-    record_step: RecordStep = None,
-    start: Start = None,
-    stop: Stop = None,
-    swap: Swap = None,
-    parameters: Parameters = None,
-    set_: Set = None,
-    cut: Cut = None,
+    case: Case,
+    steps: Steps,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")
     ] = BUILD / "trace.csv",
     error_estimate: Annotated[
         bool,
         typer.Option(
-            "--error-estimate", help="Run again at half and at twice the step; tell change and order."
+            "--error-estimate",
+            help="Run again at half and at twice the step, or at a tenth of the tolerance of --adaptive;"
+            " tell change and order.",
         ),
     ] = False,
+    coupled: Coupled,
 ) -> None:
     """Co-simulate a system and record all its outputs and inputs."""
     from orchestrator.commands import commands
 
-    commands.run(
-        system,
-        scenario,
-        out,
-        master=master,
-        step=step,
-        record_step=record_step,
-        start=start,
-        stop=stop,
-        swap=commands.swaps(swap or []),
-        parameters=parameters or (),
-        set=commands.assignments(set_ or []),
-        cut=cut or (),
-        error_estimate=error_estimate,
-    )
+    options = case.options() | steps.options() | {"error_estimate": error_estimate}
+    commands.run(system, case.scenario, out, coupling=coupled.given(), **options)
 
 
 @app.command()
@@ -245,11 +164,13 @@ def signals(
     """List the variables of a system with unit and meaning."""
     from orchestrator.commands import commands
 
-    commands.signals(system, kind, commands.swaps(swap or []))
+    commands.signals(system, kind, swaps(swap or []))
 
 
 @app.command()
+@spread
 def validate(
+    *,
     system: System = SYSTEM,
     reference: Annotated[
         Path | None,
@@ -257,43 +178,21 @@ def validate(
             metavar="FILE", help="Reference or measurement, .csv with .toml; default: the work cycle."
         ),
     ] = None,
-    scenario: Scenario = None,
     layout: Annotated[
         Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
     ] = None,
-    master: Master = "gauss-seidel",
-    step: Step = None,
-    record_step: RecordStep = None,
-    start: Start = None,
-    stop: Stop = None,
-    swap: Swap = None,
-    parameters: Parameters = None,
-    set_: Set = None,
-    cut: Cut = None,
+    case: Case,
+    steps: Steps,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
+    coupled: Coupled,
 ) -> None:
     """Co-simulate and compare with a reference. Writes a report; exit status 1 if a limit is missed."""
     from fmus.build import data
     from orchestrator.commands import commands
 
-    passed = commands.validate(
-        system,
-        scenario,
-        reference,
-        layout,
-        out,
-        usual=(data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")),
-        master=master,
-        step=step,
-        record_step=record_step,
-        start=start,
-        stop=stop,
-        swap=commands.swaps(swap or []),
-        parameters=parameters or (),
-        set=commands.assignments(set_ or []),
-        cut=cut or (),
-    )
-    if not passed:
+    usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
+    options = case.options() | steps.options() | {"coupling": coupled.given()}
+    if not commands.validate(system, case.scenario, reference, layout, out, usual=usual, **options):
         raise typer.Exit(1)
 
 
@@ -314,10 +213,10 @@ def compare(
         ),
     ] = None,
     start: Annotated[
-        float | None, typer.Option(metavar="T", help="Begin of the window [s].", parser=_seconds)
+        float | None, typer.Option(metavar="T", help="Begin of the window [s].", parser=seconds)
     ] = None,
     stop: Annotated[
-        float | None, typer.Option(metavar="T", help="End of the window [s].", parser=_seconds)
+        float | None, typer.Option(metavar="T", help="End of the window [s].", parser=seconds)
     ] = None,
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Where comparison.png and comparison.json go.")
@@ -330,7 +229,9 @@ def compare(
 
 
 @app.command()
+@spread
 def convergence(
+    *,
     system: System = SYSTEM,
     reference: Annotated[
         Path | None,
@@ -340,7 +241,6 @@ def convergence(
             " of any other run the finest hermite run.",
         ),
     ] = None,
-    scenario: Scenario = None,
     steps: Annotated[
         str, typer.Option(metavar="S,S,...", help="Communication steps [s], with commas.")
     ] = "0.0005,0.001,0.002,0.005,0.01,0.02",
@@ -359,12 +259,7 @@ def convergence(
             " default: speeds and pressures.",
         ),
     ] = None,
-    start: Start = None,
-    stop: Stop = None,
-    swap: Swap = None,
-    parameters: Parameters = None,
-    set_: Set = None,
-    cut: Cut = None,
+    case: Case,
     repeats: Annotated[
         int, typer.Option(metavar="N", help="How often each run is timed; the median counts.")
     ] = 3,
@@ -372,26 +267,11 @@ def convergence(
 ) -> None:
     """Error over communication step for all masters, and what each costs: tables, numbers, pictures."""
     from fmus.build import data
-    from orchestrator.commands.commands import assignments, swaps
     from orchestrator.convergence.command import convergence as study
 
-    study(
-        system,
-        reference,
-        out,
-        steps,
-        masters,
-        signals or (),
-        repeats,
-        usually=data("reference/work_cycle.csv"),
-        scenario=scenario,
-        start=start,
-        stop=stop,
-        swap=swaps(swap or []),
-        parameters=parameters or (),
-        set=assignments(set_ or []),
-        cut=cut or (),
-    )
+    usually = data("reference/work_cycle.csv")
+    options = case.options() | {"scenario": case.scenario, "usually": usually}
+    study(system, reference, out, steps, masters, signals or (), repeats, **options)
 
 
 @app.command()

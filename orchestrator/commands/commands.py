@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.coupling.grid import communication_step, thinned
+from orchestrator.coupling.grid import RECORD, communication_step, thinned
 from orchestrator.errors import Problem
 from orchestrator.files.sidecar import write_facts
 from orchestrator.files.trace import check_suffix, write
@@ -26,7 +26,7 @@ BUILT, MAKE = Path("build/harvester.ssp"), "harvester build"
 
 def run(system: Path, scenario: Path | None, out: Path, **options: Any) -> None:
     """Co-simulate, write the trace, print the accuracy card; an aborted run leaves its trace too."""
-    save(simulated(system, scenario, out, **options), out, {"scenario": scenario, **options})
+    save(simulated(system, scenario, out, **options), out, given(scenario=scenario, **options))
 
 
 def validate(
@@ -56,7 +56,7 @@ def validate(
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
-    result = simulated(system, scenario, trace, **options)
+    result = simulated(system, scenario, trace, **options, everywhere=False)
     if reference and not scenario and not options.get("parameters"):
         result = _noted(result, "no --scenario given: ran what the system plays by itself")
     if scenario and not reference:
@@ -66,7 +66,7 @@ def validate(
         result = _noted(result, told)
     result, against = _without_lost(result, against)
     write(result.trace, trace)
-    write_facts(result, trace, {"scenario": scenario, **options})
+    write_facts(result, trace, given(scenario=scenario, **options))
     if len(result.system.components) == 1:
         known = by_variable(result.trace, [*against.signals, *(signal for _, signal in shown.named)])
         result = replace(result, trace=known)
@@ -102,8 +102,7 @@ def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **op
         "scenario": str(scenario) if scenario else "none: what the system plays by itself",
         "reference": reference,
         "master": card.master,
-        "communication step [s]": card.step,
-        "record step [s]": card.record_step,
+        **_steps(card),
         "simulated [s]": card.simulated,
     }
     for name in ("parameters", "cut"):
@@ -112,12 +111,30 @@ def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **op
     return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
 
 
+def _steps(card: Card) -> dict[str, Any]:
+    if card.adaptive is None:
+        return {"communication step [s]": card.step, "record step [s]": card.record_step}
+    shortest, longest = card.lengths
+    return {
+        "tolerance of a step": card.adaptive,
+        "communication step [s]": f"{shortest:.3g} to {longest:.3g}, on average {card.step:.3g}",
+        "record step [s]": card.record_step or "every communication step",
+    }
+
+
+def given(coupling: Mapping[str, Any] | None = None, **options: Any) -> dict[str, Any]:
+    """What the user asked for, in one mapping, to note beside a trace."""
+    return {**options, **(coupling or {})}
+
+
 def simulated(
     system: Path,
     scenario: Path | None,
     out: Path,
     step: float | None = None,
     record_step: float | None = None,
+    coupling: Mapping[str, Any] | None = None,
+    everywhere: bool = True,
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
     **options: Any,
@@ -125,18 +142,24 @@ def simulated(
     """Co-simulate with a progress bar; a run that ends early is saved to the file `out`.
 
     record_step   [s]; default: 5 ms or as near below it as the step allows, at least one step
+    coupling      choices that the user makes, named like the fields of `Coupling`
+    everywhere    without a record step an adaptive run records every communication point, else every 5 ms
     cut           patterns of the inputs whose connections are left out, before anything else
     swap          other FMUs: component -> name of a variant, or path
     """
     check_suffix(out)
     loaded = load(there(system)).without(*cut).swapped(swap or {})
-    step = communication_step(loaded, step)
-    interval = thinned(step) if record_step is None else record_step
+    loaded = loaded.coupled(coupling) if coupling else loaded
+    if record_step is None and loaded.coupling and loaded.coupling.adaptive is not None:
+        interval = None if everywhere else RECORD
+    else:
+        interval = thinned(communication_step(loaded, step)) if record_step is None else record_step
     folder(out.parent)
     try:
         return simulate(loaded, scenario, step=step, record_step=interval, progress=True, **options)
     except (RunFailed, Interrupted) as ended:
-        save(ended.result, out, {"scenario": scenario, "cut": cut, "swap": swap, **options})
+        own = {"step": step, "record_step": record_step, "cut": cut, "swap": swap}
+        save(ended.result, out, given(coupling, scenario=scenario, **own, **options))
         raise
 
 
@@ -170,7 +193,8 @@ def save(result: Result, out: Path, given: Mapping[str, Any]) -> None:
 def _what(result: Result, out: Path) -> str:
     """The file of a trace and what is in it."""
     trace, card = result.trace, result.card
-    every = f", every {card.record_step:g} s" if card.record_step > card.step else ""
+    thin = card.record_step > card.step or (card.adaptive is not None and card.record_step > 0)
+    every = f", every {card.record_step:g} s" if thin else ""
     return f"{out}: {len(trace.signals)} signals, {len(trace.time)} rows{every}"
 
 
@@ -181,11 +205,6 @@ def signals(system: Path, kind: str | None = None, swap: Mapping[str, str] | Non
     print("\n".join(lines(load(there(system)).swapped(swap or {}), kind)))
 
 
-def swaps(texts: Iterable[str]) -> dict[str, str]:
-    """{component: variant or path} from the texts 'component=variant'."""
-    return assignments(texts, "--swap", "component=variant or component=file.fmu")
-
-
 def compare(traces: Sequence[Path], out: Path, **options: Any) -> None:
     """Compare traces with one of them, print tables, write the picture and the numbers."""
     from orchestrator import comparison
@@ -194,17 +213,3 @@ def compare(traces: Sequence[Path], out: Path, **options: Any) -> None:
     folder(out)
     picture, numbers = comparison.write(found, out)
     print(f"{comparison.text(found)}\n\npicture: {picture}\nnumbers: {numbers}")
-
-
-def assignments(
-    texts: Iterable[str], option: str = "--set", expected: str = "component.variable=value or input=value"
-) -> dict[str, str]:
-    """{name: value} from the texts 'name=value' of an option."""
-    values = dict[str, str]()
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not name:
-            raise Problem(f"{option} {text}: expected {expected}")
-        if values.setdefault(name, value) != value:
-            raise Problem(f"{option} {text}: {name} is {values[name]} already, expected one value")
-    return values

@@ -115,6 +115,8 @@ def card(result: Result) -> Mapping[str, Any]:
         "wall time [s]": round(c.wall, 3),
         "real-time factor": round(c.real_time_factor, 1),
         "steps": c.steps,
+        **({"passes per step": round(c.passes / max(c.steps, 1), 2)} if c.passes > c.steps else {}),
+        **({"steps repeated": c.repeated} if c.repeated else {}),
         "energy residual of the power bonds, share of the exchanged energy": {
             b.name: _bond(*c.bond(b)) for b in c.bonds
         },

@@ -39,14 +39,15 @@ def _costs(comparison: Comparison) -> list[str]:
     runs, reference = comparison.runs, comparison.reference
     if not any(run.facts for run in runs):
         return []
-    head = ["run", "step", "times real time", "wall us/ms", "FMUs us/ms", f"x {reference.label}", "of them"]
+    times = ["times real time", "wall us/ms", "FMUs us/ms", f"x {reference.label}", "of them"]
+    rows = [_cost(run, reference) for run in runs]
     told = "us/ms: per millisecond simulated; FMUs: the steps of all FMUs, calls from Python included"
-    return [*aligned(head, [_cost(run, reference) for run in runs], left=(0, 6)), told]
+    return [*aligned(["run", "master", "step", *times], rows, left=(0, 1, 7)), told]
 
 
 def _cost(run: Run, reference: Run) -> list[str]:
     if run.facts is None:
-        return [run.label, *[wording.NONE] * 5, ""]
+        return [run.label, *[wording.NONE] * 6, ""]
     known, length = run.facts, run.facts.simulated or float("nan")
     inside, usual = _inside(known), sum(_inside(reference.facts).values())
     ranked = sorted(inside.items(), key=lambda entry: -entry[1])
@@ -56,7 +57,8 @@ def _cost(run: Run, reference: Run) -> list[str]:
     times = wording.number(whole / usual if usual else None, 2)
     return [
         _named(run.label, known),
-        f"{known.step:g} s",
+        known.master,
+        f"{known.step:.3g} s mean" if known.adaptive else f"{known.step:g} s",
         factor,
         wall,
         wording.number(whole, 2),

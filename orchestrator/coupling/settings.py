@@ -80,8 +80,12 @@ class Coupling:
         for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
             if value is not None and self.master != "hermite":
                 raise Problem(f"{name}: only hermite computes a step again, the master is {self.master}")
+        if self.lag != 1 and self.master != "interface-jacobian":
+            raise Problem(f"lag: only interface-jacobian keeps linearisations, the master is {self.master}")
         if self.tolerance is not None and self.passes == 1:
             raise Problem("coupling tolerance: it ends the passes of a step, expected more of them than 1")
+        if self.correct and self.master == "interface-jacobian":
+            raise Problem(f"correct: {self.master} foretells the inputs, expected another master")
         if self.correct and self.master == "hermite" and self.passes != 1:
             many = f"up to {self.rounds} passes"
             raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
@@ -144,6 +148,7 @@ class Coupling:
         """All that has an effect, by name, also what nobody chose."""
         found: dict[str, Any] = {"master": self.master, "order": self.extrapolation, "correct": self.correct}
         found |= {"factors": dict(self.factors)} if self.factors else {}
+        found |= {"lag": self.lag} if self.master == "interface-jacobian" else {}
         found |= {"passes": self.rounds} if self.master == "hermite" else {}
         found |= {"tolerance": self.miss} if self.rounds > 1 else {}
         if self.adaptive is None:

@@ -22,6 +22,10 @@ SUFFIX = ".run.json"
 class Facts:
     """One run. Times in [s].
 
+    step      communication step, of adaptive runs the mean
+    coupling  all choices about it that have an effect, by name
+    steps     that were taken and stand; `passes`: over all components, in all of them; `repeated`: steps that
+              did not stand; `lengths`: the shortest and the longest step
     fmus      component -> model name of its FMU
     swapped   component -> file of the FMU in its place
     given     what the user asked for beyond the defaults
@@ -41,6 +45,16 @@ class Facts:
     inside: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
+    coupling: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 0
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def adaptive(self) -> bool:
+        """Did the run choose its steps?"""
+        return "adaptive" in self.coupling
 
 
 def facts(result: Result, given: Mapping[str, Any] | None = None) -> Facts:
@@ -59,6 +73,11 @@ def facts(result: Result, given: Mapping[str, Any] | None = None) -> Facts:
         inside=card.inside,
         units=result.trace.units,
         inputs=tuple(str(p) for p in system.ports("input") if str(p) in result.trace.signals),
+        coupling=result.coupling.settings,
+        steps=card.steps,
+        passes=card.passes,
+        repeated=card.repeated,
+        lengths=card.lengths,
     )
 
 

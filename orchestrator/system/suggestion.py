@@ -53,6 +53,7 @@ KINDS: Mapping[str, Kind] = {
     "passes": WHOLE,
     "tolerance": NUMBER,
     "correct": TRUTH,
+    "lag": WHOLE,
     "adaptive": NUMBER,
     "control": TEXT,
     "smallest": NUMBER,
