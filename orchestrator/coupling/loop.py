@@ -68,6 +68,11 @@ class Loop:
         if bound:
             self._values[self.targets], self._values[self.sources] = newton.u, newton.y
 
+    @property
+    def circular(self) -> bool:
+        """Is it a loop? One that nobody declares is seen by what outputs do, or when values do not settle."""
+        return self.knot.declared or bool(self.newton.flags[CIRCULAR])
+
     # ---- what to say
 
     def judge(self, verdict: int) -> None:
@@ -93,7 +98,7 @@ class Loop:
         """What it is and how it was solved."""
         newton, text = self.newton, self.knot.text
         often = f"{newton.counts[EVALUATIONS] / max(int(newton.counts[SOLVES]), 1):.2g} evaluations each"
-        if self.knot.sweeps and not newton.flags[CIRCULAR]:
+        if not self.circular:
             return f"{text}; their values are carried round until nothing changes, {often}"
         ways = {"directional derivatives" if m.trusted[0] else "differences" for m in self.members}
         how = f"solved at every communication point by Newton's method with {' and '.join(sorted(ways))}"

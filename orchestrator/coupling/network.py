@@ -35,6 +35,7 @@ class Network:
 
     real, whole   banks of the Real values and of all others (Integer, Enumeration, Boolean)
     parts         the components in the order of the system
+    loops, tied   what may be algebraic loops; those of them that are
     signals       inputs that move inside a step
     used          shape (2, real values): what moving inputs were at both ends of the step, else NaN
     moving        the inputs of the signals
@@ -61,6 +62,7 @@ class Network:
         for name, part in zip(slaves, self.parts, strict=True):
             part.factor = (factors or {}).get(name, 1)
         self.loops = [Loop(slaves, knot) for knot, _ in self.order.knots]
+        self.tied: list[Loop] = []
         self.exchange_calls = self._compile(reads, writes)
         self.driver = Driver(self, drive) if drive else None
         self.signals: list[Signal] = []
@@ -93,6 +95,7 @@ class Network:
         The slope of an output may depend on those of the inputs, so they are told until all have passed.
         """
         self.exchange(t)
+        self._tie()
         for _ in range(self.order.count + 1):
             self.tell()
             for s in self.signals:
@@ -110,7 +113,23 @@ class Network:
     def arrive(self, h: float, maker: int) -> None:
         """Note what the sources of one component are at the end of the step, after `Part.read`."""
         for s in self.signals:
-            if s.maker == maker:
+            if s.maker == maker and not s.tied:
+                s.arrive(*self._source(s), h, self.lengths)
+
+    def _tie(self) -> None:
+        """Mark what is in an algebraic loop; slopes told there depend on each other, and are not used."""
+        self.tied = [loop for loop in self.loops if loop.circular]
+        ends = {self.real.index[p] for loop in self.tied for p in loop.outputs}
+        for s in self.signals:
+            if s.source in ends:
+                s.tied, s.slope = True, NO_SLOPE
+
+    def untie(self, h: float) -> None:
+        """Solve the algebraic loops at the end of a step that may be computed again."""
+        for loop in self.tied:
+            loop()
+        for s in self.signals:
+            if s.tied:
                 s.arrive(*self._source(s), h, self.lengths)
 
     def tell(self) -> None:

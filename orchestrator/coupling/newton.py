@@ -10,7 +10,8 @@ derivatives where an FMU has them, else from differences, one input after the ot
 the next communication point, too, as long as the residual falls fast with it. A step that does not make the
 residual smaller is halved.
 
-Where nobody declared a loop, values are first carried round: without one they settle, exactly.
+Where nobody declared a loop and none is seen at the start, values are first carried round: without one they
+settle, exactly.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from orchestrator.slaves.slave import Buffer
 NEAR = 1e-10  # wanted: below the error of any coupling, above the rounding of a model in double precision
 ENOUGH = 1e-6  # accepted where no step makes it smaller: single precision, or an FMU that iterates inside
 LIMIT = 20  # steps; Newton's method doubles the digits with each, so this is long after it failed
-FAST = 0.1  # a kept Jacobian is good while each step takes away nine tenths of the residual
+FAST = 1e-3  # a kept Jacobian is good while each step takes three digits off the residual
 HALVINGS = 10  # of a step; then its direction is wrong
 SOLVED, SINGULAR, STUCK = 0, -1, -2
 USABLE, CIRCULAR = 0, 1  # flags: there is a Jacobian; values that were carried round did not settle
@@ -59,18 +60,30 @@ class Newton:
         self.slopes, self.matrix, self.rows = np.zeros((m, n)), np.zeros((n, n)), np.zeros(n, np.int32)
         self.flags, self.counts, self.shares = np.zeros(2, np.int32), np.zeros(2, np.int64), np.zeros(3)
 
-    def begin(self, trusts: bool) -> None:
-        """Start at what the inputs of the FMUs are. trusts: use their derivatives, where they prove right."""
+    def begin(self, declared: bool) -> None:
+        """Start at what the inputs of the FMUs are, and try what their outputs do.
+
+        declared   use the derivatives of the FMUs, where they prove right; else see whether there is a loop
+        """
         for member in self.members:
             member.start()
         self._evaluate()
         self._measure_units()
         for member in self.members:
-            if trusts:
+            if declared:
                 member.trust(self.unit)
             else:
                 member.trusted[0] = 0
+                member.slope(self.unit, self.slopes)
+        self.flags[CIRCULAR] = not declared and self._circular()
         self.counts[:] = 0
+
+    def _circular(self) -> bool:
+        """Do inputs change themselves? Those that no other changes are taken away until none is left."""
+        left = set(range(len(self.u)))
+        while free := {i for i in left if not any(self.slopes[self.wires[i][0], j] for j in left)}:
+            left -= free
+        return bool(left)
 
     def solve(self, sweeps: int) -> int:
         """SOLVED, or why not. sweeps: how often values are carried round before."""

@@ -24,6 +24,7 @@ class Signal:
     wanted            the highest degree of polynomial that the master makes; 0: the input is left alone
     order             at which the source is continued
     free              the source has no inputs: it may have corners, but nothing depends on passes
+    tied              the source is in an algebraic loop: its end is known when all components have stepped
     scale             magnitude: the nominal value (1 if none is declared), or the largest seen if larger
     known             how far back the past is known: a source is continued at most at this order
     value, slope0     at the beginning of the step, in the input's unit
@@ -48,6 +49,7 @@ class Signal:
     wanted: int
     order: int = 0
     free: bool = False
+    tied: bool = False
     scale: float = 0.0
     known: int = 0
     value: float = 0.0

@@ -63,8 +63,10 @@ class Sweep:
         for n in range(plan.passes):
             self._pass(t, h, n)
             self.passes = n + 1
-            if plan.passes > 1 and not self._miss(h) > plan.tolerance:
-                break
+            if plan.passes > 1:
+                network.untie(h)
+                if not self._miss(h) > plan.tolerance:
+                    break
 
     @property
     def power(self) -> int:
@@ -120,10 +122,11 @@ class Sweep:
         for s in part.signals:
             if s.maker == DRIVEN:
                 continue
+            ended = stepped is None or (s.maker in stepped and not s.tied)
             if s.foreseen:
-                if stepped is not None and s.maker in stepped:
+                if stepped is not None and ended:
                     s.hit(h)
-            elif s.wanted and (stepped is None or s.maker in stepped):
+            elif s.wanted and ended:
                 s.interpolate(self.plan.degree, h, length)
             else:
                 s.predict(h, length)

@@ -73,7 +73,8 @@ class Compiled(March):
         super().begin()
         for mine, known in zip(self._signals, self._network.signals, strict=False):
             mine.value, mine.slope0, mine.known = known.value, known.slope0, known.known
-            mine.scale, mine.c = known.scale, known.c
+            mine.scale, mine.c, mine.tied, mine.slope = known.scale, known.c, known.tied, known.slope
+        self._run.tied = self._program(self._network.tied)
         self._run.t = self.t
 
     def block(self) -> None:

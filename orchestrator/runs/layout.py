@@ -65,7 +65,7 @@ class Loop(Structure):
 
 class Signal(Structure):
     _fields_ = [
-        *_all(c_int32, "target source maker slope degree wanted order free known"),
+        *_all(c_int32, "target source maker slope degree wanted order free tied known"),
         *_all(c_double, "factor offset scale"),
         *_all(c_double, "value slope0 value1 slope1 before chord bend"),
         *_all(c_double, "foretold weight lost returned"),
@@ -124,7 +124,7 @@ class Run(Structure):
     _fields_ = [
         *_all(c_void_p, "real real_kept used slopes whole whole_kept"),
         *_all(c_int64, "reals wholes"),
-        ("exchange", Program),
+        *_all(Program, "exchange tied"),
         ("parts", POINTER(Part)),
         ("signals", POINTER(Signal)),
         *_all(c_int32, "part_count signal_count"),

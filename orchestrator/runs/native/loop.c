@@ -10,7 +10,7 @@ enum { USABLE, CIRCULAR };        /* flags */
 enum { SOLVES, EVALUATIONS };     /* counts */
 enum { NORM, SHARE, WORST };      /* shares */
 enum { LIMIT = 20, HALVINGS = 10 };
-static const double NEAR = 1e-10, ENOUGH = 1e-6, FAST = 0.1, SHIFT = 1e-6;
+static const double NEAR = 1e-10, ENOUGH = 1e-6, FAST = 1e-3, SHIFT = 1e-6;
 
 typedef int Derivative2(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *);
 typedef int Derivative3(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t,

@@ -57,7 +57,7 @@ typedef struct { /* see newton.py */
 } Loop;
 
 typedef struct { /* see signal.py */
-    int32_t target, source, maker, slope, degree, wanted, order, free, known;
+    int32_t target, source, maker, slope, degree, wanted, order, free, tied, known;
     double factor, offset, scale;
     double value, slope0, value1, slope1, before, chord, bend;
     double foretold, weight, lost, returned;
@@ -114,7 +114,7 @@ struct Run {
     double *real, *real_kept, *used, *slopes;
     int32_t *whole, *whole_kept;
     int64_t reals, wholes;
-    Program exchange;
+    Program exchange, tied;
     Part *parts;
     Signal *signals;
     int32_t part_count, signal_count;

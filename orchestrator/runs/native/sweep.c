@@ -50,13 +50,17 @@ static int end_inputs(Run *run, const Part *p, double h) {
     return carry_out(run, &p->writers);
 }
 
+static void arrive_one(Run *run, Signal *s, double h) {
+    const double value = run->real[s->source] * s->factor + s->offset;
+    const double slope = s->slope == NO_SLOPE ? 0.0 : run->slopes[s->slope] * s->factor;
+    arrive(s, value, slope, h, run->length, run->older);
+}
+
 void arrive_all(Run *run, double h, int maker) {
     for (int32_t i = 0; i < run->signal_count; i++) {
         Signal *s = &run->signals[i];
-        if (s->maker == DRIVEN || (maker != EVERYBODY && s->maker != maker)) continue;
-        const double value = run->real[s->source] * s->factor + s->offset;
-        const double slope = s->slope == NO_SLOPE ? 0.0 : run->slopes[s->slope] * s->factor;
-        arrive(s, value, slope, h, run->length, run->older);
+        if (s->maker == DRIVEN || (maker != EVERYBODY && (s->maker != maker || s->tied))) continue;
+        arrive_one(run, s, h);
     }
 }
 
@@ -64,7 +68,7 @@ static void shape(Run *run, const Part *p, int n, double h) {
     for (int32_t i = 0; i < p->count; i++) {
         Signal *s = &run->signals[p->first + i];
         if (s->maker == DRIVEN) continue;
-        if (s->wanted && (n || run->stepped[s->maker])) {
+        if (s->wanted && (n || (run->stepped[s->maker] && !s->tied))) {
             interpolate(s, run->degree, h, run->length);
             continue;
         }
@@ -101,6 +105,15 @@ static int pass(Run *run, int n, double h) {
     return CONTINUE;
 }
 
+/* Solve the algebraic loops at the end of a step that may be computed again. */
+static int untie(Run *run, double h) {
+    const int verdict = carry_out(run, &run->tied);
+    if (verdict) return verdict;
+    for (int32_t i = 0; i < run->signal_count; i++)
+        if (run->signals[i].tied) arrive_one(run, &run->signals[i], h);
+    return CONTINUE;
+}
+
 /* What another pass could change, at most. */
 static double largest_miss(const Run *run, double h) {
     double worst = 0.0;
@@ -122,9 +135,10 @@ static void ahead(Run *run, double h) {
 int sweep(Run *run, double h, int *passes) {
     ahead(run, h);
     for (int n = 0; n < run->passes; n++) {
-        const int verdict = pass(run, n, h);
-        if (verdict) return verdict;
+        int verdict = pass(run, n, h);
         *passes = n + 1;
+        if (!verdict && run->passes > 1) verdict = untie(run, h);
+        if (verdict) return verdict;
         if (run->passes > 1 && !(largest_miss(run, h) > run->tolerance)) break;
     }
     return CONTINUE;
