@@ -117,7 +117,8 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Instance *m = c;
-    int highest = m->model == QUIRK ? (int)m->i[Q_HIGHEST] : ORDERS;
+    int mass = m->model == MASS_A || m->model == MASS_B;
+    int highest = m->model == QUIRK ? (int)m->i[Q_HIGHEST] : mass ? (int)m->i[M_HIGHEST] : ORDERS;
     enum Status status = odd(m, CURVE);
     if (status > WARNED) return as2(status);
     for (size_t k = 0; k < n; k++) {

@@ -27,8 +27,10 @@ void begin(Instance *m, enum Model model, const char *name, const char *resource
     m->model = model;
     strncpy(m->name, name, LENGTH - 1);
     switch (model) {
-    case MASS_A: m->r[A_V] = 100, m->r[A_MASS] = 1, m->r[A_SPRING] = 10, m->r[A_COUPLING] = 100; break;
-    case MASS_B: m->r[B_V] = -100, m->r[B_MASS] = 1, m->r[B_SPRING] = 1000; break;
+    case MASS_A:
+        m->r[A_V] = 100, m->r[A_MASS] = 1, m->r[A_SPRING] = 10, m->r[A_COUPLING] = 100, m->i[M_HIGHEST] = ORDERS;
+        break;
+    case MASS_B: m->r[B_V] = -100, m->r[B_MASS] = 1, m->r[B_SPRING] = 1000, m->i[M_HIGHEST] = ORDERS; break;
     case SPRING: m->r[K_STIFFNESS] = 100; break;
     case SOURCE: m->r[S_AMPLITUDE] = 1, m->r[S_OMEGA] = 1; break;
     case GAIN: m->r[G_FACTOR] = 1; break;
@@ -72,10 +74,15 @@ void outputs(Instance *m) {
     }
 }
 
+/* the input that is the rate of the one with value reference 0 */
+static double rate(const Instance *m) {
+    static const int place[MODELS] = {[MASS_A] = A_RATE, [MASS_B] = B_RATE, [DRIFT] = D_RATE, [QUIRK] = Q_RATE};
+    return place[m->model] ? m->r[place[m->model]] : 0;
+}
+
 /* the input with value reference 0 at time tau after the start of the step */
 static double input(const Instance *m, double tau) {
-    if (m->model == DRIFT) return m->r[D_U] + tau * m->r[D_RATE];
-    if (m->model == QUIRK && m->r[Q_RATE] != 0) return m->r[Q_U] + tau * m->r[Q_RATE];
+    if (rate(m) != 0) return m->r[0] + tau * rate(m);
     if (m->model == GLIDE) return m->r[L_X] + tau * (m->r[L_V] + tau / 2 * m->r[L_A]);
     return m->r[0] + tau * (m->slope[0][0] + tau * (m->slope[0][1] / 2 + tau * m->slope[0][2] / 6));
 }
@@ -111,8 +118,8 @@ static void rates(const Instance *m, double tau, const double *x, double *dx) {
 int derivative(const Instance *m, int reference, double *value) {
     double dx[STATES] = {0};
     if (m->model == MASS_A && reference == A_FORCE) {
-        double rate = m->slope[0][0] != 0 ? m->slope[0][0] : m->trend;
-        *value = m->r[A_COUPLING] * (rate - m->r[A_V]);
+        double moves = rate(m) != 0 ? rate(m) : m->slope[0][0] != 0 ? m->slope[0][0] : m->trend;
+        *value = m->r[A_COUPLING] * (moves - m->r[A_V]);
         return 1;
     }
     int state = reference - first_state(m);

@@ -15,6 +15,7 @@ SOURCES = [Path(__file__).with_name(name) for name in ("models.c", "fmi2.c", "fm
 WIDTHS = ("Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64")
 BASE = {  # unit -> BaseUnit attributes
     "N": {"kg": 1, "m": 1, "s": -2},
+    "N/s": {"kg": 1, "m": 1, "s": -3},
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "bar": {"kg": 1, "m": -1, "s": -2, "factor": 1e5},
     "m": {"m": 1},
@@ -50,6 +51,11 @@ class V:
     steady: str | None = None
 
 
+RATES = {  # more of the masses: their input moves at it
+    "mass_a": V("x2_rate", "input", "m/s", 0.0, derives="x2"),
+    "mass_b": V("force_rate", "input", "N/s", 0.0, derives="force"),
+}
+HIGHEST = V("highest", "parameter", None, 3, "Integer")  # and the order of input derivatives they take
 MODELS: Mapping[str, list[V]] = {
     "mass_a": [
         V("x2", "input", "m", 0.0),
@@ -214,6 +220,7 @@ class Workshop:
         aliases: Mapping[str, str] | None = None,
         able: Mapping[str, object] | None = None,
         changes: Mapping[str, Mapping[str, object]] | None = None,
+        also: Sequence[V] = (),
     ) -> Path:
         """An FMU that differs from the plain one.
 
@@ -226,11 +233,12 @@ class Workshop:
         aliases      variable -> its other name, in FMI 3.0
         able         attributes of the element CoSimulation that differ from those in `ABLE`
         changes      variable -> what is different about its `V`
+        also         variables that the plain one does not show
         """
         name = name or model
         path = self.folder / f"{name}.fmu"
         changed = {name: {"unit": unit} for name, unit in (units or {}).items()} | dict(changes or {})
-        variables = [replace(v, **changed.get(v.name, {})) for v in MODELS[model]]
+        variables = [replace(v, **changed.get(v.name, {})) for v in [*MODELS[model], *also]]
         abilities = (
             {**ABLE[self.fmi]} | ({"canInterpolateInputs": "true"} if interpolates else {}) | (able or {})
         )
