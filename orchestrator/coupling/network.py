@@ -233,7 +233,8 @@ class Network:
         scale = abs(self.system.variable(port).nominal or 1.0)  # the standard says: 1 if not declared
         if wire is None:
             return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, slave.follows(port.variable, 1), 1, scale=scale)
-        rated = Port(port.component, slave.interface.rates.get(port.variable, "")) in self.real.index
+        rate = Port(port.component, slave.interface.rates.get(port.variable, ""))
+        rated = any(c.target == rate for c in self.connections)
         wanted = max(plan.order, plan.degree, int(plan.corrected)) if moved else 0
         return Signal(
             target=target,

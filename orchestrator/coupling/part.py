@@ -46,8 +46,9 @@ class Part:
         moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
         self.rough = any(s.degree < s.wanted for s in signals)
         if self.factor > 1 or self.rough or jumps:
-            self.values = np.zeros(len(signals))
-            self._set(names)
+            followed = [n for n, s in zip(names, signals, strict=True) if s.wanted]
+            self.values = np.zeros(len(followed))
+            self._set(followed)
         rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]
         self.derivatives = np.zeros(len(rows))
         self._set_derivatives(rows)
@@ -76,11 +77,12 @@ class Part:
 
     def give(self, begin: float, length: float, last: bool) -> None:
         """Give the inputs their polynomials from `begin` [s] after the start of the step on."""
-        row = 0
-        for i, s in enumerate(self.signals):
+        place = row = 0
+        for s in self.signals:
             c = projected(shifted(s.c, begin) if begin else s.c, s.degree, length)
-            if len(self.values):
-                self.values[i] = c[0]
+            if s.wanted and len(self.values):
+                self.values[place] = c[0]
+                place += 1
             for k in range(min(s.degree, s.wanted)):
                 self.derivatives[row] = (1.0, 2.0, 6.0)[k] * c[k + 1]
                 row += 1
@@ -104,9 +106,11 @@ class Part:
         """Let inputs that could only be followed roughly end as they should, before outputs are read."""
         if not self.rough:
             return
-        row = 0
-        for i, s in enumerate(self.signals):
-            self.values[i] = at(s.c, h)
+        place = row = 0
+        for s in self.signals:
+            if s.wanted:
+                self.values[place] = at(s.c, h)
+                place += 1
             for k in range(min(s.degree, s.wanted)):
                 self.derivatives[row] = slope_at(s.c, h) if k == 0 else 0.0
                 row += 1

@@ -6,15 +6,20 @@ from collections.abc import Iterable
 
 from orchestrator.coupling.masters.plan import Plan
 from orchestrator.coupling.network import Network
+from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.signal import DRIVEN, NO_SLOPE
 
 SHOWN = 4  # names in a list
 
 
-def remarks(network: Network, plan: Plan) -> tuple[str, ...]:
+def remarks(network: Network, plan: Plan, coupling: Coupling) -> tuple[str, ...]:
     """One line for each way in which the master had to do without something."""
+    notes = plan.notes
+    stuck = _listed(name for name, slave in network.slaves.items() if not slave.interface.rollback)
+    if coupling.adaptive is not None and stuck:
+        notes += (f"adaptive steps with too large an error stand: {stuck} cannot go back to a saved state",)
     if not plan.sloped:
-        return plan.notes
+        return notes
     names = {place: str(port) for port, place in network.real.index.items()}
     wired = [s for s in network.signals if s.maker != DRIVEN and s.wanted]
     asked = [plan.asks(name) for name in network.slaves]
@@ -26,7 +31,7 @@ def remarks(network: Network, plan: Plan) -> tuple[str, ...]:
         "inputs held at their mean over a step, because the FMUs take no slopes": still,
         "inputs moved at straight lines, because the FMUs take no curves": straight,
     }
-    return (*plan.notes, *(f"{what}: {which}" for what, which in told.items() if which))
+    return (*notes, *(f"{what}: {which}" for what, which in told.items() if which))
 
 
 def _listed(names: Iterable[str]) -> str:

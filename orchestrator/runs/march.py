@@ -128,9 +128,9 @@ class March:
         return True
 
     def _withdraw(self) -> None:
-        """Forget what the FMUs said in a step that is repeated."""
+        """Forget what the FMUs said and returned in a step that is repeated."""
         for slave in self._network.slaves.values():
-            slave.log.withdraw()
+            slave.resume()
 
 
 def marching(fast: bool, network: Network, *others: object) -> March:

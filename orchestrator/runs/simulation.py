@@ -32,6 +32,8 @@ from orchestrator.system.interface import Value
 from orchestrator.system.parameters import with_sets
 from orchestrator.system.system import Component, System
 
+CAUTIOUS = 1e-3  # of the first adaptive step, where it cannot be repeated and so has to be good at once
+
 Opener = Callable[[Component], Slave]
 
 
@@ -224,7 +226,7 @@ class _Job:
             monitor = Monitor(network, self._bonds())
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
-            notes = (*remarks(network, sweep.plan), *sweep.notes)
+            notes = (*remarks(network, sweep.plan, self.coupling), *sweep.notes)
             loop = _Loop(network, recorder, monitor, times, bar, notes)
             stack.callback(network.forget)
             march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
@@ -251,7 +253,8 @@ class _Job:
             told = f"{', '.join(even)}: the FMU takes steps of one length only"
             raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {told}")
         rolls = all(face.rollback for face in faces.values())
-        pace = Pace(times.first, sweep.power, *c.limits, rolls)
+        first = times.first if rolls else CAUTIOUS * times.first
+        pace = Pace(first, sweep.power, *c.limits, rolls)
         return pace, c.by_energy, c.adaptive
 
     def _left_out(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from orchestrator.slaves.calls import Calls
 from orchestrator.slaves.fmi2 import Fmi2
 from orchestrator.slaves.fmi3 import Fmi3
 from orchestrator.slaves.library import Library
-from orchestrator.slaves.log import ERROR, Log
+from orchestrator.slaves.log import ERROR, FATAL, WARNING, Log
 from orchestrator.slaves.rehearsal import Rehearsal
 from orchestrator.slaves.slave import Buffer, access
 from orchestrator.slaves.values import address, packed, unpacked
@@ -321,6 +321,12 @@ class FmuSlave:
     def restore(self, state: ctypes.c_void_p) -> None:
         """Go back to a snapshot."""
         self.calls.call(f"Set{self._fmi.state}", state)
+
+    def resume(self) -> None:
+        """Forget what the FMU said and returned in a step that is going to be repeated from a saved state."""
+        self.log.withdraw()
+        if self.calls.worst < FATAL:
+            self.calls.worst = min(self.calls.worst, WARNING)
 
     def forget(self, state: ctypes.c_void_p) -> None:
         """Free a snapshot; after an error it is only tried."""

@@ -180,7 +180,8 @@ enum Status odd(Instance *m, enum Call call) {
 }
 
 void farewell(Instance *m) {
-    if (m->model == QUIRK) complain(m, GOOD, "freed, states left", saved);
+    if (m->model != QUIRK) return;
+    complain(m, GOOD, m->mode == TERMINATED ? "terminated and freed, states left" : "freed, states left", saved);
 }
 
 /* An error where a step does not start at the FMU's time, or has another length than the first one. */

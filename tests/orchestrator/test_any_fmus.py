@@ -22,6 +22,7 @@ STRAIGHT = "inputs moved at straight lines, because the FMUs take no curves: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 HERMITE = Coupling("hermite", tolerance=1e-9)  # never content with one pass here
+PROPERLY = "terminated and freed, states left: 0"
 MASTERS = [
     *(Coupling("jacobi", 0), Coupling("jacobi", 1), Coupling("jacobi", 2)),
     *(Coupling("gauss-seidel", 0), Coupling("gauss-seidel", 1), HERMITE),
@@ -38,9 +39,9 @@ class Outcome:
 
     @property
     def farewells(self) -> list[str]:
-        """What the test FMUs say when they are freed."""
+        """What the test FMUs say when they are freed: whether they had been terminated, and their states."""
         found = (m.text for slave in self.slaves.values() for m in slave.log.messages)
-        return [text for text in found if text.startswith("freed")]
+        return [text for text in found if "freed" in text]
 
 
 def once(system: System, in_c: bool, **options) -> Outcome:
@@ -170,9 +171,7 @@ def test_what_hears_from_what_is_repeated_is_repeated_too(each, both):
     files = {"l": without_rollback(each, "quirk", "listener")}
     files |= {name: component.source.path for name, component in pair.components.items()}
     start = {"q.push": 1.0, "q.gain": -1.0}
-    result = both(
-        assemble(files, [*map(str, pair.connections), "q.y -> l.u"], start), master=HERMITE
-    ).result
+    result = both(assemble(files, [*map(str, pair.connections), "q.y -> l.u"], start), master=HERMITE).result
     assert "hermite computes every step once: l cannot go back to a saved state" in result.card.notes
 
 
@@ -237,7 +236,8 @@ def test_failures_lose_nothing(each, both, where, how):
     assert f"with status {status}" in outcome.error
     assert not outcome.result.complete
     assert outcome.result.trace.time[-1] >= 0.4
-    assert outcome.farewells == ["freed, states left: 0"] * (1 if how == FATAL else 2)
+    mine = [] if how == FATAL else ["freed, states left: 0"] if how == FAULT else [PROPERLY]
+    assert outcome.farewells == [PROPERLY, *mine]
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
@@ -260,7 +260,7 @@ def test_an_fmu_may_end_the_run(each, both, master):
     assert (
         outcome.result.card.notes[-1] == f"the run ends early: q: the step at t = 0.5 s is the last: {note}"
     )
-    assert outcome.farewells == ["freed, states left: 0"] * 2
+    assert outcome.farewells == [PROPERLY] * 2
 
 
 def test_an_end_before_the_first_step_is_an_end_too(each, both):
@@ -470,3 +470,85 @@ def test_scenarios_hold_what_does_not_move(each, both, master):
     trace = both(assemble({"q": fmu}), master, scenario=stairs, step=0.25).result.trace
     np.testing.assert_array_equal(trace["q.u"], [1, 1, 3, 3, 7])
     np.testing.assert_allclose(trace["q.y"], [0, 0.25, 0.5, 1.25, 2.0], rtol=1e-12)  # rounding of inner steps
+
+
+# ---- steps that are repeated
+
+ADAPTIVE = [
+    *(Coupling("jacobi", adaptive=1e-2), Coupling("jacobi", 2, adaptive=1e-5)),
+    *(Coupling("gauss-seidel", 1, adaptive=1e-4), Coupling("hermite", adaptive=1e-5)),
+]
+
+
+def test_a_step_done_in_part_is_repeated_where_all_go_back(each, both):
+    """In steps that the FMU can do, with the accuracy of steps of that length and without a warning."""
+    outcome = both(circle(each, "slow", longest=0.03, when=0.25), master=HERMITE)
+    assert outcome.error == ""
+    result = outcome.result
+    assert result.trace.time.tolist() == pytest.approx([0.1 * n for n in range(11)])
+    assert result.card.steps >= 10 * 4  # at most 0.03 of 0.1 at once
+    assert result.card.repeated > 0
+    assert result.card.warnings == ()
+    # straight lines in FMI 3.0: h^4 / 720 a radian; else less
+    np.testing.assert_allclose(result.trace["q.y"], np.sin(result.trace.time), atol=1e-7)
+
+
+@pytest.mark.parametrize("quirk", ["no rollback", "equal steps"])
+def test_a_step_done_in_part_ends_the_run_where_one_cannot_repeat_it(each, both, quirk):
+    """An FMU that cannot go back, or one that takes no shorter step."""
+    options = ABLE[quirk] | {"longest": 0.03, "when": 0.25}
+    outcome = both(circle(each, f"slow_{quirk[:2]}", **options), master=HERMITE)
+    assert "with status discard (the FMU got as far as t = 0.03 s)" in outcome.error
+
+
+def test_an_error_that_a_shorter_step_avoids_is_none(each, both):
+    """The FMU is terminated properly in the end, and what it said is not told."""
+    outcome = both(circle(each, "tender", longest=0.03, how=FAULT), master=HERMITE)
+    assert outcome.error == ""
+    assert outcome.result.card.warnings == ()
+    assert outcome.farewells == [PROPERLY] * 2
+
+
+@pytest.mark.parametrize("quirk", [quirk for quirk in ABLE if quirk != "equal steps"])
+def test_adaptive_steps_do_without(each, both, quirk):
+    """Errors stay at what is asked for, in both loops alike, whatever the FMUs lack."""
+    for master in ADAPTIVE:
+        system = circle(each, quirk.replace(" ", "_"), **ABLE[quirk])
+        outcome = both(system, master=master, stop=2.0)
+        assert outcome.error == "", master.text
+        trace = outcome.result.trace
+        assert trace.time[-1] == 2.0
+        # inputs that are off by the tolerance all the time make twice that of an integral over 2 s
+        assert np.abs(trace["q.y"] - np.sin(trace.time)).max() < 2 * master.adaptive, master.text
+        stands = "adaptive steps with too large an error stand: q cannot go back to a saved state"
+        assert (stands in outcome.result.card.notes) == (quirk == "no rollback")
+
+
+def test_adaptive_steps_need_fmus_that_vary_theirs(each):
+    """By name."""
+    system = circle(each, "equal_steps", **ABLE["equal steps"])
+    with pytest.raises(
+        Problem, match=r"^adaptive steps: expected .* got q: the FMU takes steps of one length only$"
+    ):
+        run(system, step=0.1, stop=1.0, master=ADAPTIVE[0])
+
+
+@pytest.mark.parametrize("master", ADAPTIVE, ids=lambda m: f"{m.text} {m.adaptive}")
+@pytest.mark.parametrize("how", [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH])
+def test_adaptive_runs_end_alike(each, both, master, how):
+    """Whatever an FMU does in the middle of one: the same words, numbers and farewells in both loops."""
+    outcome = both(circle(each, "ending", when=0.45, how=how), master=master, stop=2.0)
+    assert bool(outcome.error) == (how != ENOUGH)
+    assert 0.3 < outcome.result.trace.time[-1] < 0.6
+
+
+def test_an_input_that_is_only_watched_is_left_alone(each, both):
+    """One that an FMU moves at its rate input goes on so through all steps of its own."""
+    files, wires = {"sum": each["drift"], "mass": each["mass_b"]}, ["mass.x -> sum.u", "mass.v -> sum.u_rate"]
+    system = assemble(files, wires, {"mass.spring": 1.0})
+    whole, twice = (
+        both(system, Coupling("jacobi", adaptive=1e-2, factors={"sum": factor})).result.trace
+        for factor in (1, 2)
+    )
+    # the same line in one piece or in two; rounding of inner steps
+    np.testing.assert_allclose(twice["sum.y"], whole["sum.y"], rtol=1e-12)

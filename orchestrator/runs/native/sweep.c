@@ -8,13 +8,13 @@
 /* Give the inputs of a component their polynomials from `begin` [s] after the start of the step on. */
 static int give(Run *run, Part *p, double begin, double length, int last) {
     static const double factorial[] = {1.0, 2.0, 6.0};
-    double *derivative = p->derivatives, c[DEGREE + 1];
+    double *value = p->values, *derivative = p->derivatives, c[DEGREE + 1];
     for (int32_t i = 0; i < p->count; i++) {
         const Signal *s = &run->signals[p->first + i];
         if (begin != 0.0) shift(s->c, begin, c);
         else memcpy(c, s->c, sizeof c);
         project(c, s->degree, length);
-        if (p->revalued) p->values[i] = c[0];
+        if (p->revalued && s->wanted) *value++ = c[0];
         for (int32_t k = 0; k < s->degree && k < s->wanted; k++) *derivative++ = factorial[k] * c[k + 1];
         if (begin == 0.0 && s->wanted) run->used[s->target] = c[0];
         if (last && s->wanted) run->used[run->reals + s->target] = value_at(c, length);
@@ -41,10 +41,10 @@ int advance_part(Run *run, int k, double h, double *clock) {
 /* Let inputs that could only be followed roughly end as they should, before outputs are read. */
 static int end_inputs(Run *run, const Part *p, double h) {
     if (!p->rough) return CONTINUE;
-    double *derivative = p->derivatives;
+    double *value = p->values, *derivative = p->derivatives;
     for (int32_t i = 0; i < p->count; i++) {
         const Signal *s = &run->signals[p->first + i];
-        p->values[i] = value_at(s->c, h);
+        if (s->wanted) *value++ = value_at(s->c, h);
         for (int32_t k = 0; k < s->degree && k < s->wanted; k++) *derivative++ = k == 0 ? slope_at(s->c, h) : 0.0;
     }
     return carry_out(run, &p->writers);
@@ -140,12 +140,6 @@ int sweep(Run *run, double h, int *passes) {
         if (!verdict && run->passes > 1) verdict = untie(run, h);
         if (verdict) return verdict;
         if (run->passes > 1 && !(largest_miss(run, h) > run->tolerance)) break;
-    }
-    if (run->sequential) return CONTINUE;
-    for (int32_t k = 0; k < run->part_count; k++) {
-        if (!run->parts[k].tell.count) continue;
-        const int verdict = end_inputs(run, &run->parts[k], h); /* slopes of outputs may follow from theirs */
-        if (verdict) return verdict;
     }
     return CONTINUE;
 }
