@@ -196,7 +196,9 @@ class Network:
         self.carried = self._carried({c.target for c in found})
         wired = {c.target: c for c in found if c.target not in self.carried}
         driven = self.driver.moving if self.driver else []
-        told = self._read_slopes(c.source for c in wired.values() if plan.asks(c.source.component))
+        asked = [c.source for c in wired.values() if plan.asks(c.source.component)]
+        held = {p for p in (*wired, *driven) if not self.slaves[p.component].follows(p.variable, 1)}
+        told = self._read_slopes(p for p in asked if not self._blind(p, held))
         for name, part in zip(self.slaves, self.parts, strict=True):
             ports = [p for p in [*wired, *driven] if p.component == name]
             mine = [self._signal(p, wired.get(p), plan, p in moved, told) for p in ports]
@@ -207,6 +209,11 @@ class Network:
         self._driven = [by_target[self.real.index[p]] for p in driven]
         pairs = [(self.real.index[b.effort], self.real.index[b.flow]) for b in find_bonds(self.system)]
         self.bonds = [(by_target[e], by_target[f]) for e, f in pairs if e in by_target and f in by_target]
+
+    def _blind(self, output: Port, held: set[Port]) -> bool:
+        """Would its FMU tell a slope without that of an input, because it takes none?"""
+        depends = self.slaves[output.component].interface.depends(output.variable)
+        return any(Port(output.component, u) in held for u in depends)
 
     def _continuous(self, port: Port) -> bool:
         return self.system.variable(port).is_continuous
