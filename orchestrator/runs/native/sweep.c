@@ -141,6 +141,12 @@ int sweep(Run *run, double h, int *passes) {
         if (verdict) return verdict;
         if (run->passes > 1 && !(largest_miss(run, h) > run->tolerance)) break;
     }
+    if (run->sequential) return CONTINUE;
+    for (int32_t k = 0; k < run->part_count; k++) {
+        if (!run->parts[k].tell.count) continue;
+        const int verdict = end_inputs(run, &run->parts[k], h); /* slopes of outputs may follow from theirs */
+        if (verdict) return verdict;
+    }
     return CONTINUE;
 }
 
