@@ -57,7 +57,7 @@ class Joined:
         self.k, self.kc, self.closed, self.inverse = (np.zeros(s) for s in ((m, m), (n, m), (n, n), (n, n)))
         self.f, self.x, self.f0, self.x0, self.q = (np.zeros(n) for _ in range(5))
         self.w, self.w0, self.felt = (np.zeros(m) for _ in range(3))
-        self.course, self.v, self.stages = np.zeros((3, m)), np.zeros((3, m)), np.zeros((6, n))
+        self.course, self.v = np.zeros((3, m)), np.zeros((3, m))
         self.rows = np.zeros(max(n, m), np.int32)
         self.length = 0.0  # that `inverse` is made for; 0: it is not made
         self.usable = False

@@ -22,6 +22,7 @@ from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Discarded, Problem
 from orchestrator.runs import layout, native
 from orchestrator.runs.energy import ROWS, Monitor
+from orchestrator.runs.foresights import Foreteller
 from orchestrator.runs.loops import Filler, Judge
 from orchestrator.runs.march import March
 from orchestrator.runs.recorder import BLOCK, Recorder
@@ -53,8 +54,6 @@ class Compiled(March):
         tolerance: float = 1.0,
     ) -> None:
         """Raises TypeError where a component is no FMU that C can call, see `stepping`."""
-        if sweep.foresight:
-            raise TypeError("a foresight is not there in C yet")
         super().__init__(network, sweep, times, recorder, monitor, pace, by_energy, tolerance)
         self._judges: dict[int, Judge] = {}
         self._alive: list[Any] = []  # what C has the addresses of
@@ -142,7 +141,10 @@ class Compiled(March):
         if network.driver:
             run.driver = ctypes.pointer(self._driver(network.driver))
         run.monitor, run.recorder = self._monitored(), self._recorded()
-        run.turns = self._at(np.array(plan.turns, np.int32))
+        run.turns = self._at(np.array(self._sweep.turns, np.int32))
+        if self._sweep.foresight:
+            made = Foreteller(self._filler()).foresight(self._sweep.foresight)
+            run.foresight = ctypes.pointer(made)
         run.stepped = self._at(np.zeros(len(network.parts), np.uint8))
         run.degree, run.passes, run.corrected = plan.degree, plan.passes, plan.corrected
         run.sequential, run.tolerance = plan.sequential, plan.tolerance
@@ -155,6 +157,9 @@ class Compiled(March):
         run.start, run.step, run.t, run.patience = times.start, times.step, times.start, PATIENCE
         run.total, run.keeps, run.goes_back = times.steps, self.keeps, self.goes_back
         run.judge = layout.JUDGE(self._judge)
+
+    def _filler(self) -> Filler:
+        return Filler(self._at, self._program, self._judges)
 
     def _at(self, array: NDArray[Any]) -> int:
         """The address of an array that C uses."""
@@ -179,7 +184,7 @@ class Compiled(March):
         if isinstance(call, Access):
             return self._access(call)
         if isinstance(call, Loop):
-            return Filler(self._at, self._program, self._judges).loop(call)
+            return self._filler().loop(call)
         raise TypeError(f"{call!r} cannot be called from C")
 
     def _access(self, call: Access) -> layout.Access:

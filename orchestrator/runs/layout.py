@@ -63,9 +63,27 @@ class Loop(Structure):
     ]
 
 
+class Telling(Structure):
+    _fields_ = [
+        *_all(c_void_p, "derivative component of by seed into from_ to factor"),
+        *_all(c_int32, "fmi outputs count entries"),
+    ]
+
+
+class Foresight(Structure):
+    _fields_ = [
+        *_all(Program, "rates values"),
+        ("tellings", POINTER(Telling)),
+        *_all(c_void_p, "kinds signals"),
+        *_all(c_void_p, "slopes k kc closed inverse f x w f0 x0 w0 q course known felt v stages rows"),
+        *_all(c_int32, "telling_count n m through leads lag age usable"),
+        *_all(c_double, "since last length"),
+    ]
+
+
 class Signal(Structure):
     _fields_ = [
-        *_all(c_int32, "target source maker slope degree wanted order free tied known"),
+        *_all(c_int32, "target source maker slope degree wanted order free tied foreseen known"),
         *_all(c_double, "factor offset scale"),
         *_all(c_double, "value slope0 value1 slope1 before chord bend"),
         *_all(c_double, "foretold weight lost returned"),
@@ -129,6 +147,7 @@ class Run(Structure):
         ("signals", POINTER(Signal)),
         *_all(c_int32, "part_count signal_count"),
         ("driver", POINTER(Driver)),
+        ("foresight", POINTER(Foresight)),
         ("monitor", Monitor),
         ("recorder", Recorder),
         *_all(c_void_p, "turns stepped"),

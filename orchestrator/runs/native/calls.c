@@ -24,6 +24,9 @@ typedef int Values2(void *, const uint32_t *, size_t, void *);
 typedef int Values3(void *, const uint32_t *, size_t, void *, size_t);
 typedef int Derivatives2(void *, const uint32_t *, size_t, const int32_t *, void *);
 typedef int Derivatives3(void *, const uint32_t *, size_t, const int32_t *, void *, size_t);
+typedef int Derivative2(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *);
+typedef int Derivative3(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t,
+                        double *, size_t);
 typedef int Step2(void *, double, double, int);
 typedef int Step3(void *, double, double, _Bool, void *, void *, void *, void *);
 typedef int GetState(void *, void **);
@@ -118,6 +121,12 @@ int carry_out(Run *run, const Program *program) {
         if (verdict) return verdict;
     }
     return CONTINUE;
+}
+
+int derivative_along(const void *function, void *component, int fmi, const uint32_t *of, size_t outputs,
+                     const uint32_t *by, size_t count, const double *seed, double *into) {
+    if (fmi == 2) return ((Derivative2 *)function)(component, of, outputs, by, count, seed, into);
+    return ((Derivative3 *)function)(component, of, outputs, by, count, seed, count, into, outputs);
 }
 
 int step_part(Run *run, int k, double t, double h) {

@@ -12,10 +12,6 @@ enum { NORM, SHARE, WORST };      /* shares */
 enum { LIMIT = 20, HALVINGS = 10 };
 static const double NEAR = 1e-10, ENOUGH = 1e-6, FAST = 1e-3, SHIFT = 1e-6;
 
-typedef int Derivative2(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *);
-typedef int Derivative3(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t,
-                        double *, size_t);
-
 static void copy(const Loop *p, double *to, const double *from) {
     memcpy(to, from, (size_t)p->count * sizeof *to);
 }
@@ -33,9 +29,7 @@ static int told(Run *run, const Loop *p, const Member *m) {
         memset(m->seed, 0, n * sizeof *m->seed);
         m->seed[j] = 1.0;
         const int status =
-            m->fmi == 2 ? ((Derivative2 *)m->derivative)(m->component, m->of, outputs, m->by, n, m->seed, m->into)
-                        : ((Derivative3 *)m->derivative)(m->component, m->of, outputs, m->by, n, m->seed, n,
-                                                         m->into, outputs);
+            derivative_along(m->derivative, m->component, m->fmi, m->of, outputs, m->by, n, m->seed, m->into);
         if (status) {
             const int verdict = run->judge(m, 0, status);
             if (verdict) return verdict;

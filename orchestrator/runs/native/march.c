@@ -108,6 +108,7 @@ static int one_step(Run *run, double h, int *stands) {
         if (!pace_good(run->pace, e, h)) return go_back(run);
     }
     for (int32_t i = 0; i < run->signal_count; i++) accept(&run->signals[i], h, run->length);
+    if (run->foresight) foresight_accept(run->foresight, h);
     run->older = run->length;
     run->length = h;
     settled(run);

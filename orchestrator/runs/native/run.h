@@ -5,6 +5,7 @@
 #ifndef RUN_H
 #define RUN_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 enum { REAL, WHOLE };                                           /* banks */
@@ -56,8 +57,29 @@ typedef struct { /* see newton.py */
     int32_t member_count, count, outputs, sweeps;
 } Loop;
 
+typedef struct { /* see foresight.py */
+    void *derivative, *component;
+    const uint32_t *of, *by;
+    double *seed, *into;
+    const int32_t *from;
+    const int64_t *to;
+    const double *factor;
+    int32_t fmi, outputs, count, entries;
+} Telling;
+
+typedef struct { /* see foresight.py and joined.py */
+    Program rates, values;
+    const Telling *tellings;
+    const int32_t *kinds, *signals; /* of each input; the signal of some is -1: none */
+    double *slopes, *k, *kc, *closed, *inverse;
+    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *known, *felt, *v, *stages;
+    int32_t *rows;
+    int32_t telling_count, n, m, through, leads, lag, age, usable;
+    double since, last, length;
+} Foresight;
+
 typedef struct { /* see signal.py */
-    int32_t target, source, maker, slope, degree, wanted, order, free, tied, known;
+    int32_t target, source, maker, slope, degree, wanted, order, free, tied, foreseen, known;
     double factor, offset, scale;
     double value, slope0, value1, slope1, before, chord, bend;
     double foretold, weight, lost, returned;
@@ -119,6 +141,7 @@ struct Run {
     Signal *signals;
     int32_t part_count, signal_count;
     Driver *driver; /* NULL without a scenario */
+    Foresight *foresight; /* NULL where the plan wants none */
     Monitor monitor;
     Recorder recorder;
     /* the plan */
@@ -156,14 +179,22 @@ int carry_out(Run *, const Program *);
 int step_part(Run *, int k, double t, double h);
 int keep_part(Run *, int k);
 int restore_part(Run *, int k);
+int derivative_along(const void *function, void *component, int fmi, const uint32_t *of, size_t outputs,
+                     const uint32_t *by, size_t count, const double *seed, double *into);
 double seconds(void);
 
 /* loop.c: 0 or what `judge` said */
 int solve_loop(Run *, const Loop *);
 
+/* foresight.c: 0 or what `judge` said */
+int foretell(Run *, double h);
+void foresight_accept(Foresight *, double h);
+
 /* signal.c */
 void drive(Signal *, double middle, double value1, double h);
 void predict(Signal *, double h, double step);
+void foresee(Signal *, double v1, double v2, double v3, double h);
+void hit(Signal *, double h);
 void interpolate(Signal *, int degree, double h, double step);
 void give_back(Signal *, double h, double step);
 void arrive(Signal *, double value, double slope, double h, double step, double older);

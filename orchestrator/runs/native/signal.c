@@ -64,6 +64,16 @@ void predict(Signal *s, double h, double step) {
     s->returned = 0.0;
 }
 
+void foresee(Signal *s, double v1, double v2, double v3, double h) {
+    cubic(s->c, s->value, (18.0 * v1 - 9.0 * v2 + 2.0 * v3) / (2.0 * h),
+          (-45.0 * v1 + 36.0 * v2 - 9.0 * v3) / (2.0 * h * h), (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h));
+    s->foretold = value_at(s->c, h);
+    s->weight = 1.0;
+    s->returned = 0.0;
+}
+
+void hit(Signal *s, double h) { s->c[3] += (s->value1 - value_at(s->c, h)) / (h * h * h); }
+
 static int straight(const Signal *s, double h) {
     if (!s->free) return 0;
     const double chord = (s->value1 - s->value) / h;

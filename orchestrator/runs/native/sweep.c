@@ -68,6 +68,10 @@ static void shape(Run *run, const Part *p, int n, double h) {
     for (int32_t i = 0; i < p->count; i++) {
         Signal *s = &run->signals[p->first + i];
         if (s->maker == DRIVEN) continue;
+        if (s->foreseen) {
+            if (!n && run->stepped[s->maker]) hit(s, h);
+            continue;
+        }
         if (s->wanted && (n || (run->stepped[s->maker] && !s->tied))) {
             interpolate(s, run->degree, h, run->length);
             continue;
@@ -88,9 +92,12 @@ static int pass(Run *run, int n, double h) {
     for (int32_t i = 0; i < run->part_count; i++) {
         const int k = run->turns[i];
         Part *p = &run->parts[k];
+        const int looks = run->foresight && i == run->foresight->leads;
+        int verdict = looks ? foretell(run, h) : CONTINUE;
+        if (verdict) return verdict;
         if (n && !p->repeated) continue; /* nothing changes what it did */
         shape(run, p, n, h);
-        int verdict = n ? restore_part(run, k) : CONTINUE;
+        if (n) verdict = restore_part(run, k);
         if (!verdict) verdict = carry_out(run, &p->newest);
         if (!verdict) verdict = advance_part(run, k, h, &clock);
         if (verdict) return verdict;
