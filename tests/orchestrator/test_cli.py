@@ -1,8 +1,11 @@
 """The command line: defaults, one-line errors with exit status 2, records of interrupted runs."""
 
+import json
 import os
+import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 
 from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
+from orchestrator.commands import commands
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
@@ -82,6 +86,116 @@ def test_records_at_200_hz_unless_told(options, times, capsys):
     assert f"{round(0.012 / float(options[1]))} steps" in capsys.readouterr().out
 
 
+PAIR = """<SystemStructureDescription version="1.0" name="pair"
+ xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="pair"><Elements>
+<Component name="a" source="resources/mass_a.fmu"><Connectors>
+<Connector name="x2" kind="input"/><Connector name="force" kind="output"/></Connectors></Component>
+<Component name="b" source="resources/mass_b.fmu"><Connectors>
+<Connector name="force" kind="input"/><Connector name="x" kind="output"/></Connectors></Component></Elements>
+<Connections><Connection startElement="a" startConnector="force" endElement="b" endConnector="force"/>
+<Connection startElement="b" startConnector="x" endElement="a" endConnector="x2"/></Connections></System>
+</SystemStructureDescription>"""
+
+
+@pytest.fixture
+def pair(tmp_path, monkeypatch, fmus, zip_ssp):
+    """A working directory with pair.ssp, two coupled masses."""
+    monkeypatch.chdir(tmp_path)
+    names = ("mass_a", "mass_b")
+    return zip_ssp(PAIR, {f"resources/{name}.fmu": fmus[name] for name in names}, "pair.ssp")
+
+
+def noted(file="o.run.json"):
+    """What stands beside a trace."""
+    return json.loads(Path(file).read_text(encoding="utf-8"))
+
+
+@pytest.mark.usefixtures("pair")
+@pytest.mark.parametrize(
+    ("options", "coupling"),
+    [
+        ([], {"master": "gauss-seidel", "order": 0, "correct": False}),
+        (["--order", "2", "--correct"], {"master": "gauss-seidel", "order": 2, "correct": True}),
+        (
+            ["--master", "jacobi", "--factor", "a=2", "--factor", "b=4"],
+            {"master": "jacobi", "order": 0, "correct": False, "factors": {"a": 2, "b": 4}},
+        ),
+        (
+            ["--master", "hermite", "--order", "0", "--passes", "3", "--coupling-tolerance", "1e-6"],
+            {"master": "hermite", "order": 0, "correct": False, "passes": 3, "tolerance": 1e-6},
+        ),
+        (
+            ["--master", "interface-jacobian", "--lag", "5"],
+            {"master": "interface-jacobian", "order": 3, "correct": False, "lag": 5},
+        ),
+        (
+            ["--adaptive", "0.01", "--control", "error", "--smallest", "1e-6", "--largest", "0.05"],
+            {
+                "master": "gauss-seidel",
+                "order": 0,
+                "correct": False,
+                "adaptive": 0.01,
+                "control": "error",
+                "smallest": 1e-6,
+                "largest": 0.05,
+            },
+        ),
+    ],
+)
+def test_every_choice_of_the_coupling_reaches_the_run(options, coupling):
+    """They are noted beside the trace, all of them and no others."""
+    assert main(["run", "pair.ssp", "--stop", "0.1", "--step", "0.01", "--out", "o.csv", *options]) == 0
+    found = noted()
+    assert found["coupling"] == coupling
+    assert found["steps"] >= 10
+    assert found["passes"] >= found["steps"]
+
+
+@pytest.mark.usefixtures("pair")
+def test_an_adaptive_run_records_where_it_was(capsys):
+    """Every communication point; with a record step exactly its points."""
+    run = ["run", "pair.ssp", "--adaptive", "0.01", "--stop", "0.1", "--out", "o.csv"]
+    assert main(run) == 0
+    free, facts = read("o.csv").time, noted()
+    assert len(free) == facts["steps"] + 1
+    assert facts["lengths"] == pytest.approx([np.diff(free).min(), np.diff(free).max()], rel=1e-6)  # 9 digits
+    assert "every" not in capsys.readouterr().out.splitlines()[-1]
+    assert main([*run, "--record-step", "0.02"]) == 0
+    np.testing.assert_array_equal(read("o.csv").time, [0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
+    assert "6 rows, every 0.02 s" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("pair")
+def test_an_adaptive_run_is_validated_every_5_ms(monkeypatch):
+    """The report tells its tolerance and the range of its steps."""
+    Path("m.csv").write_text("time,a.x\n0,0\n0.1,1\n", encoding="utf-8")
+    Path("m.toml").write_text('[signals."a.x"]\nunit = "m"\n', encoding="utf-8")
+    monkeypatch.setattr(commands, "validate", partial(commands.validate, rate=False))
+    options = ["--master", "hermite", "--adaptive", "0.01", "--stop", "0.1", "--out", "."]
+    assert main(["validate", "pair.ssp", "--reference", "m.csv", *options]) in (0, 1)
+    # 9 digits in the file
+    np.testing.assert_allclose(read("run.csv").time, np.arange(21) * 0.005, rtol=0, atol=1e-9)
+    facts, coupling = noted("report.json")["facts"], noted("run.run.json")
+    shortest, longest = coupling["lengths"]
+    assert facts["tolerance of a step"] == 0.01
+    assert facts["communication step [s]"].startswith(f"{shortest:.3g} to {longest:.3g}, on average ")
+    assert facts["record step [s]"] == 0.005
+
+
+@pytest.mark.usefixtures("pair")
+def test_runs_that_are_compared_are_told_apart(capsys):
+    """Master and step of each, of adaptive runs the mean."""
+    for name, options in (("a", ["--step", "0.01"]), ("b", ["--adaptive", "0.01", "--master", "hermite"])):
+        assert main(["run", "pair.ssp", "--stop", "0.1", "--out", f"{name}.csv", *options]) == 0
+    capsys.readouterr()
+    assert main(["compare", "a.csv", "b.csv", "--out", "."]) == 0
+    told = capsys.readouterr().out
+    mean = noted("b.run.json")["step"]
+    assert re.search(r"^a +gauss-seidel +0.01 s ", told, re.MULTILINE)
+    assert re.search(rf"^b +hermite +{mean:.3g} s mean ", told, re.MULTILINE)
+    assert noted("comparison.json")["runs"]["b"]["coupling"]["adaptive"] == 0.01
+
+
 @pytest.mark.usefixtures("folder")
 def test_a_single_fmu_runs(each, capsys):
     """`harvester run some.fmu` and `harvester signals some.fmu`, for both versions of FMI."""
@@ -125,6 +239,29 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
             "harvester: record step: expected a multiple of the step 0.002 s, got 0.005 s",
         ),
         (["walk"], "harvester: No such command 'walk'; see harvester --help"),
+        (["run", "--master", "euler"], "harvester: unknown master 'euler', expected one of jacobi, "),
+        (
+            ["run", "--master", "jacobi", "--passes", "2"],
+            "harvester: passes: only hermite computes a step again, the master is jacobi",
+        ),
+        (
+            ["run", "--passes", "2"],
+            "harvester: passes: only hermite computes a step again, the master is gauss",
+        ),
+        (["run", "--master", "hermite", "--passes", "0"], "harvester: passes: expected at least 1, got 0"),
+        (["run", "--control", "energy"], "harvester: control: of adaptive steps only, expected a tolerance"),
+        (
+            ["run", "--order", "second"],
+            "harvester: Invalid value for '--order': ",
+        ),
+        (["run", "--factor", "g"], "harvester: --factor g: expected component=N, N steps of it in each"),
+        (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
+        (["run", "--factor", "g=2", "--factor", "g=3"], "harvester: --factor g=3: g is 2 already"),
+        (["run", "--factor", "h=2"], "harvester: factor of h: no component of that name; there are g"),
+        (
+            ["validate", "--master", "jacobi", "--coupling-tolerance", "1e-3"],
+            "harvester: coupling tolerance: only hermite computes a step again, the master is jacobi",
+        ),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):

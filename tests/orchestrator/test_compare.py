@@ -101,8 +101,8 @@ def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
         for name, swap in (("usual", {}), ("other", {"gain": fmus["gain"]}))
     }
     told = text(compare(results))
-    assert re.search(r"^usual +0.1 s +\S+ +\S+ +\S+ +1  gain \S+$", told, re.MULTILINE)
-    assert re.search(r"^other \(gain=gain\) +0.1 s", told, re.MULTILINE)
+    assert re.search(r"^usual +gauss-seidel +0.1 s +\S+ +\S+ +\S+ +1  gain \S+$", told, re.MULTILINE)
+    assert re.search(r"^other \(gain=gain\) +gauss-seidel +0.1 s", told, re.MULTILINE)
 
 
 def test_against_names_the_reference():
@@ -232,7 +232,7 @@ def test_the_command_prints_and_writes(capsys):
     assert main(["compare", "a.csv", "b.csv", "c.parquet", "--out", "new/place"]) == 0
     printed = capsys.readouterr().out
     assert "b against a" in printed
-    assert re.search(r"^a +0.1 s .* gain [\d.e-]+$", printed, re.MULTILINE)
+    assert re.search(r"^a +gauss-seidel +0.1 s .* gain [\d.e-]+$", printed, re.MULTILINE)
     assert "picture: new/place/comparison.png" in printed
     assert Path("new/place/comparison.png").read_bytes().startswith(b"\x89PNG")
     data = json.loads(Path("new/place/comparison.json").read_text(encoding="utf-8"))

@@ -1,0 +1,186 @@
+"""Choices about the coupling: their mistakes, how they meet, and that a run is told what it was."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Coupling, Problem, run
+from orchestrator.coupling.masters import MASTERS as MADE
+from orchestrator.coupling.settings import MASTERS, ORDERS, chosen
+from orchestrator.files.sidecar import read_facts, write_facts
+from orchestrator.files.trace import write
+
+
+def test_every_master_has_a_name_and_an_order():
+    """The tables of settings and of masters list the same."""
+    assert set(MASTERS) == set(MADE) == set(ORDERS)
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"master": "euler"}, "unknown master 'euler', expected one of jacobi, "),
+        ({"order": 4}, "order of extrapolation: expected 0, 1, 2 or 3, got 4"),
+        ({"master": "hermite", "passes": 0}, "passes: expected at least 1, got 0"),
+        (
+            {"master": "hermite", "tolerance": 0.0},
+            "coupling tolerance: expected a positive number, got 0",
+        ),
+        ({"adaptive": float("nan")}, "adaptive: expected a positive number, got nan"),
+        ({"adaptive": 1e-3, "control": "power"}, "unknown control 'power', expected one of error, energy"),
+        (
+            {"adaptive": 1e-3, "smallest": 0.2},
+            "smallest and largest step: expected 0 < smallest <= largest, got 0.2 s and 0.1 s",
+        ),
+        ({"factors": {"a": 0}}, "factor of a: expected a whole number of steps from 1 on, got 0"),
+        ({"factors": {"a": 1.5}}, "factor of a: expected a whole number of steps from 1 on, got 1.5"),
+    ],
+)
+def test_a_wrong_value_is_told(choices, message):
+    """What was expected and what was given, in one line."""
+    with pytest.raises(Problem) as told:
+        Coupling(**choices)
+    assert str(told.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        (
+            {"master": "jacobi", "passes": 8},
+            "passes: only hermite computes a step again, the master is jacobi",
+        ),
+        (
+            {"tolerance": 1e-3},
+            "coupling tolerance: only hermite computes a step again, the master is gauss-seidel",
+        ),
+        ({"master": "hermite", "passes": 1, "tolerance": 1e-3}, "coupling tolerance: it ends the passes"),
+        ({"master": "hermite", "correct": True}, "correct: expected a single pass"),
+        ({"master": "interface-jacobian", "correct": True}, "correct: interface-jacobian foretells"),
+        ({"master": "jacobi", "lag": 2}, "lag: only interface-jacobian keeps linearisations"),
+        ({"control": "error"}, "control: of adaptive steps only, expected a tolerance for them (adaptive)"),
+        ({"smallest": 1e-5}, "smallest: of adaptive steps only"),
+        ({"largest": 1e-2}, "largest: of adaptive steps only"),
+    ],
+)
+def test_a_choice_without_effect_is_refused(choices, message):
+    """Also one that happens to be what the master does anyway."""
+    with pytest.raises(Problem) as told:
+        Coupling(**choices)
+    assert str(told.value).startswith(message)
+
+
+def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
+    """Single settings change, factors by component; a master stands for itself."""
+    usual = Coupling("hermite", passes=3, factors={"a": 2, "b": 3})
+    assert chosen({"passes": 2, "factors": {"a": 5}}, usual) == Coupling(
+        "hermite", passes=2, factors={"a": 5, "b": 3}
+    )
+    assert chosen({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
+    assert chosen({}, None) == Coupling() == Coupling("gauss-seidel")
+    with pytest.raises(Problem, match="only hermite computes a step again"):
+        chosen({"passes": 2}, Coupling("jacobi"))
+
+
+def test_the_text_tells_what_is_not_usual():
+    """Nothing but the name where nothing was chosen."""
+    assert Coupling("hermite").text == "hermite"
+    more = Coupling(
+        "jacobi", 1, correct=True, factors={"a": 4, "b": 1, "c": 2}, adaptive=1e-3, control="energy"
+    )
+    assert more.text == (
+        "jacobi of order 1 with correction with control of the energy with 4 of a and 2 of c in each step"
+    )
+    assert Coupling("hermite", passes=1).text == "hermite in one pass"
+    assert Coupling("hermite", passes=5).text == "hermite in up to 5 passes"
+
+
+def test_the_settings_are_those_with_an_effect():
+    """Defaults filled in, so that a run can be repeated when defaults have changed."""
+    assert Coupling("jacobi").settings == {"master": "jacobi", "order": 0, "correct": False}
+    assert Coupling("hermite", adaptive=1e-3).settings == {
+        "master": "hermite",
+        "order": 3,
+        "correct": False,
+        "passes": 8,
+        "tolerance": pytest.approx(3e-4, rel=1e-12),  # rounding only
+        "adaptive": 1e-3,
+        "control": "error",
+        "smallest": 1e-7,
+        "largest": 0.1,
+    }
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        Coupling("jacobi", 2, correct=True, factors={"a": 2}),
+        Coupling("hermite", passes=2, adaptive=1e-2),
+        Coupling("hermite", 1, passes=1, correct=True),
+        Coupling("interface-jacobian", lag=3),
+    ],
+)
+def test_the_settings_make_the_same_coupling(coupling):
+    """What is noted beside a trace can be given to a run again."""
+    again = Coupling(**coupling.settings)
+    assert again.settings == coupling.settings
+
+
+def test_a_name_is_a_coupling_with_defaults(oscillator):
+    """And without a master it is gauss-seidel."""
+    traces = [run(oscillator, master=m, step=1e-2, stop=0.2).trace for m in ("hermite", Coupling("hermite"))]
+    np.testing.assert_array_equal(traces[0]["a.x"], traces[1]["a.x"])
+    assert run(oscillator, step=1e-2, stop=0.2).coupling == Coupling("gauss-seidel")
+
+
+def test_a_factor_of_no_component_is_told(oscillator):
+    """With the name that may have been meant, or those there are."""
+    with pytest.raises(Problem, match="factor of c: no component of that name; there are a, b"):
+        run(oscillator, master=Coupling(factors={"c": 2}), stop=0.1)
+
+
+def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, tmp_path):
+    """Of an adaptive run the tolerance, the range of the steps, passes, repeats, and all settings."""
+    result = run(oscillator, master=Coupling("hermite", adaptive=1e-3), step=1e-3, stop=1.0)
+    card, text = result.card, result.card.text()
+    shortest, longest = card.lengths
+    assert shortest < longest
+    assert f"master hermite, tolerance 0.001, {card.steps} steps of {1e3 * shortest:.3g} to" in text
+    assert card.passes > card.steps
+    assert "passes each" in text
+    write(result.trace, tmp_path / "o.csv")
+    write_facts(result, tmp_path / "o.csv")
+    facts = read_facts(tmp_path / "o.csv")
+    assert facts.coupling == result.coupling.settings
+    assert (facts.steps, facts.passes, facts.repeated) == (card.steps, card.passes, card.repeated)
+    assert tuple(facts.lengths) == card.lengths
+    assert facts.adaptive
+
+
+def test_the_estimate_of_an_adaptive_run_is_near_its_error(oscillator, exact):
+    """A run at a tenth of the tolerance, at the same recorded points."""
+    coupling = Coupling("hermite", adaptive=1e-3)
+    result = run(oscillator, master=coupling, stop=2.0, record_step=0.1, error_estimate=True)
+    truth = exact(result.trace.time)[:, 0]
+    error = np.abs(result.trace["a.x"] - truth).max() / np.ptp(result.trace["a.x"])
+    (found,) = [e for e in result.card.errors if e.name == "a.x"]
+    # these FMUs hold their inputs: the error is of order 2, the step is chosen for order 4, so the error goes
+    # with the root of the tolerance; 15 %, because the errors of both runs are not in proportion everywhere
+    assert found.largest == pytest.approx((1 - 10**-0.5) * error, rel=0.15)
+    assert found.order is None
+    assert "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that" in result.card.text()
+
+
+def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillator):
+    """Two such runs share no points; a note tells what helps."""
+    card = run(oscillator, master=Coupling(adaptive=1e-2), stop=0.5, error_estimate=True).card
+    assert not card.errors
+    assert (
+        "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+        in card.notes
+    )
+
+
+def test_a_wrong_record_step_of_an_adaptive_run_is_told(oscillator):
+    """By its own name, not as the step."""
+    with pytest.raises(Problem, match="record step: expected at most the time from 0 to 1 s, got 2 s"):
+        run(oscillator, master=Coupling(adaptive=1e-2), stop=1.0, record_step=2.0)
