@@ -67,6 +67,9 @@ class Sweep:
                 network.untie(h)
                 if not self._miss(h) > plan.tolerance:
                     break
+        for part in () if plan.sequential else network.parts:
+            if part.tell:
+                part.finish(h)  # slopes of outputs may follow from theirs
 
     @property
     def power(self) -> int:
