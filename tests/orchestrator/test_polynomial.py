@@ -1,0 +1,187 @@
+"""Polynomials over a step: what projections keep, what interpolation and prediction are exact for."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator.coupling.polynomial import at, interpolated, mean, predicted, projected, shifted, slope_at
+from orchestrator.coupling.signal import NO_SLOPE, Signal
+
+numbers = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-9 else 0.0)  # far from underflow
+cubics = st.tuples(numbers, numbers, numbers, numbers)
+lengths = st.floats(1e-2, 10.0)  # [s]
+degrees = st.integers(1, 3)
+
+
+def cut(c, degree):
+    """The terms up to a degree."""
+    return tuple(x if k <= degree else 0.0 for k, x in enumerate(c))
+
+
+def size(c, h):
+    """The largest sum of terms over a step, with which rounding grows."""
+    return sum(abs(x) * h**k for k, x in enumerate(c))
+
+
+def close(found, expected, magnitude):
+    """Equal but for rounding of a few dozen operations on numbers of that magnitude."""
+    assert found == pytest.approx(expected, rel=0, abs=1e-13 * magnitude)
+
+
+def moment(c, h):
+    """Integral of s u(s) over a step."""
+    return sum(x * h ** (k + 2) / (k + 2) for k, x in enumerate(c))
+
+
+@given(cubics, lengths, st.sampled_from([0, 1, 3]))
+def test_projections_keep_the_mean(c, h, degree):
+    """What an FMU gets instead of the cubic has the same mean over the step."""
+    close(mean(projected(c, degree, h), h), mean(c, h), size(c, h))
+
+
+@given(cubics, lengths)
+def test_the_line_keeps_the_first_moment(c, h):
+    """The mean of s u(s) is that of the cubic; with the mean, that makes it the nearest line."""
+    line = projected(c, 1, h)
+    assert line[2:] == (0.0, 0.0)
+    close(moment(line, h) / h**2, moment(c, h) / h**2, size(c, h))
+
+
+@given(cubics, lengths)
+def test_projections_leave_what_fits(c, h):
+    """A line stays that line, and a constant that constant, to the last bit."""
+    assert projected(cut(c, 1), 1, h) == cut(c, 1)
+    assert projected(cut(c, 0), 0, h) == cut(c, 0)
+    assert projected(c, 3, h) == c
+
+
+@given(cubics, lengths, degrees)
+def test_interpolation_is_exact_up_to_its_degree(c, h, degree):
+    """Values and slopes at both ends give a polynomial of that degree back."""
+    c = cut(c, degree)
+    found = interpolated(degree, c[0], c[1], at(c, h), slope_at(c, h), h)
+    for k in range(4):
+        close(found[k] * h**k, c[k] * h**k, size(c, h))
+
+
+@given(cubics, lengths, degrees)
+def test_interpolation_meets_its_data(c, h, degree):
+    """Values at both ends; from degree 2 on the slope at the beginning; with 3 that at the end."""
+    value, slope, value1, slope1 = c
+    found, magnitude = interpolated(degree, *c, h), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
+    close(at(found, 0.0), value, magnitude)
+    close(at(found, h), value1, 10 * magnitude)  # coefficients of the cubic are up to 4 times as large
+    if degree > 1:
+        close(h * slope_at(found, 0.0), h * slope, magnitude)
+    if degree > 2:
+        close(h * slope_at(found, h), h * slope1, 30 * magnitude)
+
+
+@given(cubics, lengths, lengths, st.integers(0, 3))
+def test_prediction_is_exact_for_polynomials_of_its_degree(c, step, h, degree):
+    """Value, slope and the step before are enough to continue them, whatever the lengths of the steps."""
+    c = cut(c, degree)
+    before, chord = slope_at(c, -step), (c[0] - at(c, -step)) / step
+    found = predicted(degree, c[0], c[1], before, chord, step)
+    # differences over the step before are rounded in units of the magnitude there
+    magnitude = size(c, max(h, step)) * max(1.0, h / step) ** degree
+    close(at(found, h), at(c, h), 10 * magnitude)
+
+
+@given(cubics, lengths, lengths)
+def test_shifting_counts_time_from_elsewhere(c, by, s):
+    """u(by + s) is the shifted polynomial at s."""
+    close(at(shifted(c, by), s), at(c, by + s), size(c, by + s))
+    close(s * slope_at(shifted(c, by), s), s * slope_at(c, by + s), 3 * size(c, by + s))
+
+
+def test_shifting_by_nothing_changes_nothing():
+    """To the last bit: components with one step of their own get the master's polynomial."""
+    assert shifted((0.1, 0.2, 0.3, 0.7), 0.0) == (0.1, 0.2, 0.3, 0.7)
+
+
+# ---- a signal over several steps
+
+
+def watched(c, lengths, order=0, slopes=True, degree=3):
+    """A signal that followed the polynomial c of the time over steps of these lengths, the last one undone.
+
+    It was continued at `order`; `slopes` says whether its source tells them.
+    """
+    s = Signal(0, 0, 1.0, 0.0, maker=1, slope=0 if slopes else NO_SLOPE, degree=degree, wanted=3, order=order)
+    s.begin(c[0], c[1] if slopes else 0.0)
+    t, steps = 0.0, (0.0, 0.0)
+    for n, h in enumerate(lengths):
+        s.predict(h, steps[0])
+        s.arrive(at(c, t + h), slope_at(c, t + h), h, steps)
+        if n < len(lengths) - 1:
+            s.accept(h, steps[0])
+            t, steps = t + h, (h, steps[0])
+    return s, t, steps
+
+
+@given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(0.5, 2.0), degrees)
+def test_slopes_from_differences_are_exact_up_to_a_cubic(c, first, second, third, degree):
+    """Two values give the slope of a line, three of a parabola, four of a cubic, at any lengths of steps."""
+    c, lengths = cut(c, degree), [first, second, third][:degree]
+    s, t, _ = watched(c, lengths, slopes=False)
+    # differences of third order of values rounded at that magnitude, over steps of half a second
+    close(s.slope1, slope_at(c, t + lengths[-1]), 200 * size(c, sum(lengths)))
+
+
+@given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_a_polynomial_within_reach_is_no_error(c, before, h):
+    """What the past told of the end of the step is right for a cubic: no deviation, no miss, no defect."""
+    s, _, (step, _) = watched(c, [before, h], order=3)
+    magnitude = 100 * size(c, before + h)
+    close(s.deviation(h, repeated=False), 0.0, magnitude)
+    close(s.defect(h), 0.0, magnitude)
+    s.interpolate(3, h, step)
+    close(s.deviation(h, repeated=True), 0.0, magnitude)
+    close(s.miss(h) * s.magnitude(), 0.0, magnitude)
+
+
+@given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_a_held_line_is_off_by_its_way(value, slope, before, h):
+    """The deviation of a held input is what the source moved, the defect of its mean half of that."""
+    s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
+    magnitude = abs(value) + 4 * abs(slope)
+    close(abs(s.deviation(h, repeated=False)), abs(slope) * h, magnitude)
+    close(s.defect(h), 0.5 * slope * h, magnitude)
+
+
+@given(cubics, st.integers(0, 1), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_what_was_lost_is_given_back(c, order, before, h):
+    """Of a polynomial one degree above the continuation all of the mean, at any lengths of steps."""
+    c = cut(c, order + 1)
+    s, t, (step, _) = watched(c, [before, h], order=order)
+    s.predict(h, step)
+    s.give_back(h, step)
+    close(mean(s.c, h), mean(shifted(c, t), h), 100 * size(c, before + h))
+
+
+@given(cubics, st.floats(0.5, 2.0))
+def test_a_parabola_that_continues_a_cubic_gets_its_mean_back_at_equal_steps(c, h):
+    """At order 2 the loss goes with both steps; at equal ones it is the same again."""
+    s, t, (step, _) = watched(c, [h, h, h], order=2)
+    s.predict(h, step)
+    s.give_back(h, step)
+    close(mean(s.c, h), mean(shifted(c, t), h), 1000 * size(c, 3 * h))
+
+
+def test_only_a_free_source_may_have_corners():
+    """A command without inputs that went straight to a corner is a line, a state is a cubic."""
+    for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
+        s = Signal(0, 0, 1.0, 0.0, 1, slope=0, degree=3, wanted=3, free=free)
+        s.begin(0.0, 1.0)
+        s.arrive(1.0, 0.0, 1.0, (0.0, 0.0))  # the slope at the end is that of what follows the corner
+        s.interpolate(3, 1.0, 0.0)
+        assert s.c == expected
+
+
+def test_the_magnitude_is_the_largest_ever():
+    """Errors of a signal that passes through zero are compared with what it was before."""
+    s, _, _ = watched((8.0, -4.0, 0.0, 0.0), [1.0, 1.0])
+    assert (s.value1, s.magnitude(), s.share(2.0)) == (0.0, 8.0, 0.25)
+    still = Signal(0, 0, 1.0, 0.0, 1, 0, 3, 3)
+    assert still.share(1.0) == 0.0  # the start: nothing was ever there to compare with
