@@ -85,8 +85,9 @@ def read_suggestion(file: Location, root: Element, components: Iterable[str]) ->
     step = given.pop("step", None)
     if step is not None and not step > 0:
         raise _problem(file, element, f"expected a positive number of seconds for step, got {step:g}")
+    factors = _factors(file, element)
     try:
-        coupling = Coupling(**given, factors=_factors(file, element))
+        coupling = Coupling(**given, factors=factors)
         coupling.check(components)
     except Problem as problem:
         raise _problem(file, element, str(problem)) from None

@@ -1,0 +1,190 @@
+"""How an SSP suggests to couple its components: where it is read, what overrules it, what is refused."""
+
+import zipfile
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd
+from lxml import etree
+from pyssp_standard.ssd import SSD
+
+from orchestrator import Coupling, Problem, Trace, load, run
+from orchestrator.__main__ import main
+from orchestrator.files.trace import read
+
+SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+HEAD = f"""<ssd:SystemStructureDescription version="1.0" name="pair"
+ xmlns:ssd="{SSP}Description" xmlns:ssc="{SSP}Common">
+<ssd:System name="pair"><ssd:Elements>
+<ssd:Component name="a" type="application/x-fmu-sharedlibrary" source="resources/a.fmu"><ssd:Connectors>
+<ssd:Connector name="x2" kind="input"><ssc:Real/></ssd:Connector>
+<ssd:Connector name="force" kind="output"><ssc:Real/></ssd:Connector></ssd:Connectors></ssd:Component>
+<ssd:Component name="b" type="application/x-fmu-sharedlibrary" source="resources/b.fmu"><ssd:Connectors>
+<ssd:Connector name="force" kind="input"><ssc:Real/></ssd:Connector>
+<ssd:Connector name="x" kind="output"><ssc:Real/></ssd:Connector></ssd:Connectors></ssd:Component>
+</ssd:Elements><ssd:Connections>
+<ssd:Connection startElement="a" startConnector="force" endElement="b" endConnector="force"/>
+<ssd:Connection startElement="b" startConnector="x" endElement="a" endConnector="x2"/>
+</ssd:Connections>"""
+HERMITE = 'master="hermite" step="0.01" passes="3" tolerance="1e-6"'
+FACTOR = '<hc:Factor component="a" steps="4"/>'
+
+
+def coupling(attributes=HERMITE, inside=""):
+    return f'<hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" {attributes}>{inside}</hc:Coupling>'
+
+
+def annotated(*elements):
+    """Annotations: one of another tool, then ours."""
+    ours = f'<ssc:Annotation type="harvester-cosim">{"".join(elements)}</ssc:Annotation>'
+    other = '<ssc:Annotation type="org.example"><Coupling master="none"/></ssc:Annotation>'
+    return f"<ssd:Annotations>{other}{ours}</ssd:Annotations>"
+
+
+def ssd(experiment="", in_system="", at_end=""):
+    tail = f'<ssd:DefaultExperiment startTime="0" stopTime="0.1">{experiment}</ssd:DefaultExperiment>{at_end}'
+    return f"{HEAD}{in_system}</ssd:System>{tail}</ssd:SystemStructureDescription>"
+
+
+@pytest.fixture
+def make(fmus, zip_ssp):
+    """An .ssp with the two coupled masses."""
+    parts = {"resources/a.fmu": fmus["mass_a"], "resources/b.fmu": fmus["mass_b"]}
+    return lambda *args, **places: zip_ssp(ssd(*args, **places), parts)
+
+
+@pytest.mark.parametrize("place", ["experiment", "in_system", "at_end"])
+def test_the_suggestion_is_taken_where_nobody_says_otherwise(make, place):
+    """From any of the three places that a file has for annotations."""
+    path = make(**{place: annotated(coupling(inside=f"<!-- fine -->{FACTOR}"))})
+    suggested = Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4})
+    system = load(path)
+    assert (system.coupling, system.step) == (suggested, 0.01)
+    result, told = run(path), run(path, master=suggested, step=0.01)
+    assert result.coupling == suggested
+    assert result.card.steps == 10
+    np.testing.assert_array_equal(result.trace["a.x"], told.trace["a.x"])
+
+
+def test_without_one_there_is_no_suggestion(make):
+    """Neither in an annotation of another tool nor in an empty one of ours."""
+    for path in (make(), make(annotated())):
+        assert (load(path).coupling, load(path).step) == (None, None)
+
+
+def test_a_master_from_python_puts_the_suggestion_aside(make):
+    """Its step, too, which was meant for another master; a step alone is only that."""
+    path = make(annotated(coupling()))
+    result = run(path, master="jacobi")
+    assert result.coupling == Coupling("jacobi")
+    assert result.card.step == 1e-3  # of the FMUs or of nobody
+    result = run(path, step=0.02)
+    assert (result.coupling.master, result.card.step) == ("hermite", 0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4})),
+        (["--passes", "5"], Coupling("hermite", passes=5, tolerance=1e-6, factors={"a": 4})),
+        (["--factor", "b=2"], Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4, "b": 2})),
+        (["--master", "hermite"], Coupling("hermite")),
+    ],
+)
+def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, options, expected):
+    """Those of the file stay, unless a master is named."""
+    ran = []
+    path = make(annotated(coupling(inside=FACTOR)))
+    monkeypatch.setattr("orchestrator.commands.commands.save", lambda result, *_: ran.append(result))
+    assert main(["run", str(path), "--out", str(tmp_path / "o.csv"), *options]) == 0
+    (result,) = ran
+    assert result.coupling == expected
+    assert result.card.steps == (100 if "--master" in options else 10)
+
+
+def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
+    """As one that is asked for on the command line does."""
+    path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05" control="error"')))
+    assert main(["run", str(path), "--out", str(tmp_path / "o.csv")]) == 0
+    time = read(tmp_path / "o.csv").time
+    assert time[-1] == 0.1
+    assert np.ptp(np.diff(time)) > 1e-3  # [s]: the steps are not equal
+
+
+def test_all_attributes_are_read(make):
+    """Numbers, whole numbers, truth and text."""
+    text = 'master="gauss-seidel" order="2" correct="true" adaptive="1e-3" control="energy" largest="0.01"'
+    expected = Coupling("gauss-seidel", 2, correct=True, adaptive=1e-3, control="energy", largest=0.01)
+    assert load(make(annotated(coupling(text)))).coupling == expected
+    text = 'master="interface-jacobian" lag="3"'
+    assert load(make(annotated(coupling(text)))).coupling == Coupling("interface-jacobian", lag=3)
+
+
+def test_attributes_of_other_namespaces_are_passed_over(make):
+    """As XML means it."""
+    text = 'xmlns:x="urn:x" x:note="mine" master="hermite"'
+    assert load(make(annotated(coupling(text)))).coupling == Coupling("hermite")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (coupling('mastr="hermite"'), "Coupling: unknown attribute 'mastr'; did you mean master"),
+        (coupling('passes="two"'), "Coupling: expected a whole number for passes, got 'two'"),
+        (coupling('tolerance="inf"'), "Coupling: expected a number for tolerance, got 'inf'"),
+        (coupling('correct="yes"'), "Coupling: expected true or false for correct, got 'yes'"),
+        (coupling('step="0"'), "Coupling: expected a positive number of seconds for step, got 0"),
+        (coupling('master="euler"'), "Coupling: unknown master 'euler', expected one of jacobi, "),
+        (coupling('master="jacobi" passes="2"'), "Coupling: passes: only hermite computes a step again"),
+        (coupling('control="power" adaptive="1"'), "Coupling: unknown control 'power'"),
+        (
+            coupling("", '<hc:Factor component="c" steps="2"/>'),
+            "Coupling: factor of c: no component of that name; there are a, b",
+        ),
+        (coupling("", '<hc:Factor component="a"/>'), "Factor: expected an attribute steps, got none"),
+        (
+            coupling("", '<hc:Factor component="a" steps="x"/>'),
+            "Factor: expected a whole number for steps, got 'x'",
+        ),
+        (coupling("", FACTOR + FACTOR), "Factor: component a has a Factor already, expected one"),
+        (coupling("", "<hc:Rate/>"), "Rate: expected Factor in a Coupling"),
+        ("<Master/>", "Master: expected Coupling in an annotation of type harvester-cosim"),
+    ],
+)
+def test_a_mistake_names_file_line_and_attribute(make, text, message):
+    """In one line."""
+    path = make(annotated(text))
+    with pytest.raises(Problem) as told:
+        load(path)
+    line = etree.fromstring(zipfile.ZipFile(path).read("SystemStructure.ssd")).find(".//{*}DefaultExperiment")
+    assert str(told.value).startswith(f"{path}/SystemStructure.ssd: line {line.sourceline}: {message}")
+
+
+def test_two_suggestions_are_refused(make):
+    """Nobody knows which one is meant."""
+    path = make(annotated(coupling()), at_end=annotated(coupling()))
+    with pytest.raises(
+        Problem, match="expected one Coupling in annotations of type harvester-cosim, got some in"
+    ):
+        load(path)
+
+
+def test_other_tools_pass_it_over(make, tmp_path):
+    """The file is valid for the schemas of SSP 1.0 and 2.0, and two other readers take it."""
+    text = ssd(annotated(coupling(inside=FACTOR)))
+    path = make(annotated(coupling(inside=FACTOR)))
+    assert [c.name for c in read_ssd(str(path), validate=True).system.elements] == ["a", "b"]
+    (tmp_path / "SystemStructure.ssd").write_text(text, encoding="utf-8")
+    assert SSD(tmp_path / "SystemStructure.ssd").name == "pair"
+    second = text.replace('version="1.0"', 'version="2.0"').replace("ssc:Real", "ssc:Float64")
+    schema = files("pyssp_standard") / "resources" / "ssp2" / "SystemStructureDescription.xsd"
+    etree.XMLSchema(file=str(schema)).assertValid(etree.fromstring(second))
+
+
+def test_a_system_keeps_its_suggestion_when_it_is_changed(make):
+    """Cuts, start values and scenarios do not touch it."""
+    system = load(make(annotated(coupling())))
+    assert system.without("a.x2").with_start({"a.x2": 0.1}).coupling == system.coupling
+    level = Trace(np.array([0.0, 0.1]), {"a.x2": np.array([0.0, 0.0])})
+    assert run(system, level).coupling == system.coupling
