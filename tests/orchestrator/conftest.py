@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import Workshop
+from any_fmu.models import HIGHEST, RATES, Workshop
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
@@ -38,6 +39,35 @@ def oscillator(fmus: Workshop) -> System:
     """Two masses and three springs, undamped: a sends a force with feed-through, b its position."""
     files = {"a": fmus["mass_a"], "b": fmus["mass_b"]}
     return assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+
+
+Oscillators = Callable[..., System]
+
+
+@pytest.fixture(scope="session")
+def oscillators(fmus: Workshop, fmus3: Workshop) -> Oscillators:
+    """Makes oscillators whose FMUs follow their inputs by curves, lines, rates, or not at all: held."""
+
+    def make(follow: str = "curves", fmi: int = 2, slopes: bool = True, **able: object) -> System:
+        able |= {} if slopes else {"maxOutputDerivativeOrder": 0}
+        workshop = {2: fmus, 3: fmus3}[fmi]
+        name = "_".join([follow, *(f"{k}_{v}" for k, v in able.items())])
+        more = {m: {"rates": [RATES[m]], "lines": [HIGHEST]}.get(follow, []) for m in RATES}
+        interpolates = follow in ("curves", "lines")
+        files = {
+            m[-1]: workshop.make(m, f"{m}_{name}", interpolates=interpolates, able=able, also=more[m])
+            for m in RATES
+        }
+        start = {"a.highest": 1, "b.highest": 1} if follow == "lines" else {}
+        return assemble(files, ["a.force -> b.force", "b.x -> a.x2"], start)
+
+    return cache(make)
+
+
+@pytest.fixture(scope="session")
+def moving(oscillators: Oscillators) -> System:
+    """The oscillator made of FMUs whose inputs follow cubics, and which tell slopes and go back."""
+    return oscillators()
 
 
 @pytest.fixture(scope="session")

@@ -35,18 +35,6 @@ unit = "m"
 
 
 @pytest.fixture(scope="session")
-def moved(fmus):
-    """The oscillator's FMUs with inputs that move inside a step."""
-    return {m[-1]: fmus.make(m, f"{m}_moved", interpolates=True) for m in ("mass_a", "mass_b")}
-
-
-@pytest.fixture(scope="session")
-def moving(moved):
-    """The oscillator made of them."""
-    return assemble(moved, ["a.force -> b.force", "b.x -> a.x2"])
-
-
-@pytest.fixture(scope="session")
 def truth(exact):
     """Its exact solution at every millisecond of a second."""
     time = np.arange(1001) * 1e-3
@@ -55,10 +43,11 @@ def truth(exact):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, moved, zip_ssp, exact):
+def folder(tmp_path, monkeypatch, moving, zip_ssp, exact):
     """A working directory with the oscillator and its exact solution, a sample every 20 ms."""
     monkeypatch.chdir(tmp_path)
-    zip_ssp(SSD, {f"resources/{name}.fmu": file for name, file in moved.items()}, "two.ssp")
+    files = {f"resources/{name}.fmu": part.source.path for name, part in moving.components.items()}
+    zip_ssp(SSD, files, "two.ssp")
     time = np.arange(31) * 0.02
     x = exact(time)
     write(Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}), "exact.csv")

@@ -1,0 +1,131 @@
+"""Measured orders of convergence, on the undamped two-mass oscillator with its exact solution.
+
+An error that falls with the p-th power of the step falls by 2^p when the step is halved. The steps are so
+short that the next term of the error's expansion bends the measured order by a few hundredths only, and so
+long that the error stays above that of the FMUs themselves, which is 4e-10 of the largest position in 10 s.
+"""
+
+import numpy as np
+import pytest
+
+from orchestrator import assemble, run
+from orchestrator.coupling.settings import Coupling
+
+FINE = (2e-3, 1e-3)  # [s]; 0.066 and 0.033 rad of the fast oscillation
+COARSE = (3.2e-2, 1.6e-2, 8e-3)  # for iterated masters, whose errors are small
+CONVERGED = {"passes": 40, "tolerance": 1e-12}  # nothing changes any more
+NEAR = 0.06  # of the order: measured within 0.04 at these steps
+
+
+def errors(system, exact, coupling, steps, stop=1.0):
+    """Of the first position at each step, over the largest position."""
+    found = []
+    for h in steps:
+        trace = run(system, master=coupling, step=h, stop=stop).trace
+        truth = exact(trace.time)[:, 0]
+        found.append(np.abs(trace["a.x"] - truth).max() / np.abs(truth).max())
+    return found
+
+
+def order(system, exact, coupling, steps=FINE):
+    """What the last two steps measure."""
+    *_, before, after = errors(system, exact, coupling, steps)
+    return np.log2(before / after)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
+def test_a_source_continued_at_order_n_gives_order_n_plus_one(oscillators, exact, master, n, follow):
+    """Inputs follow it as cubics, or as the straight lines nearest to them, which loses h^4 only."""
+    found = order(oscillators(follow), exact, Coupling(master, n), (4e-3, 2e-3) if n == 3 else FINE)
+    assert found == pytest.approx(n + 1, abs=NEAR)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_the_correction_raises_the_order_by_one(oscillators, exact, master, n):
+    """The mean that a continuation loses comes back one step later: what is left is its change."""
+    coupling = Coupling(master, n, correct=True)
+    steps = (4e-3, 2e-3) if n == 2 else FINE
+    assert order(oscillators(), exact, coupling, steps) == pytest.approx(n + 2, abs=NEAR)
+
+
+def test_one_pass_of_hermite_has_order_four(moving, exact):
+    """Cubic continuation, and cubics to what has stepped."""
+    found = order(moving, exact, Coupling("hermite", passes=1), (4e-3, 2e-3))
+    assert found == pytest.approx(4, abs=NEAR)
+
+
+@pytest.mark.parametrize("passes", [2, 40])
+@pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
+def test_iterated_hermite_has_order_four(oscillators, exact, passes, follow):
+    """Every input is the cubic through both ends, up to h^4; lines keep its mean and first moment."""
+    coupling = Coupling("hermite", passes=passes, tolerance=1e-12)
+    assert order(oscillators(follow), exact, coupling, COARSE) == pytest.approx(4, abs=NEAR)
+
+
+def test_rates_of_fmi_3_do_as_well(oscillators, exact):
+    """The line by rate inputs in FMI 3.0 is the line by input derivatives in FMI 2.0, bit for bit."""
+    coupling = Coupling("hermite", **CONVERGED)
+    lines, rates = (
+        errors(s, exact, coupling, COARSE) for s in (oscillators("lines"), oscillators("rates", 3))
+    )
+    assert lines == rates
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fmus_that_hold_their_inputs_keep_order_two(oscillators, exact, fmi):
+    """They get the mean: what is left is the first moment, h^2 of the slope; repeating cannot mend that."""
+    found = order(oscillators("held", fmi), exact, Coupling("hermite", **CONVERGED), (1.6e-2, 8e-3, 4e-3))
+    assert found == pytest.approx(2, abs=NEAR)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_fmus_that_hold_their_inputs_gain_from_slopes(oscillators, exact, master, n):
+    """The mean of the continued source makes order 2 of 1.
+
+    The force of the first mass follows its input at once, which it holds: its FMU tells a slope that lacks
+    that of the input, by which the mean would be wrong in first order. Differences of values are not.
+    """
+    system = oscillators("held")
+    assert order(system, exact, Coupling(master, n)) == pytest.approx(2, abs=NEAR)
+    assert not run(system, master=master, step=0.1, stop=0.1).card.notes
+    (blind, _) = run(system, master=Coupling(master, n), step=1e-3, stop=1e-2).card.notes
+    assert blind == "slopes from differences of values, because the FMUs tell none: a.force"
+
+
+@pytest.mark.parametrize("follow", ["curves", "rates", "held"])
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("n", [1, 2])
+def test_without_slopes_continuing_has_order_two(oscillators, exact, master, n, follow):
+    """No slope is known in the first step: its inputs are held, an error of h^2 that stays."""
+    system = oscillators(follow, slopes=False)
+    assert order(system, exact, Coupling(master, n)) == pytest.approx(2, abs=NEAR)
+
+
+def test_without_slopes_a_flat_start_has_the_full_order(fmus):
+    """Where the first step has nothing to lose, differences of values are as good as slopes of FMUs.
+
+    An integrator behind a sine from its top on; the sine tells no slope.
+    """
+    files = {"sine": fmus["source"], "sum": fmus.make("fails", "summing", interpolates=True)}
+    system = assemble(files, ["sine.y -> sum.u"])
+    top, found = np.pi / 2, []
+    for h in (0.05, 0.025):
+        trace = run(system, master=Coupling("jacobi", 2), step=h, start=top, stop=top + 1.0).trace
+        found.append(abs(trace["sum.y"][-1] - np.sin(1.0)))
+    assert np.log2(found[0] / found[1]) == pytest.approx(3, abs=NEAR)
+
+
+def test_without_slopes_iterated_hermite_keeps_order_four(oscillators, exact):
+    """Differences over four values are exact for cubics, and passes mend the first step.
+
+    They reach back three steps, so that short steps are needed for the order: it comes down to 4 from above.
+    """
+    coupling = Coupling("hermite", **CONVERGED)
+    for follow in ("curves", "rates"):
+        found = errors(oscillators(follow, slopes=False), exact, coupling, (1.6e-2, 8e-3, 4e-3))
+        first, second = np.log2(np.array(found[:-1]) / found[1:])
+        assert 3.9 < second < first < 4.4, found
