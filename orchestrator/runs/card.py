@@ -117,8 +117,8 @@ class Card:
             lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
-            told = ESTIMATE if self.adaptive is None else ADAPTIVE
-            lines += ["", told, *_table(head, [_error_row(e) for e in self.worst])]
+            told, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
+            lines += ["", told, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
         return "\n".join(lines)
