@@ -57,7 +57,10 @@ void outputs(Instance *m) {
     switch (m->model) {
     case MASS_A: r[A_FORCE] = r[A_COUPLING] * (r[A_X2] - r[A_X]); break;
     case SPRING: r[K_FORCE] = r[K_STIFFNESS] * r[K_STRETCH]; break;
-    case SOURCE: r[S_Y] = r[S_OFFSET] + r[S_AMPLITUDE] * sin(r[S_OMEGA] * m->time); break;
+    case SOURCE:
+        r[S_Y] = r[S_OFFSET] + r[S_AMPLITUDE] * sin(r[S_OMEGA] * m->time);
+        r[S_Y] += r[S_RAMP] * fmax(m->time - r[S_BEND], 0);
+        break;
     case GAIN: r[G_Y] = r[G_FACTOR] * r[G_U] + r[G_OFFSET]; break;
     case BENT: r[C_Y] = r[C_W] + r[C_FACTOR] * r[C_U] + r[C_BEND] * r[C_U] * r[C_U]; break;
     case TYPES:
@@ -120,6 +123,11 @@ int derivative(const Instance *m, int reference, double *value) {
     if (m->model == MASS_A && reference == A_FORCE) {
         double moves = rate(m) != 0 ? rate(m) : m->slope[0][0] != 0 ? m->slope[0][0] : m->trend;
         *value = m->r[A_COUPLING] * (moves - m->r[A_V]);
+        return 1;
+    }
+    if (m->model == SOURCE && reference == S_Y && m->r[S_RAMP] != 0) {
+        *value = m->r[S_AMPLITUDE] * m->r[S_OMEGA] * cos(m->r[S_OMEGA] * m->time);
+        *value += m->time < m->r[S_BEND] ? 0 : m->r[S_RAMP];
         return 1;
     }
     int state = reference - first_state(m);

@@ -21,7 +21,8 @@ enum { A_X2, A_FORCE, A_X, A_V, A_MASS, A_SPRING, A_COUPLING, A_RATE }; /* MASS_
 enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING, B_RATE };                   /* MASS_B: x'' = (-k x - F) / m */
 enum { M_HIGHEST };                                             /* both: order of input derivatives they take */
 enum { K_V, K_FORCE, K_STRETCH, K_STIFFNESS };                 /* SPRING: stretch' = v, force = k stretch */
-enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET };                   /* SOURCE: y = offset + amplitude sin(omega t) */
+/* SOURCE: y = offset + amplitude sin(omega t) + ramp max(t - bend, 0); tells its slope if it has a ramp */
+enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET, S_RAMP, S_BEND };
 enum { G_U, G_Y, G_FACTOR, G_OFFSET };                          /* GAIN: y = factor u + offset */
 enum { C_U, C_W, C_Y, C_FACTOR, C_BEND };                       /* BENT: y = w + factor u + bend u^2 */
 enum { F_U, F_Y, F_WHEN };                                      /* FAILS: y' = u, fails once t >= when */

@@ -26,6 +26,7 @@ BASE = {  # unit -> BaseUnit attributes
     "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
     "Hz": {"s": -1},
+    "s": {"s": 1},
     "K": {"K": 1},
     "degC": {"K": 1, "offset": 273.15},
     "odd": None,  # a unit without definition
@@ -56,6 +57,7 @@ RATES = {  # more of the masses: their input moves at it
     "mass_b": V("force_rate", "input", "N/s", 0.0, derives="force"),
 }
 HIGHEST = V("highest", "parameter", None, 3, "Integer")  # and the order of input derivatives they take
+RAMP = [V("ramp", "parameter", "m/s", 0.0), V("bend", "parameter", "s", 0.0)]  # of a source, from a corner on
 MODELS: Mapping[str, list[V]] = {
     "mass_a": [
         V("x2", "input", "m", 0.0),
