@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -11,6 +11,7 @@ from orchestrator.files.trace import Trace
 from orchestrator.system.system import System
 
 STEP = 1e-3  # [s], when nobody suggests one
+NEAR = 1e-9  # of the record step: a step that short is noise
 RECORD = 5e-3  # [s], record interval of the command line: 200 Hz, the sampling rate of the paper
 
 
@@ -81,9 +82,19 @@ def free_grid(
     begin, end = _span(system, scenario, start, stop)
     whole = _whole_steps(begin, end, end - begin)
     points = whole if record_step is None else _whole_steps(begin, end, record_step, "record step")
-    inside = tuple(t for t in events if begin < t < points.stop)
+    inside = tuple(_apart((t for t in events if begin < t < points.stop), points))
     points = replace(points, first=communication_step(system, first), free=record_step is None, events=inside)
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def _apart(events: Iterable[float], points: Grid) -> Iterator[float]:
+    """Without those that are a point of the grid or the event before, but for rounding."""
+    least, last = NEAR * points.step, points.start
+    for t in events:
+        nearest = points.start + round((t - points.start) / points.step) * points.step
+        if abs(t - nearest) > least and t - last > least:
+            yield t
+            last = t
 
 
 def _span(
