@@ -97,8 +97,9 @@ class Part:
         """Take the step from t to t + h [s], in as many steps of its own as `factor` tells."""
         many = self.factor
         for j in range(many):
-            begin, end = h * j / many, h * (j + 1) / many
-            self.give(begin, end - begin, j == many - 1)
+            begin, last = h * j / many, j == many - 1
+            end = h if last else h * (j + 1) / many  # what is multiplied and divided may not be what it was
+            self.give(begin, end - begin, last)
             now = t + begin
             self.slave.step(now, self.even or t + end - now)
 

@@ -203,6 +203,14 @@ def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor):
     assert "the step is longer than the first by" in varied.error
 
 
+@pytest.mark.parametrize("factor", [3, 7])
+@pytest.mark.parametrize("master", ["jacobi", "hermite"])
+def test_steps_of_its_own_begin_where_the_last_one_ended(each, both, master, factor):
+    """To the last bit: the FMU asks for it."""
+    outcome = both(circle(each, "strict"), Coupling(master, factors={"q": factor}), stop=6.0)
+    assert outcome.error == ""
+
+
 def test_an_fmu_for_slopes_of_states_only(each, both):
     """It refuses those of other outputs: these follow from differences, the others are told."""
     more = {"fmi2": "Real", "fmi3": "Float64"}[f"fmi{each.fmi}"]

@@ -20,6 +20,7 @@ FLAGS = (
     *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
     "-ffp-contract=off",  # the same numbers as in Python
+    "-mcpu=baseline",  # the cache may be shared by machines whose processors know different instructions
 )
 
 

@@ -27,7 +27,7 @@ int advance_part(Run *run, int k, double h, double *clock) {
     Part *p = &run->parts[k];
     const int32_t many = p->factor;
     for (int32_t j = 0; j < many; j++) {
-        const double begin = h * j / many, end = h * (j + 1) / many, now = run->t + begin;
+        const double begin = h * j / many, end = j == many - 1 ? h : h * (j + 1) / many, now = run->t + begin;
         int verdict = give(run, p, begin, end - begin, j == many - 1);
         if (!verdict) verdict = step_part(run, k, now, p->even != 0.0 ? p->even : run->t + end - now);
         if (verdict) return verdict;
