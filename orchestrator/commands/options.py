@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
 from orchestrator.commands.texts import assignments, factors, swaps
 
+T = TypeVar("T")
+
 
 def seconds(text: str) -> float:
     """A time [s] from the text of an option."""
+    return _read(text, float, "a number of seconds")
+
+
+def number(text: str) -> float:
+    """A number from the text of an option."""
+    return _read(text, float, "a number")
+
+
+def whole(text: str) -> int:
+    """A whole number from the text of an option."""
+    return _read(text, int, "a whole number")
+
+
+def _read(text: str, kind: Callable[[str], T], expected: str) -> T:
     try:
-        return float(text)
+        return kind(text)
     except ValueError:
-        raise typer.BadParameter(f"expected a number of seconds, got {text!r}") from None
+        raise typer.BadParameter(f"expected {expected}, got {text!r}") from None
 
 
 System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
@@ -129,11 +146,16 @@ class Coupled:
             metavar="N",
             help="Order at which outputs are extrapolated over a step: 0 (held), 1, 2 or 3; default: 0 for"
             " jacobi and gauss-seidel, else 3.",
+            parser=whole,
         ),
     ] = None
     passes: Annotated[
         int | None,
-        typer.Option(metavar="N", help="hermite: compute a step at most so many times; default: 8."),
+        typer.Option(
+            metavar="N",
+            help="hermite: compute a step at most so many times; default: 8.",
+            parser=whole,
+        ),
     ] = None
     coupling_tolerance: Annotated[
         float | None,
@@ -141,6 +163,7 @@ class Coupled:
             metavar="TOL",
             help="hermite: compute a step again while a signal is off by more than TOL of its magnitude;"
             " default: 1e-4, with --adaptive 0.3 of its TOL.",
+            parser=number,
         ),
     ] = None
     correct: Annotated[
@@ -150,7 +173,9 @@ class Coupled:
     lag: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="interface-jacobian: linearise the components every N steps; default: 1."
+            metavar="N",
+            help="interface-jacobian: linearise the components every N steps; default: 1.",
+            parser=whole,
         ),
     ] = None
     factor: Annotated[
@@ -166,6 +191,7 @@ class Coupled:
             metavar="TOL",
             help="Let the steps be as long as their error allows, TOL of the magnitude of each signal,"
             " such as 1e-3.",
+            parser=number,
         ),
     ] = None
     control: Annotated[

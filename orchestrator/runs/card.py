@@ -90,8 +90,8 @@ class Card:
         else:
             shortest, longest = (f"{1e3 * length:.3g}" for length in self.lengths)
             told = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
-        if self.passes > self.steps:
-            told += f", {self.passes / max(self.steps, 1):.3g} passes each"
+        if (each := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
+            told += f", {each} passes each"
         return told + (f", {self.repeated} repeated" if self.repeated else "")
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:

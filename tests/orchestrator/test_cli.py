@@ -252,8 +252,9 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--control", "energy"], "harvester: control: of adaptive steps only, expected a tolerance"),
         (
             ["run", "--order", "second"],
-            "harvester: Invalid value for '--order': ",
+            "'--order': expected a whole number, got 'second'; see harvester run --help",
         ),
+        (["run", "--adaptive", "x"], "'--adaptive': expected a number, got 'x'; see harvester run --help"),
         (["run", "--factor", "g"], "harvester: --factor g: expected component=N, N steps of it in each"),
         (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
         (["run", "--factor", "g=2", "--factor", "g=3"], "harvester: --factor g=3: g is 2 already"),
