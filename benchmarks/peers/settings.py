@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from orchestrator import Coupling
+
 USUAL = 1e-3  # s; here the cost of a step is compared, with and without recording
 
 # case -> steps [s]; the times that errors are taken at are multiples of each
@@ -18,6 +20,7 @@ PLAIN = {
 SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3)}
 # where slopes are exchanged and steps repeated
 LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN}
+ONE_PASS = {case: (1e-3, 2e-3, 5e-3, 8e-3, 1e-2) for case in PLAIN}
 ONCE = {case: (USUAL,) for case in PLAIN}
 
 
@@ -53,6 +56,15 @@ PEERS = (
 OURS = (
     Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}),
     Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}),
+    Setting("gauss-seidel of order 3", "ours", ONE_PASS, {"master": Coupling("gauss-seidel", 3)}),
+    Setting(
+        "order 3, FMUs at 1e-3", "ours", ONE_PASS, {"master": Coupling("gauss-seidel", 3), "tolerance": 1e-3}
+    ),
     Setting("hermite", "ours", LARGE, {"master": "hermite"}),
+    Setting("hermite, 2 passes", "ours", LARGE, {"master": Coupling("hermite", passes=2)}),
+    Setting(
+        "2 passes, FMUs at 1e-3", "ours", LARGE, {"master": Coupling("hermite", passes=2), "tolerance": 1e-3}
+    ),
+    Setting("interface-jacobian", "ours", LARGE, {"master": "interface-jacobian"}),
 )
 SETTINGS = PEERS + OURS
