@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_fmu.models import HIGHEST, RATES, Workshop
+from any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from orchestrator import System, assemble
+from orchestrator.runs import native
+from orchestrator.runs.march import March
 
 
 @pytest.fixture(scope="session")
@@ -99,3 +102,20 @@ def zip_ssp(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def both(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+    """Runs a system in both loops and compares all that they leave."""
+    assert not isinstance(native.library(), str)
+
+    def run_both(system: System, master: object = "gauss-seidel", **options: object) -> Outcome:
+        options = {"master": master, "step": 0.1, "stop": 1.0} | options
+        with monkeypatch.context() as patch:
+            patch.setattr(March, "block", None)  # it is the loop in Python
+            fast = once(system, True, **options)
+        slow = once(system, False, **options)
+        compare(fast, slow)
+        return fast
+
+    return run_both

@@ -1,107 +1,23 @@
 """FMUs from elsewhere: what they lack and what they do, under every master, in C and in Python alike."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import WIDTHS, Workshop
+from any_fmu.models import Workshop
+from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, circle
 
-from orchestrator import Problem, System, Trace, assemble, run
+from orchestrator import Problem, assemble, run
 from orchestrator.coupling.settings import Coupling
-from orchestrator.runs import native
-from orchestrator.runs.march import March
-from orchestrator.runs.simulation import Result, RunFailed, open_slave
-from orchestrator.slaves.slave import Slave
 
-NO_ROLLBACK = {"canGetAndSetFMUstate": "false", "canGetAndSetFMUState": "false"}
 STUCK = "hermite computes every step once: q cannot go back to a saved state"
 SILENT = "slopes from differences of values, because the FMUs tell none: q.y"
 STILL = "inputs held at their mean over a step, because the FMUs take no slopes: "
 STRAIGHT = "inputs moved at straight lines, because the FMUs take no curves: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
-HERMITE = Coupling("hermite", tolerance=1e-9)  # never content with one pass here
 PROPERLY = "terminated and freed, states left: 0"
-MASTERS = [
-    *(Coupling("jacobi", 0), Coupling("jacobi", 1), Coupling("jacobi", 2)),
-    *(Coupling("gauss-seidel", 0), Coupling("gauss-seidel", 1), HERMITE),
-]
-
-
-@dataclass
-class Outcome:
-    """What a run left: its result, its error, and the slaves that it used."""
-
-    result: Result
-    error: str
-    slaves: dict[str, Slave]
-
-    @property
-    def farewells(self) -> list[str]:
-        """What the test FMUs say when they are freed: whether they had been terminated, and their states."""
-        found = (m.text for slave in self.slaves.values() for m in slave.log.messages)
-        return [text for text in found if "freed" in text]
-
-
-def once(system: System, in_c: bool, **options) -> Outcome:
-    """One run, whether it fails or not."""
-    slaves = {}
-
-    def opened(component):
-        slaves[component.name] = open_slave(component)
-        return slaves[component.name]
-
-    try:
-        return Outcome(run(system, open=opened, native=in_c, **options), "", slaves)
-    except RunFailed as failed:
-        return Outcome(failed.result, str(failed), slaves)
-
-
-@pytest.fixture
-def both(monkeypatch):
-    """Runs a system in both loops and compares all that they leave."""
-    assert not isinstance(native.library(), str)
-
-    def run_both(system, master="gauss-seidel", step=0.1, stop=1.0, **options) -> Outcome:
-        options |= {"master": master, "step": step, "stop": stop}
-        with monkeypatch.context() as patch:
-            patch.setattr(March, "block", None)  # it is the loop in Python
-            fast = once(system, True, **options)
-        slow = once(system, False, **options)
-        compare(fast, slow)
-        return fast
-
-    return run_both
-
-
-def compare(fast: Outcome, slow: Outcome) -> None:
-    """Numbers to the last bit, and words."""
-    assert fast.error == slow.error
-    assert fast.result.complete == slow.result.complete
-    np.testing.assert_array_equal(fast.result.trace.time, slow.result.trace.time)
-    for name, values in slow.result.trace.signals.items():
-        np.testing.assert_array_equal(fast.result.trace[name], values, err_msg=name)
-    assert fast.result.card.notes == slow.result.card.notes
-    assert fast.result.card.warnings == slow.result.card.warnings
-    assert fast.result.card.steps == slow.result.card.steps
-    assert fast.result.messages == slow.result.messages
-    assert fast.farewells == slow.farewells
-
-
-def circle(workshop: Workshop, quirk: str = "plain", able=None, changes=None, **start) -> System:
-    """p' = q and q' = 1 - p, from rest at 0, so q = sin t; the component q is the one with the quirk."""
-    curved = workshop.fmi == 2 and not (changes or {}).get("u_rate")
-    known = {
-        k: v for k, v in (able or {}).items() if k not in NO_ROLLBACK or ("Us" in k) == (workshop.fmi == 2)
-    }
-    name = f"quirk_{quirk}"
-    files = {
-        "p": workshop.make("quirk", "quirk_p", interpolates=workshop.fmi == 2),
-        "q": workshop.make("quirk", name, interpolates=curved, able=known, changes=changes),
-    }
-    values = {"q.push": 1.0, "q.gain": -1.0} | {f"q.{k}": v for k, v in start.items()}
-    return assemble(files, ["p.y -> q.u", "q.y -> p.u"], values)
 
 
 # ---- what FMUs lack
@@ -185,6 +101,41 @@ def test_an_fmu_for_one_instance_is_not_used_twice(each):
         run(assemble({"p": fmu, "q": fmu}), step=0.1, stop=0.2)
     other = each.make("gain", "other_hermit", able=able, guid="gain")
     run(assemble({"p": fmu, "q": other}), step=0.1, stop=0.2)
+
+
+@pytest.mark.parametrize("quirk", ABLE)
+def test_both_loops_foretell_alike(each, both, quirk):
+    """interface-jacobian, of FMUs that do not tell how they change: their past goes on."""
+    result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), Coupling("interface-jacobian")).result
+    # as for the others: h^2 / 2 at worst, where all derivatives are at most 1
+    assert np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max() < 0.1**2 / 2
+
+
+def lacking(workshop: Workshop, function: bytes) -> Workshop:
+    """The same FMUs without a function of the library: its name is another one."""
+    assert function in workshop.library
+    folder = workshop.folder / function.decode()
+    folder.mkdir(exist_ok=True)
+    return replace(
+        workshop, folder=folder, library=workshop.library.replace(function, b"X" + function[1:]), _made={}
+    )
+
+
+def test_a_missing_function_matters_where_it_is_called(each, both):
+    """Only a master that goes back needs to save states; what is not there then is named."""
+    name = {2: b"fmi2GetFMUstate", 3: b"fmi3GetFMUState"}[each.fmi]
+    system = circle(lacking(each, name), "no_save")
+    assert both(system, "jacobi").error == ""
+    for native in (True, False):
+        with pytest.raises(Problem, match=f": its binary lacks the function {name.decode()}$"):
+            run(system, master="hermite", step=0.1, stop=1.0, native=native)
+
+
+def test_slopes_of_a_missing_function_follow_from_differences(each, both):
+    """A declaration that the binary does not keep is no reason to stop."""
+    name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
+    notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
+    assert "slopes from differences of values, because the FMUs tell none: q.y, p.y" in notes
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -271,6 +222,14 @@ def test_an_fmu_may_end_the_run(each, both, master):
     assert outcome.farewells == [PROPERLY] * 2
 
 
+def test_an_estimate_of_the_error_covers_what_there_is(each):
+    """All runs end at the wish; what they have in common is compared."""
+    system = circle(each, "enough", when=0.45, how=ENOUGH)
+    card = run(system, master="jacobi", step=0.1, stop=1.0, error_estimate=True).card
+    assert [e.name for e in card.errors]
+    assert card.simulated == pytest.approx(0.5)
+
+
 def test_an_end_before_the_first_step_is_an_end_too(each, both):
     """The record has the start, which is what there is."""
     outcome = both(circle(each, "unwilling", when=0.0, how=ENOUGH))
@@ -322,162 +281,6 @@ def test_the_number_is_told_before_what_follows_from_it(each, both):
     start = {"q.when": 0.25, "q.how": NOT_A_NUMBER, "f.when": 0.65, "f.how": FAULT}
     outcome = both(assemble(files, ["q.y -> f.u"], start))
     assert outcome.error == "q.y: expected a finite value, got nan at t = 0.4 s"
-
-
-# ---- kinds of variables
-
-
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
-def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
-    """Real, whole, true or false, one of a list; a text keeps its start value."""
-    kinds = ("real", "int", "bool", "enum")
-    system = assemble({"p": each["types"], "q": each["types"]}, [f"p.{k}_out -> q.{k}_in" for k in kinds])
-    columns = {"real_in": [0.0, 1.0], "int_in": [3, 4], "bool_in": [0, 1], "enum_in": [1, 2]}
-    scenario = Trace(np.array([0.0, 0.5]), {f"p.{k}": np.array(v, float) for k, v in columns.items()})
-    trace = both(system, master, scenario=scenario, set={"p.label": "crane"}).result.trace
-    late = trace.time >= 0.5
-    np.testing.assert_allclose(trace["q.real_out"], np.minimum(2 * trace.time, 1), atol=1e-15)  # rounding
-    np.testing.assert_array_equal(trace["q.int_out"], np.where(late, 6, 5))
-    np.testing.assert_array_equal(trace["q.bool_out"], late)
-    np.testing.assert_array_equal(trace["q.enum_out"], np.where(late, 2, 1))
-    with pytest.raises(Problem, match=r"variables of type String and String cannot be connected"):
-        assemble(
-            {"p": each["types"], "q": each.make("types", "heard", more=text_input(each))}, ["p.echo -> q.ear"]
-        )
-
-
-def text_input(workshop: Workshop) -> str:
-    """One more variable."""
-    if workshop.fmi == 2:
-        common = 'name="ear" valueReference="3" causality="input" variability="discrete"'
-        return f'<ScalarVariable {common}><String start="hush"/></ScalarVariable>'
-    common = 'name="ear" valueReference="203" causality="input" variability="discrete"'
-    return f'<String {common}><Start value="hush"/></String>'
-
-
-def test_a_text_as_input_is_left_alone(each, both):
-    """It is neither recorded nor driven, and can be given at the start."""
-    fmu = each.make("types", "eared", more=text_input(each))
-    result = both(assemble({"p": fmu}), set={"p.ear": "listen"}).result
-    assert "p.ear" not in result.trace.signals
-    with pytest.raises(Problem, match=r"column 'p.ear': expected an input, got a String input"):
-        run(assemble({"p": fmu}), Trace(np.array([0.0, 1.0]), {"p.ear": np.zeros(2)}), step=0.1)
-
-
-LIMITS = {
-    f"{u}Int{n}": (0, 2**n - 1) if u else (-(2 ** (n - 1)), 2 ** (n - 1) - 1)
-    for u in ("", "U")
-    for n in (8, 16, 32, 64)
-}
-SMALL, LARGE = -(2**31), 2**31 - 1  # what a run keeps of whole numbers
-
-
-@pytest.mark.parametrize("kind", WIDTHS)
-def test_whole_numbers_pass_up_to_their_limits(fmus3, both, kind):
-    """From a scenario into an FMU, over a wire, and to the record; what does not fit is refused by name."""
-    name, (low, high) = kind.lower(), LIMITS[kind]
-    system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, [f"p.int64_out -> q.{name}_in"])
-    ends = np.array([max(low, -LARGE), min(high, LARGE)], float)
-    moved = both(system, scenario=Trace(np.array([0.0, 1.0]), {"p.int64_in": ends}), step=0.5).result.trace
-    np.testing.assert_array_equal(moved[f"q.{name}_out"], ends[[0, 0, 1]])
-    for value in {low - 1, high + 1}:
-        if SMALL < value <= LARGE:
-            jump = Trace(np.array([0.0, 1.0]), {"p.int64_in": np.array([1.0, value])})
-            outcome = both(system, scenario=jump, step=0.5)
-            assert outcome.error == f"{name}_in: {value} does not fit into {name}"
-            assert outcome.result.trace.time[-1] == 0.5
-
-
-@pytest.mark.parametrize("kind", ["UInt32", "Int64", "UInt64"])
-def test_whole_numbers_beyond_32_bits_are_refused(fmus3, both, kind):
-    """By name, on their way out of an FMU and in a scenario; never cut."""
-    name, (_, high) = kind.lower(), LIMITS[kind]
-    outcome = both(assemble({"p": fmus3["wide"]}), set={f"p.{name}_in": high})
-    assert outcome.error == f"{name}_out: {high} does not fit into int32"
-    far = Trace(np.array([0.0, 1.0]), {f"p.{name}_in": np.array([0.0, 2.0**31])})
-    with pytest.raises(
-        Problem, match=rf"column 'p.{name}_in': expected whole numbers up to {LARGE}, got {2**31}$"
-    ):
-        run(assemble({"p": fmus3["wide"]}), far, step=0.5)
-
-
-def test_wires_of_whole_numbers_keep_whole_numbers(each, both):
-    """A factor that is none is refused."""
-    files = {"p": each["types"], "q": each["types"]}
-    doubled = assemble(files, [("p.int_out", "q.int_in", 2, -3)], {"p.int_in": 4})
-    np.testing.assert_array_equal(both(doubled).result.trace["q.int_in"], 7)
-    with pytest.raises(
-        Problem, match=r"p.int_out -> q.int_in: expected whole factor and offset, got 0.5 and 0"
-    ):
-        assemble(files, [("p.int_out", "q.int_in", 0.5, 0)])
-
-
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
-def test_single_precision_passes(fmus3, both, master):
-    """FMUs without any double; also beside doubles in one FMU, and with rates of another type."""
-    single = fmus3.make("single", "single", guid="quirk")
-    changes = {"u_rate": {"kind": "Real"}}
-    mixed = fmus3.make("single", "mixed_widths", guid="quirk", changes=changes)
-    start = {"q.push": 1.0, "q.gain": -1.0}
-    wires = ["p.y -> q.u", "q.y -> p.u"]
-    outcome = both(assemble({"p": single, "q": single}, wires, start), master)
-    doubles = both(circle(fmus3, "plain"), master)
-    # seven digits, and as many steps
-    np.testing.assert_allclose(outcome.result.trace["q.y"], doubles.result.trace["q.y"], atol=1e-6)
-    other = both(assemble({"p": mixed, "q": single}, wires, start), master)
-    np.testing.assert_allclose(other.result.trace["q.y"], doubles.result.trace["q.y"], atol=1e-6)
-
-
-def test_what_is_too_large_for_single_precision_is_infinite(fmus3, both):
-    """In both loops, without a word from NumPy; the record refuses it."""
-    ramp = Trace(np.array([0.0, 1.0]), {"p.float32_in": np.array([0.0, 1e300])})
-    outcome = both(assemble({"p": fmus3["wide"]}), scenario=ramp, step=0.5)
-    assert outcome.error == "p.float32_out: expected a finite value, got inf at t = 0.5 s"
-
-
-def test_two_names_of_one_variable_go_side_by_side(each, both):
-    """The same value under both, on a wire and in the record."""
-    other = 'name="same" valueReference="1" causality="output" variability="continuous"'
-    more = f"<ScalarVariable {other}><Real/></ScalarVariable>" if each.fmi == 2 else ""
-    aliases = {"y": "same"} if each.fmi == 3 else None
-    fmu = each.make("quirk", "two_names", interpolates=each.fmi == 2, more=more, aliases=aliases)
-    start = {"q.push": 1.0, "q.gain": -1.0}
-    named = both(assemble({"p": fmu, "q": fmu}, ["p.same -> q.u", "q.y -> p.u"], start), master=HERMITE)
-    plain = both(circle(each, "plain"), master=HERMITE)
-    np.testing.assert_array_equal(named.result.trace["q.y"], plain.result.trace["q.y"])
-
-
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
-def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
-    """Held over a step: at its first value with jacobi, at its last with masters that step in turn."""
-    changes = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}
-    fmu = each.make("quirk", "steady", interpolates=each.fmi == 2, changes=changes)
-    system = assemble({"s": each["source"], "q": fmu}, ["s.y -> q.u"])
-    trace = both(system, master, step=0.25).result.trace
-    held = trace["s.y"][:-1] if master.master == "jacobi" else trace["s.y"][1:]
-    np.testing.assert_allclose(
-        trace["q.y"], [0, *0.25 * np.cumsum(held)], rtol=1e-12
-    )  # rounding of inner steps
-    assert "q.u" not in " ".join(both(system, master).result.card.notes)
-
-
-def test_inputs_cannot_be_tunable(each):
-    """The standard has no such inputs; a description with one is refused by name."""
-    with pytest.raises(Problem, match=r'Variable "u" .* illegal combination .*causality="input".*"tunable"'):
-        assemble({"q": each.make("quirk", "tunable", changes={"u": {"steady": "tunable"}})})
-
-
-@pytest.mark.parametrize("master", ["jacobi", "hermite"])
-def test_scenarios_hold_what_does_not_move(each, both, master):
-    """A column gives its last sample, not a line between samples, to an input that is not continuous."""
-    changes = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}
-    fmu = each.make(
-        "quirk", "driven_steadily", interpolates=each.fmi == 2, changes=changes, units={"u": "bar"}
-    )
-    stairs = Trace(np.array([0.0, 0.5, 1.0]), {"q.u": np.array([1.0, 3.0, 7.0])})
-    trace = both(assemble({"q": fmu}), master, scenario=stairs, step=0.25).result.trace
-    np.testing.assert_array_equal(trace["q.u"], [1, 1, 3, 3, 7])
-    np.testing.assert_allclose(trace["q.y"], [0, 0.25, 0.5, 1.25, 2.0], rtol=1e-12)  # rounding of inner steps
 
 
 # ---- steps that are repeated

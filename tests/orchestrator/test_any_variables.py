@@ -1,0 +1,161 @@
+"""Variables of all kinds, on wires and from scenarios, under every master, in C and in Python alike."""
+
+import numpy as np
+import pytest
+from any_fmu.models import WIDTHS, Workshop
+from any_fmu.outcome import HERMITE, MASTERS, circle
+
+from orchestrator import Problem, Trace, assemble, run
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
+    """Real, whole, true or false, one of a list; a text keeps its start value."""
+    kinds = ("real", "int", "bool", "enum")
+    system = assemble({"p": each["types"], "q": each["types"]}, [f"p.{k}_out -> q.{k}_in" for k in kinds])
+    columns = {"real_in": [0.0, 1.0], "int_in": [3, 4], "bool_in": [0, 1], "enum_in": [1, 2]}
+    scenario = Trace(np.array([0.0, 0.5]), {f"p.{k}": np.array(v, float) for k, v in columns.items()})
+    trace = both(system, master, scenario=scenario, set={"p.label": "crane"}).result.trace
+    late = trace.time >= 0.5
+    np.testing.assert_allclose(trace["q.real_out"], np.minimum(2 * trace.time, 1), atol=1e-15)  # rounding
+    np.testing.assert_array_equal(trace["q.int_out"], np.where(late, 6, 5))
+    np.testing.assert_array_equal(trace["q.bool_out"], late)
+    np.testing.assert_array_equal(trace["q.enum_out"], np.where(late, 2, 1))
+    with pytest.raises(Problem, match=r"variables of type String and String cannot be connected"):
+        assemble(
+            {"p": each["types"], "q": each.make("types", "heard", more=text_input(each))}, ["p.echo -> q.ear"]
+        )
+
+
+def text_input(workshop: Workshop) -> str:
+    """One more variable."""
+    if workshop.fmi == 2:
+        common = 'name="ear" valueReference="3" causality="input" variability="discrete"'
+        return f'<ScalarVariable {common}><String start="hush"/></ScalarVariable>'
+    common = 'name="ear" valueReference="203" causality="input" variability="discrete"'
+    return f'<String {common}><Start value="hush"/></String>'
+
+
+def test_a_text_as_input_is_left_alone(each, both):
+    """It is neither recorded nor driven, and can be given at the start."""
+    fmu = each.make("types", "eared", more=text_input(each))
+    result = both(assemble({"p": fmu}), set={"p.ear": "listen"}).result
+    assert "p.ear" not in result.trace.signals
+    with pytest.raises(Problem, match=r"column 'p.ear': expected an input, got a String input"):
+        run(assemble({"p": fmu}), Trace(np.array([0.0, 1.0]), {"p.ear": np.zeros(2)}), step=0.1)
+
+
+LIMITS = {
+    f"{u}Int{n}": (0, 2**n - 1) if u else (-(2 ** (n - 1)), 2 ** (n - 1) - 1)
+    for u in ("", "U")
+    for n in (8, 16, 32, 64)
+}
+SMALL, LARGE = -(2**31), 2**31 - 1  # what a run keeps of whole numbers
+
+
+@pytest.mark.parametrize("kind", WIDTHS)
+def test_whole_numbers_pass_up_to_their_limits(fmus3, both, kind):
+    """From a scenario into an FMU, over a wire, and to the record; what does not fit is refused by name."""
+    name, (low, high) = kind.lower(), LIMITS[kind]
+    system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, [f"p.int64_out -> q.{name}_in"])
+    ends = np.array([max(low, -LARGE), min(high, LARGE)], float)
+    moved = both(system, scenario=Trace(np.array([0.0, 1.0]), {"p.int64_in": ends}), step=0.5).result.trace
+    np.testing.assert_array_equal(moved[f"q.{name}_out"], ends[[0, 0, 1]])
+    for value in {low - 1, high + 1}:
+        if SMALL < value <= LARGE:
+            jump = Trace(np.array([0.0, 1.0]), {"p.int64_in": np.array([1.0, value])})
+            outcome = both(system, scenario=jump, step=0.5)
+            assert outcome.error == f"{name}_in: {value} does not fit into {name}"
+            assert outcome.result.trace.time[-1] == 0.5
+
+
+@pytest.mark.parametrize("kind", ["UInt32", "Int64", "UInt64"])
+def test_whole_numbers_beyond_32_bits_are_refused(fmus3, both, kind):
+    """By name, on their way out of an FMU and in a scenario; never cut."""
+    name, (_, high) = kind.lower(), LIMITS[kind]
+    outcome = both(assemble({"p": fmus3["wide"]}), set={f"p.{name}_in": high})
+    assert outcome.error == f"{name}_out: {high} does not fit into int32"
+    far = Trace(np.array([0.0, 1.0]), {f"p.{name}_in": np.array([0.0, 2.0**31])})
+    with pytest.raises(
+        Problem, match=rf"column 'p.{name}_in': expected whole numbers up to {LARGE}, got {2**31}$"
+    ):
+        run(assemble({"p": fmus3["wide"]}), far, step=0.5)
+
+
+def test_wires_of_whole_numbers_keep_whole_numbers(each, both):
+    """A factor that is none is refused."""
+    files = {"p": each["types"], "q": each["types"]}
+    doubled = assemble(files, [("p.int_out", "q.int_in", 2, -3)], {"p.int_in": 4})
+    np.testing.assert_array_equal(both(doubled).result.trace["q.int_in"], 7)
+    with pytest.raises(
+        Problem, match=r"p.int_out -> q.int_in: expected whole factor and offset, got 0.5 and 0"
+    ):
+        assemble(files, [("p.int_out", "q.int_in", 0.5, 0)])
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+def test_single_precision_passes(fmus3, both, master):
+    """FMUs without any double; also beside doubles in one FMU, and with rates of another type."""
+    single = fmus3.make("single", "single", guid="quirk")
+    changes = {"u_rate": {"kind": "Real"}}
+    mixed = fmus3.make("single", "mixed_widths", guid="quirk", changes=changes)
+    start = {"q.push": 1.0, "q.gain": -1.0}
+    wires = ["p.y -> q.u", "q.y -> p.u"]
+    outcome = both(assemble({"p": single, "q": single}, wires, start), master)
+    doubles = both(circle(fmus3, "plain"), master)
+    # seven digits, and as many steps
+    np.testing.assert_allclose(outcome.result.trace["q.y"], doubles.result.trace["q.y"], atol=1e-6)
+    other = both(assemble({"p": mixed, "q": single}, wires, start), master)
+    np.testing.assert_allclose(other.result.trace["q.y"], doubles.result.trace["q.y"], atol=1e-6)
+
+
+def test_what_is_too_large_for_single_precision_is_infinite(fmus3, both):
+    """In both loops, without a word from NumPy; the record refuses it."""
+    ramp = Trace(np.array([0.0, 1.0]), {"p.float32_in": np.array([0.0, 1e300])})
+    outcome = both(assemble({"p": fmus3["wide"]}), scenario=ramp, step=0.5)
+    assert outcome.error == "p.float32_out: expected a finite value, got inf at t = 0.5 s"
+
+
+def test_two_names_of_one_variable_go_side_by_side(each, both):
+    """The same value under both, on a wire and in the record."""
+    other = 'name="same" valueReference="1" causality="output" variability="continuous"'
+    more = f"<ScalarVariable {other}><Real/></ScalarVariable>" if each.fmi == 2 else ""
+    aliases = {"y": "same"} if each.fmi == 3 else None
+    fmu = each.make("quirk", "two_names", interpolates=each.fmi == 2, more=more, aliases=aliases)
+    start = {"q.push": 1.0, "q.gain": -1.0}
+    named = both(assemble({"p": fmu, "q": fmu}, ["p.same -> q.u", "q.y -> p.u"], start), master=HERMITE)
+    plain = both(circle(each, "plain"), master=HERMITE)
+    np.testing.assert_array_equal(named.result.trace["q.y"], plain.result.trace["q.y"])
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
+    """Held over a step: at its first value with jacobi, at its last with masters that step in turn."""
+    changes = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}
+    fmu = each.make("quirk", "steady", interpolates=each.fmi == 2, changes=changes)
+    system = assemble({"s": each["source"], "q": fmu}, ["s.y -> q.u"])
+    trace = both(system, master, step=0.25).result.trace
+    held = trace["s.y"][:-1] if master.master == "jacobi" else trace["s.y"][1:]
+    np.testing.assert_allclose(
+        trace["q.y"], [0, *0.25 * np.cumsum(held)], rtol=1e-12
+    )  # rounding of inner steps
+    assert "q.u" not in " ".join(both(system, master).result.card.notes)
+
+
+def test_inputs_cannot_be_tunable(each):
+    """The standard has no such inputs; a description with one is refused by name."""
+    with pytest.raises(Problem, match=r'Variable "u" .* illegal combination .*causality="input".*"tunable"'):
+        assemble({"q": each.make("quirk", "tunable", changes={"u": {"steady": "tunable"}})})
+
+
+@pytest.mark.parametrize("master", ["jacobi", "hermite"])
+def test_scenarios_hold_what_does_not_move(each, both, master):
+    """A column gives its last sample, not a line between samples, to an input that is not continuous."""
+    changes = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}
+    fmu = each.make(
+        "quirk", "driven_steadily", interpolates=each.fmi == 2, changes=changes, units={"u": "bar"}
+    )
+    stairs = Trace(np.array([0.0, 0.5, 1.0]), {"q.u": np.array([1.0, 3.0, 7.0])})
+    trace = both(assemble({"q": fmu}), master, scenario=stairs, step=0.25).result.trace
+    np.testing.assert_array_equal(trace["q.u"], [1, 1, 3, 3, 7])
+    np.testing.assert_allclose(trace["q.y"], [0, 0.25, 0.5, 1.25, 2.0], rtol=1e-12)  # rounding of inner steps
