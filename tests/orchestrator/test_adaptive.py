@@ -1,0 +1,278 @@
+"""Steps of a run's own choice: errors, numbers, what they hit, what happens to bad ones, and their law."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestrator import Problem, Trace, assemble, run
+from orchestrator.coupling.pace import GROW, REPEATED, SAFETY, SHRINK, Pace
+from orchestrator.coupling.settings import Coupling
+
+
+def error(trace, exact):
+    """Of the oscillator's first position, over the largest; `exact` knows equal steps only."""
+    truth = exact(trace.time)[:, 0]
+    return np.abs(trace["a.x"] - truth).max() / np.abs(truth).max()
+
+
+def adaptive(system, master, tolerance, stop=10.0, record_step=0.1, **more):
+    """A run with steps of its own choice."""
+    coupling = Coupling(master, adaptive=tolerance, **more)
+    return run(system, master=coupling, stop=stop, record_step=record_step)
+
+
+# ---- error and number of steps
+
+
+def test_the_undamped_oscillator_takes_few_steps(moving, exact):
+    """Ten seconds at 1e-5 in under 5000 steps, and the error stays below the tolerance (measured 1.1e-6).
+
+    No energy is lost, so errors add up; existing controllers need millions of steps or miss by 8e-5.
+    """
+    result = adaptive(moving, "hermite", 1e-5)
+    assert result.card.steps + result.card.repeated < 5000
+    assert error(result.trace, exact) < 1e-5
+
+
+FEW = {  # master, order, tolerance -> steps that it takes in 2 s, measured
+    ("jacobi", 0, 1e-2): 5400,
+    ("jacobi", 1, 1e-4): 4500,
+    ("jacobi", 2, 1e-5): 2500,
+    ("gauss-seidel", 0, 1e-2): 3000,
+    ("gauss-seidel", 1, 1e-4): 2700,
+    ("gauss-seidel", 2, 1e-5): 1700,
+    ("gauss-seidel", 3, 1e-5): 660,
+    ("hermite", 3, 1e-5): 660,  # 420 where it repeats
+}
+
+
+@pytest.mark.parametrize("settings", FEW, ids=str)
+@pytest.mark.parametrize("able", [{}, {"canGetAndSetFMUstate": "false"}], ids=["repeats", "cannot repeat"])
+def test_no_master_collapses_to_the_smallest_step(oscillators, exact, settings, able):
+    """Without damping nothing forgives a bad step; still steps keep the length that the tolerance allows."""
+    master, order, tolerance = settings
+    result = adaptive(oscillators(**able), master, tolerance, stop=2.0, order=order)
+    assert result.card.steps < 1.2 * FEW[settings]  # a step at the smallest length would be one of 2e7
+    # inputs off by the tolerance all the time would add up; most are off by less (measured 0.02 to 0.4)
+    assert error(result.trace, exact) < tolerance
+    assert ("stand: a, b cannot go back" in result.card.text()) == bool(able)
+
+
+@pytest.mark.parametrize("master", ["gauss-seidel", "hermite"])
+def test_the_error_goes_with_the_tolerance(moving, exact, master):
+    """A hundredth of the tolerance, a hundredth of the error: within a factor of 3, over four decades."""
+    results = [adaptive(moving, master, x, order=3) for x in (1e-3, 1e-5, 1e-7)]
+    for a, b in pairwise(results):
+        ratio = error(a.trace, exact) / error(b.trace, exact)
+        assert 100 / 3 < ratio < 100 * 3
+        # of order 4: 100^(1/4) = 3.2 times the steps
+        assert b.card.steps / a.card.steps == pytest.approx(100**0.25, rel=0.25)
+
+
+def test_steps_grow_where_nothing_happens(fmus):
+    """After a push they become as long as they may be."""
+    files = {"sum": fmus.make("fails", "pushed", interpolates=True)}
+    ramp = Trace(np.array([0.0, 0.01, 0.02, 8.0]), {"u": np.array([0.0, 1.0, 0.0, 0.0])})
+    result = run(assemble(files), ramp, master=Coupling("hermite", adaptive=1e-4))
+    assert result.trace["sum.y"][-1] == pytest.approx(0.01, rel=1e-12)  # lines between corners: exact
+    assert result.card.steps < 100
+    assert result.card.lengths[1] == pytest.approx(0.1, rel=0.5)  # the largest allowed
+
+
+# ---- what is hit
+
+
+CORNERS = (0.0, 0.1234567, 0.3, 0.5000001, 0.7, 1.0 / 3.0 + 0.5, 1.0)
+
+
+@pytest.fixture(scope="module")
+def pushed(moving):
+    """The oscillator with its first mass led by a scenario, which has corners at odd times."""
+    time = np.array(sorted(CORNERS))
+    return moving, Trace(time, {"a.x2": np.array([0.0, 1.0, 1.0, -2.0, 0.0, 0.5, 0.5])})
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
+def test_output_times_are_hit_to_the_last_bit(pushed, master):
+    """Those of the record step, start + n * step in floating point, and nothing else is recorded."""
+    system, scenario = pushed
+    coupling = Coupling(master, 2, adaptive=1e-4)
+    trace = run(system, scenario, master=coupling, start=0.05, stop=0.95, record_step=0.09).trace
+    np.testing.assert_array_equal(trace.time, 0.05 + np.arange(11) * 0.09)
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
+def test_corners_are_communication_points_to_the_last_bit(pushed, master):
+    """Every time at which the scenario turns; the free record has all communication points."""
+    system, scenario = pushed
+    time = run(system, scenario, master=Coupling(master, 2, adaptive=1e-4)).trace.time
+    assert set(CORNERS) <= set(time.tolist())
+    assert (np.diff(time) > 0).all()
+
+
+def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
+    """3 * 0.1 is not 0.3: a step of one rounding error would spoil all differences over it."""
+    system, scenario = pushed
+    assert 3 * 0.1 != 0.3
+    result = run(system, scenario, master=Coupling("jacobi", 3, adaptive=1e-4), record_step=0.1)
+    assert result.card.lengths[0] > 0.99e-7
+    steps = np.arange(11) * 0.1
+    np.testing.assert_array_equal(result.trace.time, steps)
+    near = run(system, scenario, master=Coupling("hermite", passes=30, tolerance=1e-12), step=1e-4).trace
+    # a hundred steps of error 1e-4 each, at most
+    np.testing.assert_allclose(result.trace["b.x"], np.interp(steps, near.time, near["b.x"]), atol=1e-2)
+
+
+# ---- what happens to bad steps
+
+
+def jump(workshop, **able):
+    """An integrator that is fed by the integral of a push, which no past foretells."""
+    files = {
+        "a": workshop.make("fails", f"first_{len(able)}", interpolates=True, able=able),
+        "b": workshop.make("fails", f"second_{len(able)}", interpolates=True, able=able),
+    }
+    return assemble(files, ["a.y -> b.u"])
+
+
+PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.0, 50.0])})
+
+
+def test_bad_steps_are_repeated_where_all_go_back(fmus):
+    """Steps that do not stand are counted on the card; the record shows none of them."""
+    result = run(jump(fmus), PUSH, master=Coupling("jacobi", adaptive=1e-3))
+    assert result.card.repeated > 0
+    assert f"{result.card.repeated} repeated" in result.card.text()
+    assert len(result.trace.time) == result.card.steps + 1
+    # held inputs are off by half the tolerance (of 25, the largest) in the mean, over half a second
+    exact = 0.5 * 50 * 0.5**2
+    assert result.trace["b.y"][-1] == pytest.approx(exact, abs=0.5 * 1e-3 * 25)
+
+
+def test_bad_steps_stand_where_one_cannot_go_back(fmus):
+    """The step after it is shorter, the error is what it is, and a note says so."""
+    able = {"canGetAndSetFMUstate": "false"}
+    result = run(jump(fmus, **able), PUSH, master=Coupling("jacobi", adaptive=1e-3))
+    assert result.card.repeated == 0
+    steps = np.diff(result.trace.time)
+    # a bad step makes the next one shorter, by the largest factor where the error is large
+    assert (steps[1:] / steps[:-1]).min() < 0.5
+    assert "adaptive steps with too large an error stand: a, b cannot go back to a saved state" in (
+        result.card.notes
+    )
+
+
+# ---- energy
+
+
+@pytest.fixture(scope="module")
+def bounce(fmus):
+    """A mass on a spring: force one way, velocity the other, which is a power bond; 10 rad/s, undamped."""
+    files = {
+        "mass": fmus.make("mass_b", "bouncing_mass", interpolates=True),
+        "spring": fmus.make("spring", "bouncing_spring", interpolates=True),
+    }
+    return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
+def test_control_of_the_energy_rejects_steps(bounce, master):
+    """Steps that make up too much power are repeated; what is made up in all goes with the tolerance."""
+    made = []
+    for tolerance in (1e-3, 1e-5):
+        result = run(bounce, master=Coupling(master, 1, adaptive=tolerance, control="energy"), stop=2.0)
+        assert result.card.repeated > 0
+        (bond,) = result.card.bonds
+        # of the magnitudes of effort and flow the power is a half in the mean, so a share of it is larger
+        assert bond.turnover < 4 * tolerance * bond.exchanged
+        made.append(bond.turnover / bond.exchanged)
+    assert made[1] < made[0] / 30
+
+
+def test_control_of_the_energy_wants_a_bond(moving):
+    """The oscillator exchanges force and position, which is no power."""
+    with pytest.raises(Problem, match=r"control of the energy: expected a power bond"):
+        run(moving, master=Coupling("hermite", adaptive=1e-4, control="energy"), stop=1.0)
+
+
+# ---- the law
+
+
+errors = st.floats(0.0, 1e6)
+powers = st.integers(1, 5)
+
+
+def fresh(power=1, repeats=True, first=1e-3, smallest=1e-7, largest=0.1):
+    """A pace at its beginning."""
+    return Pace(first, power, smallest, largest, repeats)
+
+
+@given(errors, errors, powers, st.booleans())
+def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repeats):
+    """From the same past, for steps that stand and for those that do not."""
+    small, large = sorted((one, other))
+    paces = fresh(power, repeats), fresh(power, repeats)
+    for pace, e in zip(paces, (small, large), strict=True):
+        pace.good(0.5, 1e-3)
+        pace.good(e, 1e-3)
+    assert paces[0].h >= paces[1].h
+
+
+@given(st.lists(st.tuples(errors, st.floats(1e-6, 1.0)), max_size=30), powers, st.booleans())
+def test_steps_stay_within_their_limits(history, power, repeats):
+    """Whatever errors come; from one step to the next they change by the limits of the law at most."""
+    pace = fresh(power, repeats)
+    for e, room in history:
+        h = pace.length(room)
+        assert 0 < h <= room
+        stands = pace.good(e, h)
+        assert stands == (e <= 1.0 or not repeats or h <= 1e-7)
+        assert 1e-7 <= pace.h <= 0.1
+        if not stands:
+            assert pace.h <= max(REPEATED * h, 1e-7)
+        assert pace.h >= min(SHRINK * h, 0.1) * (1 - 1e-15)
+
+
+@given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
+def test_the_end_is_hit_without_a_short_last_step(room, step):
+    """The step ends there, or leaves at least as much as it takes."""
+    pace = fresh(first=step, largest=1.0)
+    h = pace.length(room)
+    assert h == room or room - h >= h * (1 - 1e-15)
+    assert h <= max(step, room / 2)
+
+
+def test_a_step_that_was_cut_does_not_shorten_the_next():
+    """An output time is no reason to begin anew; an error is."""
+    for e, expected in ((0.5, 1e-2), (2.0, 1e-4)):
+        pace = fresh(first=1e-2, repeats=False)
+        assert pace.length(1e-4) == 1e-4
+        assert pace.good(e, 1e-4)
+        assert (pace.h >= expected) if e < 1 else (pace.h < expected)
+
+
+@pytest.mark.parametrize("power", [1, 2, 3, 4])
+def test_an_error_that_is_a_power_of_the_step_settles(power):
+    """At the step whose error is a safe share of the tolerance, without swinging to and fro."""
+    pace, found = fresh(power), []
+    for _ in range(60):
+        h = pace.length(1e9)
+        pace.good((h / 5e-3) ** power, h)
+        found.append(h)
+    assert found[-1] == pytest.approx(SAFETY * 5e-3, rel=1e-3)  # converged: differences shrink by the law
+    growth = np.array(found[1:]) / found[:-1]
+    assert growth.max() <= GROW * (1 + 1e-15)
+    assert growth.min() > 0.9  # the law answers to the growth of the error, too: once back by 7 %
+
+
+@pytest.mark.parametrize("e", [float("nan"), float("inf")])
+def test_what_is_no_number_is_an_error(e):
+    """It is repeated as long as that is possible, with the shortest step that the law allows."""
+    pace = fresh()
+    assert not pace.good(e, 1e-3)
+    assert pace.h == pytest.approx(SHRINK * 1e-3, rel=1e-15)
+    assert fresh(repeats=False).good(e, 1e-3)
+    assert fresh().good(e, 1e-7)  # at the smallest step errors are let pass
