@@ -20,8 +20,6 @@ Matrices are stored column by column. native/foresight.c does the same, operatio
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 
 from orchestrator.coupling.linear import inverted
@@ -34,46 +32,54 @@ EARLIER = (  # weights of the stages before
     ((1.0 - GAMMA) / 2.0,),
     (-1.5 * GAMMA * GAMMA + 4.0 * GAMMA - 0.25, 1.5 * GAMMA * GAMMA - 5.0 * GAMMA + 1.25),
 )
+BLOCK = 8
 ALIKE = 1e-9  # of a step: another one that differs by less is the same
 
 
 class Joined:
-    """n states and m inputs; shapes of matrices (columns, rows).
+    """n states and m inputs; shapes of matrices (columns, rows), the rows filled up to a multiple of BLOCK.
 
     slopes   A, B, C and D one after the other; a, b, c, d: views of it
     f, x     time derivatives of the states, and the states, at the communication point
     w        inputs there, where their course is known, else 0
     course   their coefficients of s, s^2 and s^3, shape (3, m)
+    felt     K times that, and push: B times that
     v        the changes of all inputs up to h/3, 2h/3 and h, shape (3, m)
     through  outputs depend on inputs directly: D is not 0
     """
 
     def __init__(self, n: int, m: int) -> None:
         self.n, self.m, self.through = n, m, False
-        ends = np.cumsum([n * n, m * n, n * m, m * m])
-        self.slopes = np.zeros(ends[-1])
-        a, b, c, d, _ = np.split(self.slopes, ends)
-        self.a, self.b, self.c, self.d = a.reshape(n, n), b.reshape(m, n), c.reshape(n, m), d.reshape(m, m)
-        self.k, self.kc, self.closed, self.inverse = (np.zeros(s) for s in ((m, m), (n, m), (n, n), (n, n)))
-        self.f, self.x, self.f0, self.x0, self.q = (np.zeros(n) for _ in range(5))
-        self.w, self.w0, self.felt = (np.zeros(m) for _ in range(3))
-        self.course, self.v = np.zeros((3, m)), np.zeros((3, m))
+        self.wide, self.broad = wide, broad = _padded(n), _padded(m)
+        self._ends = np.cumsum([n * wide, m * wide, n * broad, m * broad])
+        self.slopes = np.zeros(self._ends[-1])
+        a, b, c, d, _ = np.split(self.slopes, self._ends)
+        self.a, self.b, self.c, self.d = (
+            part.reshape(columns, -1) if columns else part.reshape(0, rows)
+            for part, columns, rows in ((a, n, wide), (b, m, wide), (c, n, broad), (d, m, broad))
+        )
+        self.k, self.kc = np.zeros((m, broad)), np.zeros((n, broad))
+        self.closed, self.inverse = np.zeros((n, wide)), np.zeros((n, wide))
+        self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
+        self.w, self.w0 = np.zeros(broad), np.zeros(broad)
+        self.course, self.felt, self.v = (np.zeros((3, broad)) for _ in range(3))
+        self.push = np.zeros((3, wide))
         self.rows = np.zeros(max(n, m), np.int32)
         self.length = 0.0  # that `inverse` is made for; 0: it is not made
         self.usable = False
 
     def place(self, of_input: bool, column: int, to_input: bool, row: int) -> int:
         """Where in `slopes` the change of a state or an input (`to_input`) with one (`of_input`) stands."""
-        n, m = self.n, self.m
-        first = (n * n if of_input else 0) if not to_input else n * n + n * m + (n * m if of_input else 0)
-        return first + column * (m if to_input else n) + row
+        part = 2 * to_input + of_input
+        first = int(self._ends[part - 1]) if part else 0
+        return first + column * (self.broad if to_input else self.wide) + row
 
     def join(self) -> None:
         """Make one system of the slopes; `usable` tells whether that is possible."""
         self.length, self.usable = 0.0, True
         self.kc[:] = self.c
         if self.through:
-            self.k[:] = np.eye(self.m) - self.d
+            self.k[:] = np.eye(self.m, self.broad) - self.d
             self.usable = inverted(self.k, self.rows)
             self.kc[:] = 0.0
             for j in range(self.n):
@@ -88,8 +94,8 @@ class Joined:
         if since == 0.0:
             return
         add_product(self.closed, self.x - self.x0, self.q)
-        self._feel(self.w - self.w0)
-        add_product(self.b, self.felt, self.q)
+        felt, before = self._felt(self.w), self._felt(self.w0)
+        add_product(self.b, felt - before, self.q)
         self.q[:] = (self.f - self.f0 - self.q) / (last * (since - 0.5 * last))
 
     def accept(self) -> None:
@@ -101,49 +107,52 @@ class Joined:
         if not self.usable or abs(h - self.length) <= ALIKE * h:
             return
         self.length = h
-        self.inverse[:] = np.eye(self.n) - (GAMMA * (h / 3.0)) * self.closed
+        self.inverse[:] = np.eye(self.n, self.wide) - (GAMMA * (h / 3.0)) * self.closed
         self.usable = inverted(self.inverse, self.rows)
 
     def foretell(self, since: float) -> None:
         """Find v; `since` [s]: age of the linearisation."""
-        delta, d = self.length / 3.0, np.zeros(self.n)
+        delta, d = self.length / 3.0, np.zeros(self.wide)
+        for k in range(3):
+            self.felt[k] = self._felt(self.course[k])
+            self.push[k] = 0.0
+            add_product(self.b, self.felt[k], self.push[k])
         for third in range(3):
             rates: list[Buffer] = []
             for node, earlier in zip(NODES, EARLIER, strict=True):
-                base = d.copy()
+                base, s = d.copy(), delta * (third + node)
                 for weight, rate in zip(earlier, rates, strict=True):
                     base += (delta * weight) * rate
-                base_and_forcing = base + (GAMMA * delta) * self._forcing(delta * (third + node), since)
-                stage = np.zeros(self.n)
-                add_product(self.inverse, base_and_forcing, stage)
+                stage, forcing = np.zeros(self.wide), self.f + (since * s + 0.5 * s * s) * self.q
+                forcing = base + (GAMMA * delta) * (forcing + _curve(self.push, s))
+                add_product(self.inverse, forcing, stage)
                 rates.append((stage - base) / (GAMMA * delta))
             d = stage  # the last stage is the end
-            self.v[third] = self.felt if self.through else 0.0
+            self.v[third] = _curve(self.felt, delta * (third + 1))
             add_product(self.kc, d, self.v[third])
 
-    def _forcing(self, s: float, since: float) -> Buffer:
-        """All that does not depend on the states, s [s] after the communication point."""
-        c1, c2, c3 = self.course
-        self._feel(s * (c1 + s * (c2 + s * c3)))
-        forcing = self.f + (since * s + 0.5 * s * s) * self.q
-        add_product(self.b, self.felt, forcing)
-        return forcing
+    def _felt(self, known: Buffer) -> Buffer:
+        """What known changes are to all inputs, through outputs that depend on inputs directly."""
+        if not self.through:
+            return known
+        felt = np.zeros(self.broad)
+        add_product(self.k, known, felt)
+        return felt
 
-    def _feel(self, known: Buffer) -> None:
-        """What the known changes are to all inputs, through outputs that depend on inputs directly."""
-        self.felt[:] = known
-        if self.through:
-            self.felt[:] = 0.0
-            add_product(self.k, known, self.felt)
+
+def _curve(c: Buffer, s: float) -> Buffer:
+    """Polynomials of s with the coefficients c of s, s^2 and s^3, shape (3, n)."""
+    found: Buffer = s * (c[0] + s * (c[1] + s * c[2]))
+    return found
 
 
 def add_product(matrix: Buffer, by: Buffer, to: Buffer) -> None:
     """Add matrix times vector, column by column."""
-    for column, factor in zip(matrix, by.tolist(), strict=True):
+    for column, factor in zip(matrix, by.tolist(), strict=False):
         if factor != 0.0:
             to += column * factor
 
 
-def is_finite(values: Buffer) -> bool:
-    """Are all of them numbers?"""
-    return all(abs(v) < inf for v in values.tolist())
+def _padded(n: int) -> int:
+    """So many rows make full blocks, which C computes at once."""
+    return -(-n // BLOCK) * BLOCK

@@ -12,7 +12,7 @@ from orchestrator.runs import layout
 from orchestrator.runs.loops import Filler
 from orchestrator.slaves.access import Derivative
 
-ARRAYS = "slopes k kc closed inverse f x w f0 x0 w0 q course felt v rows"
+ARRAYS = "slopes k kc closed inverse f x w f0 x0 w0 q course felt push v rows"
 
 STAGES = 7  # vectors that C works with
 
@@ -37,12 +37,13 @@ class Foreteller:
             tellings=tellings,
             telling_count=len(foresight.tellings),
             **{name: at(getattr(joined, name)) for name in ARRAYS.split()},
-            known=at(np.zeros(joined.m)),
-            stages=at(np.zeros((STAGES, joined.n))),
+            stages=at(np.zeros((STAGES, joined.wide))),
             kinds=at(foresight.kinds),
             signals=at(np.array(signals, np.int32)),
             n=joined.n,
             m=joined.m,
+            wide=joined.wide,
+            broad=joined.broad,
             through=joined.through,
             leads=foresight.leads,
             lag=foresight.lag,

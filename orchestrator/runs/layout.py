@@ -75,8 +75,8 @@ class Foresight(Structure):
         *_all(Program, "rates values"),
         ("tellings", POINTER(Telling)),
         *_all(c_void_p, "kinds signals"),
-        *_all(c_void_p, "slopes k kc closed inverse f x w f0 x0 w0 q course known felt v stages rows"),
-        *_all(c_int32, "telling_count n m through leads lag age usable"),
+        *_all(c_void_p, "slopes k kc closed inverse f x w f0 x0 w0 q course felt push v stages rows"),
+        *_all(c_int32, "telling_count n m wide broad through leads lag age usable"),
         *_all(c_double, "since last length"),
     ]
 

@@ -30,8 +30,9 @@ def library() -> ctypes.CDLL | str:
     try:
         return ctypes.CDLL(str(_file()))
     except (OSError, PackageNotFoundError, subprocess.CalledProcessError) as error:
-        told = getattr(error, "stderr", None) or str(error)
-        return f"the compiled loop is not available, Python does it slower: {told.strip().splitlines()[-1]}"
+        told = (getattr(error, "stderr", None) or str(error)).strip().splitlines() or [repr(error)]
+        reason = next((line for line in told if "error: " in line), told[-1])
+        return f"the compiled loop is not available, Python does it slower: {reason}"
 
 
 def _file() -> Path:

@@ -72,9 +72,9 @@ typedef struct { /* see foresight.py and joined.py */
     const Telling *tellings;
     const int32_t *kinds, *signals; /* of each input; the signal of some is -1: none */
     double *slopes, *k, *kc, *closed, *inverse;
-    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *known, *felt, *v, *stages;
+    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *felt, *push, *v, *stages;
     int32_t *rows;
-    int32_t telling_count, n, m, through, leads, lag, age, usable;
+    int32_t telling_count, n, m, wide, broad, through, leads, lag, age, usable;
     double since, last, length;
 } Foresight;
 
