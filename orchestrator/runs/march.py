@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 
 from orchestrator.coupling.grid import Grid
@@ -24,8 +25,10 @@ class March:
     steps      communication steps that were taken and stand
     passes     passes over all components, of all steps
     repeated   steps that did not stand
+    notes      remarks on how it is done
     keeps      the beginning of each step is kept, as far as the FMUs can
     goes_back  all of it, so that a shorter step can be tried
+    look       called between steps; ends the run if the user wants that
     """
 
     def __init__(
@@ -43,6 +46,7 @@ class March:
         self._network, self._sweep, self._times = network, sweep, times
         self._recorder, self._monitor, self._pace = recorder, monitor, pace
         self._by_energy, self._tolerance = by_energy, tolerance
+        self.notes: tuple[str, ...] = ()
         self.t = times.start
         self.done = self.steps = self.passes = self.repeated = 0
         self.shortest, self.longest = float("inf"), 0.0
@@ -64,6 +68,7 @@ class March:
     def block(self) -> None:
         """Go on until as many points are to be recorded as fit into a block, or to the end."""
         while self.done < self._times.steps and self._recorder.filled < BLOCK and not self._monitor.full:
+            self.look()
             self._next()
 
     def close(self) -> None:
@@ -137,7 +142,10 @@ def marching(fast: bool, network: Network, *others: object) -> March:
     """A run that is ready to begin: in C if that is wanted and possible, else in Python."""
     from orchestrator.runs.compiled import Compiled
 
-    if fast and not isinstance(native.library(), str):
+    library = native.library() if fast else None
+    if fast and not isinstance(library, str):
         with suppress(TypeError):
             return Compiled(network, *others)  # type: ignore[arg-type]
-    return March(network, *others)  # type: ignore[arg-type]
+    march = March(network, *others)  # type: ignore[arg-type]
+    march.notes = (library,) if isinstance(library, str) else ()
+    return march

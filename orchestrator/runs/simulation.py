@@ -22,6 +22,7 @@ from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.card import Card, compare
 from orchestrator.runs.energy import Monitor
+from orchestrator.runs.interrupts import Interrupts
 from orchestrator.runs.march import March, marching
 from orchestrator.runs.progress import Progress
 from orchestrator.runs.recorder import Recorder
@@ -270,7 +271,9 @@ class _Job:
         """Run, and make a result of it even when it ends early."""
         began = time.perf_counter()
         try:
-            loop.go(march)
+            with Interrupts() as interrupts:
+                march.look = interrupts.look
+                loop.go(march)
         except KeyboardInterrupt:
             raise Interrupted(self._result(loop, march, began, False)) from None
         except Ended as wish:
@@ -299,7 +302,7 @@ class _Job:
             inside={name: slave.busy for name, slave in loop.network.slaves.items()},
             notes=(
                 *(self.system.notes + self._left_out() + loop.network.notes),
-                *(loop.times.notes + loop.notes),
+                *(loop.times.notes + march.notes + loop.notes),
             ),
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
