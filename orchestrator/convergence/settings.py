@@ -31,6 +31,7 @@ class Setting:
         return "plain" if self.bare else "own steps" if self.own else self.coupling.master
 
 
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
 SETTINGS = (
     Setting("jacobi plain", Coupling("jacobi", 0), bare=True),
     Setting("gauss-seidel plain", Coupling("gauss-seidel", 0), bare=True),
@@ -40,9 +41,15 @@ SETTINGS = (
     Setting("gauss-seidel order 0", Coupling("gauss-seidel", 0)),
     Setting("gauss-seidel order 1", Coupling("gauss-seidel", 1)),
     Setting("gauss-seidel order 2", Coupling("gauss-seidel", 2)),
-    Setting("hermite 1 pass", Coupling("hermite", passes=1)),
+    Setting("hermite 1 pass", Coupling("hermite", passes=1)),  # the same as gauss-seidel of order 3
     Setting("hermite 2 passes", Coupling("hermite", passes=2)),
     Setting("hermite to tolerance", Coupling("hermite")),
+    Setting("interface-jacobian", Coupling("interface-jacobian")),
+    Setting(
+        "hermite adaptive",
+        Coupling("hermite"),
+        own={f"{tolerance:.0e}": Coupling("hermite", adaptive=tolerance) for tolerance in TOLERANCES},
+    ),
 )
 FINEST = Coupling("hermite", passes=20, tolerance=1e-9)  # where there is no reference
 
