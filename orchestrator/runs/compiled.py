@@ -78,6 +78,7 @@ class Compiled(March):
 
     def block(self) -> None:
         """Go on until as many points are to be recorded as fit into a block, or to the end."""
+        self.look()
         run = self._run
         run.recorder.filled, run.monitor.rows = self._recorder.filled, self._monitor.rows
         verdict = self._march(ctypes.byref(run))

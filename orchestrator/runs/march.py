@@ -47,6 +47,7 @@ class March:
         self._recorder, self._monitor, self._pace = recorder, monitor, pace
         self._by_energy, self._tolerance = by_energy, tolerance
         self.notes: tuple[str, ...] = ()
+        self.look: Callable[[], None] = lambda: None
         self.t = times.start
         self.done = self.steps = self.passes = self.repeated = 0
         self.shortest, self.longest = float("inf"), 0.0

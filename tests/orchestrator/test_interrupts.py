@@ -1,0 +1,64 @@
+"""Signals during a run: noted, obeyed between steps; the usual handling comes back after it."""
+
+import signal
+import threading
+
+import pytest
+
+from orchestrator.runs.interrupts import Interrupts
+
+
+def test_a_signal_waits_for_the_next_look():
+    """Nothing is raised where it comes, which may be inside a function that an FMU calls."""
+    usual = signal.getsignal(signal.SIGINT)
+    with Interrupts() as interrupts:
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.look()
+        interrupts.look()  # once is enough
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_a_signal_at_the_very_end_is_not_lost():
+    """No look comes after it."""
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_a_second_signal_is_obeyed_at_once():
+    """The FMU may never come back."""
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("went on after the second signal")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+def test_what_nobody_handles_stays_so():
+    """Only signals that Python code handles wait; the way in which a command ends is among them."""
+
+    def handler(*_):
+        raise KeyboardInterrupt("terminal closed")
+
+    usual = signal.signal(signal.SIGHUP, handler)
+    try:
+        with pytest.raises(KeyboardInterrupt, match="terminal closed"), Interrupts():
+            assert signal.getsignal(signal.SIGHUP) != handler
+            assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, usual)
+
+
+def test_runs_in_other_threads_leave_signals_alone():
+    """Only the main thread may say what a signal does."""
+    usual, seen = signal.getsignal(signal.SIGINT), []
+
+    def enter():
+        with Interrupts():
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+    assert seen == [usual]

@@ -1,0 +1,327 @@
+"""The loop in C beside the one in Python: the same bits; what happens without a compiler; Ctrl-C; memory."""
+
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError
+
+import numpy as np
+import pytest
+from any_fmu.models import RAMP
+
+from orchestrator import Trace, assemble, run
+from orchestrator.coupling.settings import Coupling
+from orchestrator.runs import compiled, native
+from orchestrator.runs.march import March
+
+STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
+
+
+@pytest.fixture
+def alike(monkeypatch):
+    """Runs a system in both loops and compares all numbers of trace and card, to the last bit."""
+    assert not isinstance(native.library(), str)
+
+    def both(system, **options):
+        with monkeypatch.context() as patch:
+            patch.setattr(March, "_next", None)  # it is the loop in Python
+            fast = run(system, **options)
+        slow = run(system, native=False, **options)
+        assert list(fast.trace.signals) == list(slow.trace.signals)
+        np.testing.assert_array_equal(fast.trace.time, slow.trace.time)
+        for name, values in slow.trace.signals.items():
+            np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
+        a, b = fast.card, slow.card
+        assert (a.steps, a.passes, a.repeated, a.lengths) == (b.steps, b.passes, b.repeated, b.lengths)
+        assert (a.bonds, a.notes, a.warnings) == (b.bonds, b.notes, b.warnings)
+        return fast
+
+    return both
+
+
+KINDS = [("curves", 2, True), ("lines", 2, True), ("rates", 3, True), ("held", 3, True), ("curves", 2, False)]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+def test_explicit_masters_over_a_thousand_steps(alike, oscillators, master, order, kind):
+    """At each order, with FMUs that follow inputs in each way, and without slopes."""
+    result = alike(oscillators(*kind), master=Coupling(master, order), **STEPS)
+    assert result.card.steps == 1000
+    assert np.ptp(result.trace["a.x"]) > 1
+
+
+OTHERS = {
+    "correct": Coupling("jacobi", 1, correct=True),
+    "correct in turn": Coupling("gauss-seidel", correct=True),
+    "one pass": Coupling("hermite", passes=1),
+    "two passes": Coupling("hermite", passes=2, tolerance=1e-14),
+    "by tolerance": Coupling("hermite"),
+    "many rates": Coupling("hermite", factors={"a": 3, "b": 2}),
+    "many rates, held": Coupling("jacobi", factors={"b": 7}),
+    "many rates, in turn": Coupling("gauss-seidel", 2, factors={"a": 2}, correct=True),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("label", OTHERS)
+def test_all_else_over_a_thousand_steps(alike, oscillators, label, kind):
+    """Correction, passes, several steps of a component in one: the same operations in the same order."""
+    assert alike(oscillators(*kind), master=OTHERS[label], **STEPS).card.steps == 1000
+
+
+ADAPTIVE = {
+    "jacobi": Coupling("jacobi", 2, adaptive=1e-5),
+    "in turn": Coupling("gauss-seidel", 1, adaptive=1e-4),
+    "hermite": Coupling("hermite", adaptive=1e-6),
+    "correct": Coupling("jacobi", correct=True, adaptive=1e-3),
+    "many rates": Coupling("hermite", adaptive=1e-6, factors={"b": 3}),
+}
+
+
+@pytest.mark.parametrize("able", [{}, {"canGetAndSetFMUstate": "false"}], ids=["repeats", "cannot repeat"])
+@pytest.mark.parametrize("record_step", [None, 0.03])
+@pytest.mark.parametrize("label", ADAPTIVE)
+def test_adaptive_steps(alike, oscillators, label, record_step, able):
+    """Every step has the same length and error, and the same ones are repeated."""
+    result = alike(oscillators(**able), master=ADAPTIVE[label], stop=0.9, record_step=record_step)
+    assert result.card.steps > 100
+    assert (result.card.repeated > 0) == (not able)
+
+
+@pytest.mark.parametrize("control", ["error", "energy"])
+def test_energy_of_bonds(alike, fmus, control):
+    """What the coupling made up is summed in the same order, and controls steps in the same way."""
+    files = {
+        "mass": fmus.make("mass_b", "swinging", interpolates=True),
+        "spring": fmus.make("spring", "pulling", interpolates=True),
+    }
+    wires = ["spring.force -> mass.force", "mass.v -> spring.v"]
+    system = assemble(files, wires, {"mass.spring": 0.0})
+    fixed = alike(system, master=Coupling("gauss-seidel", 1), **STEPS)
+    free = alike(system, master=Coupling("hermite", 1, adaptive=1e-4, control=control), stop=1.0)
+    for result in (fixed, free):
+        (bond,) = result.card.bonds
+        assert bond.turnover > 0
+
+
+MASTERS = [
+    *(Coupling("jacobi"), Coupling("jacobi", 2), Coupling("gauss-seidel", 3), Coupling("hermite")),
+    Coupling("hermite", adaptive=1e-5),
+]
+
+
+@pytest.mark.parametrize("kind", [("curves", 2), ("rates", 3), ("held", 3)], ids=str)
+@pytest.mark.parametrize("master", MASTERS, ids=lambda m: f"{m.text} {m.adaptive}")
+def test_a_scenario_leads(alike, oscillators, master, kind):
+    """A driven input, with corners inside steps; before and after its table it is held."""
+    led = Trace(np.array([0.1, 0.3504, 0.7, 0.9]), {"a.x2": np.array([0.0, 3.0, -1.0, 2.0])})
+    options = {"stop": 1.0} if master.adaptive else STEPS
+    result = alike(oscillators(*kind), scenario=led, master=master, **options)
+    assert result.trace["a.x2"][-1] == 2.0
+
+
+@pytest.mark.parametrize("master", MASTERS, ids=lambda m: f"{m.text} {m.adaptive}")
+def test_wires_with_factors_and_sources_with_corners(alike, each, master):
+    """Values pass through linear maps, chains of feed-through, and from a ramp that bends."""
+    files = {
+        "ramp": each.make("source", "bending", also=RAMP),
+        "g": each["gain"],
+        "sum": each.make("fails", "added", interpolates=each.fmi == 2),
+        "sum2": each["drift"],
+    }
+    wires = [("ramp.y", "g.u", 3.0, 0.5), "g.y -> sum.u", ("sum.y", "sum2.u", -2.0, 1.0)]
+    system = assemble(files, wires, {"ramp.ramp": 2.0, "ramp.bend": 0.3303, "ramp.omega": 7.0})
+    options = {"stop": 1.0, "record_step": 0.1} if master.adaptive else {"step": 1e-2, "stop": 1.0}
+    assert abs(alike(system, master=master, **options).trace["sum2.y"][-1]) > 0.1
+
+
+def test_chosen_signals_and_coarse_records(alike, oscillator):
+    """The same rows of the same columns; more steps than fit into a block of the recorder or the monitor."""
+    chosen = ["b.force", "a.mass", "a.x"]
+    trace = alike(oscillator, step=1e-3, stop=2.5, record=chosen, record_step=7e-3).trace
+    assert list(trace.signals) == chosen
+    assert len(trace.time) == 2500 // 7 + 2
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
+    """Components of jacobi that step at the same time, however little there is to gain."""
+    monkeypatch.setattr(compiled.os, "cpu_count", lambda: 3)
+    parts = oscillators()
+    files = {name: part.source.path for name, part in parts.components.items()}
+    files |= {"s": fmus["source"], "k": fmus.make("spring", "third", interpolates=True)}
+    system = assemble(files, [*map(str, parts.connections), "b.v -> k.v"])
+    results = []
+    for worth in (np.inf, -1.0):
+        monkeypatch.setattr(compiled, "WORTH", worth)
+        results.append(run(system, master=Coupling("jacobi", order), **STEPS))
+    for name, values in results[0].trace.signals.items():
+        np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
+
+
+# ---- without a compiler
+
+
+@pytest.fixture
+def fresh(monkeypatch, tmp_path):
+    """A user who has compiled nothing yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    native.library.cache_clear()
+    yield tmp_path / "cache"
+    native.library.cache_clear()
+
+
+def broken_compiler(monkeypatch):
+    monkeypatch.setattr(native, "FLAGS", (*native.FLAGS, "-fno-such-flag"))
+    return "fno-such-flag"
+
+
+def no_compiler(monkeypatch):
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(native, "version", missing)
+    return "ziglang"
+
+
+def no_folder(monkeypatch):
+    monkeypatch.setattr(native, "_cache", lambda: native.FOLDER / "run.h" / "no folder")
+    return "run.h"
+
+
+@pytest.mark.usefixtures("fresh")
+@pytest.mark.parametrize("trouble", [broken_compiler, no_compiler, no_folder])
+def test_where_nothing_can_be_compiled_python_does_it(monkeypatch, oscillator, trouble):
+    """The same numbers; one note on the card says so and why, and the compiler is not tried again."""
+    expected = run(oscillator, native=False, step=1e-2, stop=0.5)
+    with monkeypatch.context() as patch:
+        reason = trouble(patch)
+        result, again = (run(oscillator, step=1e-2, stop=0.5, error_estimate=e) for e in (False, True))
+        assert native.library.cache_info().misses == 1
+    (note,) = result.card.notes
+    assert note.startswith("the compiled loop is not available, Python does it slower: ")
+    assert reason in note
+    assert len(note.splitlines()) == 1
+    assert result.card.text().count("compiled loop") == again.card.text().count("compiled loop") == 1
+    assert expected.card.notes == ()
+    for name, values in expected.trace.signals.items():
+        np.testing.assert_array_equal(result.trace[name], values)
+
+
+def test_the_library_is_compiled_once(fresh):
+    """The next process of the same user finds it."""
+    assert not isinstance(native.library(), str)
+    (kept,) = (fresh / "harvester-cosim").iterdir()
+    before = kept.stat().st_mtime_ns
+    native.library.cache_clear()
+    assert not isinstance(native.library(), str)
+    assert [*(fresh / "harvester-cosim").iterdir()] == [kept]
+    assert kept.stat().st_mtime_ns == before
+
+
+# ---- long runs, in a process of their own
+
+START = """
+import sys, threading, time, signal
+from orchestrator import Interrupted, assemble, run
+from orchestrator.coupling.settings import Coupling
+system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
+"""
+LONG = (
+    START
+    + """
+from orchestrator.runs import compiled
+compiled.WORTH = float(sys.argv[5])
+if len(sys.argv) > 6:
+    system = assemble({"talks": sys.argv[6]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
+main, sent = threading.main_thread().ident, []
+def interrupt():
+    sent.append(time.perf_counter())
+    if sys.platform == "win32":
+        signal.raise_signal(signal.SIGINT)
+    else:
+        signal.pthread_kill(main, signal.SIGINT)
+threading.Timer(0.5, interrupt).start()
+try:
+    run(system, master=sys.argv[3], step=1e-3, stop=1e7, record_step=1.0, native=bool(int(sys.argv[4])))
+except Interrupted as interrupted:
+    late = time.perf_counter() - sent[0]
+    trace = interrupted.result.trace
+    print(late, len(trace.time), trace.time[-1], interrupted.result.card.steps, interrupted.result.complete)
+"""
+)
+
+
+def child(code, *arguments):
+    """What a script prints, by words; the code is given up after a minute."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("master", "in_c", "worth"),
+    [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("jacobi", 0, 1.0)],
+)
+def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
+    """In C with and without threads, and in Python; the run would go on for hours.
+
+    C looks up every 0.1 s; a machine that is busy with other things may take longer to let it.
+    """
+    assert compiled.PATIENCE <= 0.1
+    files = [part.source.path for part in moving.components.values()]
+    late, rows, reached, steps, complete = child(LONG, *files, master, in_c, worth)
+    assert float(late) < 1.0
+    assert int(steps) > 1000
+    # a row for each second and the last point
+    assert int(rows) == int(float(reached) - 1e-9) + 2
+    assert float(reached) == pytest.approx(1e-3 * int(steps), rel=1e-9)  # rounding of one product
+    assert complete == "False"
+
+
+@pytest.mark.parametrize("in_c", [1, 0])
+def test_ctrl_c_is_not_lost_in_the_messages_of_an_fmu(each, moving, in_c):
+    """An FMU that talks in every call: no exception comes back through it, so the run ends after the step."""
+    files = [part.source.path for part in moving.components.values()]
+    late, *_, complete = child(LONG, *files, "jacobi", in_c, 1.0, each.make("quirk", "talker"))
+    assert float(late) < 1.0
+    assert complete == "False"
+
+
+GROWTH = (
+    START
+    + """
+import resource
+def peak(steps):
+    run(system, master=Coupling(**eval(sys.argv[3])), step=1e-3, stop=steps * 1e-3, record_step=steps * 1e-4)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+few = peak(int(sys.argv[4]) // 10)
+print(peak(int(sys.argv[4])) - few)
+"""
+)
+LONG_RUNS = [{"master": "jacobi"}, {"master": "hermite", "passes": 2}, {"master": "gauss-seidel", "order": 2}]
+
+
+def grown(system, coupling, steps):
+    """By how much the largest memory of a process grows when a run is ten times as long [byte]."""
+    files = [part.source.path for part in system.components.values()]
+    return int(child(GROWTH, *files, repr(coupling), steps)[0])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
+@pytest.mark.parametrize("coupling", LONG_RUNS, ids=str)
+def test_memory_does_not_grow_with_the_steps(moving, coupling):
+    """Over a million steps with ten records: one byte per step would be a megabyte."""
+    # what the allocators of C and Python take and give back between two runs of one process
+    assert grown(moving, coupling, 1_000_000) < 500_000
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
+@pytest.mark.parametrize("coupling", LONG_RUNS, ids=str)
+def test_memory_does_not_grow_over_ten_million_steps(moving, coupling):
+    """The same for a run of three hours of machine time."""
+    assert grown(moving, coupling, 10_000_000) < 500_000
