@@ -51,9 +51,14 @@ enum Status move(Instance *m, enum Mode from, enum Mode to) {
     return GOOD;
 }
 
+static int first_state(const Instance *);
+static int states(const Instance *);
+static void rates(const Instance *, double tau, const double *x, double *dx);
+
 void outputs(Instance *m) {
     double *r = m->r;
     long long *i = m->i;
+    if (states(m)) rates(m, 0, r + first_state(m), r + RATES);
     switch (m->model) {
     case MASS_A: r[A_FORCE] = r[A_COUPLING] * (r[A_X2] - r[A_X]); break;
     case SPRING: r[K_FORCE] = r[K_STIFFNESS] * r[K_STRETCH]; break;
@@ -137,7 +142,20 @@ int derivative(const Instance *m, int reference, double *value) {
     return 1;
 }
 
+static double mass_gain(const Instance *m, int unknown, int known) {
+    const int a = m->model == MASS_A, x = a ? A_X : B_X, v = a ? A_V : B_V, u = 0;
+    const double coupling = a ? m->r[A_COUPLING] : 0, spring = coupling + m->r[a ? A_SPRING : B_SPRING];
+    if (unknown == RATES) return known == v;
+    if (unknown == RATES + 1) {
+        const double force = known == x ? -spring : known == u ? (a ? coupling : -1) : 0;
+        return force / m->r[a ? A_MASS : B_MASS];
+    }
+    if (a && unknown == A_FORCE) return known == x ? -coupling : known == u ? coupling : 0;
+    return unknown == known;
+}
+
 double gain(const Instance *m, int output, int input) {
+    if (m->model == MASS_A || m->model == MASS_B) return mass_gain(m, output, input);
     if (m->model == BENT && output == C_Y) {
         double slopes[] = {m->r[C_FACTOR] + 2 * m->r[C_BEND] * m->r[C_U], 1, 0, m->r[C_U], m->r[C_U] * m->r[C_U]};
         return slopes[input];

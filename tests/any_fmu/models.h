@@ -17,6 +17,7 @@ enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 
 enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK };
 enum Call { ANYWHERE = -1, STEP, GET, SET, SAVE, RESTORE, SLOPE, CURVE }; /* where QUIRK goes wrong */
 
+enum { RATES = REALS - STATES }; /* the last reals of each model are the time derivatives of its states */
 enum { A_X2, A_FORCE, A_X, A_V, A_MASS, A_SPRING, A_COUPLING, A_RATE }; /* MASS_A: x'' = (-k x + F) / m */
 enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING, B_RATE };                   /* MASS_B: x'' = (-k x - F) / m */
 enum { M_HIGHEST };                                             /* both: order of input derivatives they take */

@@ -40,6 +40,7 @@ class V:
     depends   the inputs an output depends on directly; None leaves that undeclared
     derives   the variable whose time derivative this one is
     steady    its variability, where it is not the usual one
+    place     its value reference, where that is not the next one
     """
 
     name: str
@@ -50,11 +51,22 @@ class V:
     depends: Sequence[str] | None = ()
     derives: str | None = None
     steady: str | None = None
+    place: int | None = None
 
 
 RATES = {  # more of the masses: their input moves at it
     "mass_a": V("x2_rate", "input", "m/s", 0.0, derives="x2"),
     "mass_b": V("force_rate", "input", "N/s", 0.0, derives="force"),
+}
+STATES = {  # more of the masses: time derivatives of their states, which they tell with directional derivatives
+    "mass_a": [
+        V("der_x", "local", "m/s", depends=["v"], derives="x", place=14),
+        V("der_v", "local", "m/s2", depends=["x2", "x"], derives="v", place=15),
+    ],
+    "mass_b": [
+        V("der_x", "local", "m/s", depends=["v"], derives="x", place=14),
+        V("der_v", "local", "m/s2", depends=["force", "x"], derives="v", place=15),
+    ],
 }
 HIGHEST = V("highest", "parameter", None, 3, "Integer")  # and the order of input derivatives they take
 RAMP = [V("ramp", "parameter", "m/s", 0.0), V("bend", "parameter", "s", 0.0)]  # of a source, from a corner on
@@ -278,7 +290,12 @@ def describe2(head: Head, variables: list[V], more: str) -> str:
     """modelDescription.xml of FMI 2.0; dependencies are indices, references start at 0 for each type."""
     index = {v.name: str(i + 1) for i, v in enumerate(variables)}
     outputs = [v for v in variables if v.causality == "output"]
-    unknowns = "".join(f'<Unknown index="{index[v.name]}"{_on(v, index, head)}/>' for v in outputs)
+    rates = [v for v in variables if v.causality == "local" and v.derives]
+    unknowns, states = (
+        "".join(f'<Unknown index="{index[v.name]}"{_on(v, index, head)}/>' for v in group)
+        for group in (outputs, rates)
+    )
+    derivatives = f"<Derivatives>{states}</Derivatives>" if states else ""
     lines = [_scalar2(v, reference % 100, index) for v, reference in _references(variables)]
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" guid="{head.guid}">
@@ -288,7 +305,8 @@ def describe2(head: Head, variables: list[V], more: str) -> str:
 {CATEGORIES}
 <DefaultExperiment {head.experiment}/>
 <ModelVariables>{"".join(lines)}{more}</ModelVariables>
-<ModelStructure><Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>
+<ModelStructure><Outputs>{unknowns}</Outputs>{derivatives}
+<InitialUnknowns>{unknowns}{states}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
 
@@ -298,7 +316,11 @@ def describe3(head: Head, variables: list[V], more: str, aliases: Mapping[str, s
     place = {v.name: str(reference) for v, reference in _references(variables)}
     outputs = [v for v in variables if v.causality == "output"]
     unknowns = [f'valueReference="{place[v.name]}"{_on(v, place, head)}' for v in outputs]
-    structure = [f"<{kind} {u}/>" for kind in ("Output", "InitialUnknown") for u in unknowns]
+    rates = [v for v in variables if v.causality == "local" and v.derives]
+    states = [f'valueReference="{place[v.name]}"{_on(v, place, head)}' for v in rates]
+    structure = [f"<Output {u}/>" for u in unknowns]
+    structure += [f"<ContinuousStateDerivative {u}/>" for u in states]
+    structure += [f"<InitialUnknown {u}/>" for u in [*unknowns, *states]]
     lines = [_scalar3(v, place, aliases.get(v.name)) for v in variables]
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{head.version}" modelName="{head.name}" instantiationToken="{head.guid}">
@@ -338,8 +360,8 @@ def _references(variables: list[V]) -> list[tuple[V, int]]:
     found = []
     for v in variables:
         family = {"Float32": "Real"}.get(v.kind, v.kind if v.kind in following else "Whole")
-        found.append((v, following[family]))
-        following[family] += 1
+        found.append((v, following[family] if v.place is None else v.place))
+        following[family] += v.place is None
     return found
 
 
@@ -351,7 +373,7 @@ def _on(v: V, place: Mapping[str, str], head: Head) -> str:
 
 
 def _attributes(v: V, place: Mapping[str, str]) -> str:
-    start = v.start if v.causality != "output" and v.kind != "String" else None
+    start = v.start if v.causality not in ("output", "local") and v.kind != "String" else None
     attributes = {"unit": v.unit, "start": start}
     if v.kind == "Enumeration":
         attributes["declaredType"] = "Colour"
