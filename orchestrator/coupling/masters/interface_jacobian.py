@@ -12,13 +12,15 @@ from collections.abc import Iterable
 from orchestrator.coupling.masters.plan import Outlook, Plan, turns
 from orchestrator.coupling.settings import Coupling
 from orchestrator.system.interface import Interface
-from orchestrator.system.system import Connection, Port, System
+from orchestrator.system.system import Port, System
 
 
 def interface_jacobian(system: System, coupling: Coupling) -> Plan:
     """All inputs are foretold; those from components that have stepped are bent to where they arrived."""
     heard = _heard(system)
     leads = _leads(system, heard)
+    needed = _needed(system, leads, heard)
+    open_ = frozenset(name for name in needed if _tells(system.components[name].interface))
     order = [*(k for k in turns(system) if k in leads), *(k for k in turns(system) if k not in leads)]
     return Plan(
         order,
@@ -27,7 +29,7 @@ def interface_jacobian(system: System, coupling: Coupling) -> Plan:
         degree=3,
         sequential=True,
         watches=coupling.adaptive is not None,
-        outlook=Outlook(len(leads), _open(system, leads, heard), heard, coupling.lag),
+        outlook=Outlook(len(leads), open_, open_ == needed, heard, coupling.lag),
     )
 
 
@@ -50,15 +52,9 @@ def _matters(face: Interface, variable: str, outputs: Iterable[str]) -> bool:
         return False
     if not (face.states or face.stateless):
         return True
-    rates = [face.knowns.get(rate) for rate in face.states.values()]
-    return (
-        face.matters(variable, outputs)
-        if face.stateless
-        else (
-            any(known is None or variable in known for known in rates)
-            or any(variable in face.depends(y) for y in outputs)
-        )
-    )
+    told = [face.knowns.get(rate) for rate in face.states.values()]
+    moves = any(known is None or variable in known for known in told)
+    return moves or any(variable in face.depends(y) for y in outputs)
 
 
 def _leads(system: System, heard: frozenset[Port]) -> set[int]:
@@ -81,14 +77,13 @@ def _loops(system: System, name: str, heard: frozenset[Port]) -> bool:
     )
 
 
-def _open(system: System, leads: set[int], heard: frozenset[Port]) -> frozenset[str]:
-    """Components that tell how they change, where that is of interest."""
-    names = list(system.components)
-    others = {name for k, name in enumerate(names) if k not in leads}
-    needed = {c.source.component for c in _audible(system, heard) if c.target.component in others}
-    faces = {name: system.components[name].interface for name in others & needed}
-    return frozenset(n for n, face in faces.items() if face.directional and (face.states or face.stateless))
+def _needed(system: System, leads: set[int], heard: frozenset[Port]) -> frozenset[str]:
+    """Components whose future is to be foretold: they do not lead, and feed one that does not."""
+    others = {name for k, name in enumerate(system.components) if k not in leads}
+    makers = {c.source.component for c in system.connections if c.target in heard and c.target.component in others}
+    return frozenset(makers & others)
 
 
-def _audible(system: System, heard: frozenset[Port]) -> list[Connection]:
-    return [c for c in system.connections if c.target in heard]
+def _tells(face: Interface) -> bool:
+    """Does a component declare to tell how its states and outputs change?"""
+    return face.directional and bool(face.states or face.stateless)

@@ -15,12 +15,14 @@ class Outlook:
 
     leads   so many components step first: their future depends on no other component
     open    components that declare to tell how their states and outputs change
+    all     there are no others, but for those that lead
     heard   inputs that a state depends on, or an output that feeds another component
     lag     steps for which a linearisation is kept
     """
 
     leads: int
     open: frozenset[str]
+    all: bool
     heard: frozenset[Port]
     lag: int
 
@@ -64,7 +66,8 @@ class Plan:
 
     def asks(self, component: str) -> bool:
         """Are the slopes of the outputs of this component wanted?"""
-        return self.sloped and not (self.outlook and component in self.outlook.open)
+        known = self.outlook is not None and self.outlook.all and component in self.outlook.open
+        return self.sloped and not known
 
 
 def turns(system: System) -> list[int]:

@@ -69,7 +69,7 @@ static void shape(Run *run, const Part *p, int n, double h) {
         Signal *s = &run->signals[p->first + i];
         if (s->maker == DRIVEN) continue;
         if (s->foreseen) {
-            if (!n && run->stepped[s->maker]) hit(s, h);
+            if (!n && run->stepped[s->maker] && !s->tied) hit(s, h);
             continue;
         }
         if (s->wanted && (n || (run->stepped[s->maker] && !s->tied))) {
