@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fmus.build import data
 from fmus.machine import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
-from orchestrator import System, load, run
+from orchestrator import RunFailed, System, load, run
+from orchestrator.coupling.settings import Coupling
+from orchestrator.runs.march import March
 from orchestrator.validation import Validation, compare, read_reference
 
 MASTERS = ("jacobi", "gauss-seidel")
@@ -29,8 +33,10 @@ def without_rates(system: System) -> System:
     return held
 
 
-def outcome(system: System, master: str, step: float, stop: float | None = None) -> Validation:
-    result = run(system, data("scenarios/work_cycle.csv"), master=master, step=step, stop=stop)
+def outcome(
+    system: System, master: str | Coupling, step: float | None, stop: float | None = None, **more: float
+) -> Validation:
+    result = run(system, data("scenarios/work_cycle.csv"), master=master, step=step, stop=stop, **more)
     return compare(result.trace, REFERENCE, rate=False)
 
 
@@ -90,6 +96,111 @@ def test_rate_ports_gain_two_orders_of_magnitude_at_1_ms(system):
     """The same plain Jacobi with and without the six wires."""
     held, exact = (worst(outcome(s, "jacobi", 1e-3, 6.0), "speed") for s in (without_rates(system), system))
     assert held > 100 * exact
+
+
+# ---- large steps: the reference has a sample every 20 ms, which is a communication point of all of them
+
+
+@pytest.mark.parametrize(
+    ("step", "speed", "pressure"),
+    [
+        (5e-3, 1e-4, 5e-4),  # measured 2.0e-5 and 2.6e-5
+        (10e-3, 1e-3, 1e-3),  # 3.4e-5 and 4.7e-5
+        (20e-3, 2e-3, 2e-3),  # 4.7e-4 and 6.4e-4: a fifth of the fastest oscillation
+    ],
+)
+@pytest.mark.parametrize("led_by", ["scenario", "levers"])
+def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, speed, pressure, led_by):
+    """Led by the scenario, or by the FMU of the levers with the corners of its ramps."""
+    scenario = data("scenarios/work_cycle.csv") if led_by == "scenario" else None
+    result = run(system, scenario, master="hermite", step=step)
+    found = compare(result.trace, REFERENCE, rate=False)
+    assert worst(found, "speed") < speed
+    assert worst(found, "angle") < speed / 10
+    assert worst(found, "pressure") < pressure
+    assert result.card.steps <= result.card.passes < 4 * result.card.steps
+
+
+def without_rollback(system: System) -> System:
+    """The same FMUs, none of which declares that it can save its state."""
+    parts = system.components.items()
+    faces = {name: replace(part.interface, rollback=False) for name, part in parts}
+    return replace(system, components={n: replace(part, interface=faces[n]) for n, part in parts})
+
+
+def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
+    """At 5 ms: within 5e-3 (measured 2.8e-5); plain jacobi drives a cylinder against its end."""
+    stuck = without_rollback(system)
+    result = run(stuck, data("scenarios/work_cycle.csv"), master="hermite", step=5e-3)
+    assert "hermite computes every step once" in result.card.text()
+    assert result.card.passes == result.card.steps == 8400
+    found = compare(result.trace, REFERENCE, rate=False)
+    assert worst(found, "speed") < 5e-3
+    assert worst(found, "pressure") < 5e-3
+    with pytest.raises(RunFailed, match=r"stick_angle .* is violated"):
+        outcome(without_rates(stuck), "jacobi", 5e-3)
+
+
+def test_converged_hermite_has_order_four_on_the_machine(system):
+    """Halving the step brings a sixteenth of the error of speeds and pressures."""
+    converged = Coupling("hermite", passes=30, tolerance=1e-10)
+    found = [outcome(system, converged, step, 5.0) for step in (4e-3, 2e-3)]
+    for group in ("speed", "pressure"):
+        # the next term of the expansion; at 1 ms the error of 6e-8 is in part that of the reference
+        assert orders([worst(v, group) for v in found]) == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tolerance):
+    """Speeds and pressures, at the samples of the reference, within it (measured a tenth)."""
+    coupling = Coupling("hermite", adaptive=tolerance)
+    found = outcome(system, coupling, None, record_step=20e-3)
+    assert worst(found, "speed") < tolerance
+    assert worst(found, "pressure") < tolerance
+
+
+# ---- the loop in C and the one in Python
+
+
+COUPLINGS = [
+    *(Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)),
+    *(Coupling("hermite"), Coupling("hermite", passes=1), Coupling("interface-jacobian")),
+    Coupling("jacobi", 1, correct=True),
+    Coupling("hermite", factors={"boom_stick": 2, "swing": 3}),
+]
+
+
+def same(monkeypatch, system: System, **options: object) -> None:
+    """Run in both loops: all numbers of the record and of the power bonds are equal to the last bit."""
+    with monkeypatch.context() as patch:
+        patch.setattr(March, "_next", None)  # it is the loop in Python
+        fast = run(system, **options)
+    slow = run(system, native=False, **options)
+    for name, values in slow.trace.signals.items():
+        np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
+    assert (fast.card.steps, fast.card.passes) == (slow.card.steps, slow.card.passes)
+    assert fast.card.bonds == slow.card.bonds
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS, ids=lambda c: c.text)
+def test_both_loops_give_the_same_bits_over_a_thousand_steps(monkeypatch, system, coupling):
+    """Led by the scenario, from where the machine moves."""
+    same(monkeypatch, system, scenario=data("scenarios/work_cycle.csv"), master=coupling, step=1e-3, stop=1.0)
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS[::3], ids=lambda c: c.text)
+def test_both_loops_give_the_same_bits_with_fmi_3(monkeypatch, fmi3_dir, coupling):
+    """Led by the levers, whose ramps have corners; inputs move at rate inputs."""
+    same(monkeypatch, load(fmi3_dir / "harvester.ssp"), master=coupling, step=1e-3, stop=1.0)
+
+
+@pytest.mark.parametrize("folder", ["fmu_dir", "fmi3_dir"])
+@pytest.mark.parametrize("control", ["error", "energy"])
+def test_both_loops_take_the_same_adaptive_steps(monkeypatch, request, folder, control):
+    """All of one length and one error, and the same ones are repeated."""
+    machine = load(request.getfixturevalue(folder) / "harvester.ssp")
+    coupling = Coupling("hermite", adaptive=1e-4, control=control)
+    same(monkeypatch, machine, scenario=data("scenarios/work_cycle.csv"), master=coupling, stop=3.0)
 
 
 def test_outputs_exist_at_the_first_instant(system):
