@@ -66,9 +66,10 @@ void predict(Signal *s, double h, double step) {
 
 void foresee(Signal *s, double v1, double v2, double v3, double h) {
     cubic(s->c, s->value, (18.0 * v1 - 9.0 * v2 + 2.0 * v3) / (2.0 * h),
-          (-45.0 * v1 + 36.0 * v2 - 9.0 * v3) / (2.0 * h * h), (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h));
+          (-45.0 * v1 + 36.0 * v2 - 9.0 * v3) / (2.0 * h * h),
+          (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h));
     s->foretold = value_at(s->c, h);
-    s->weight = 1.0;
+    s->weight = 0.25;
     s->returned = 0.0;
 }
 

@@ -95,6 +95,7 @@ static int pass(Run *run, int n, double h) {
         const int looks = run->foresight && i == run->foresight->leads;
         int verdict = looks ? foretell(run, h) : CONTINUE;
         if (verdict) return verdict;
+        if (looks) clock = seconds();
         if (n && !p->repeated) continue; /* nothing changes what it did */
         shape(run, p, n, h);
         if (n) verdict = restore_part(run, k);
