@@ -1,0 +1,208 @@
+"""The master that foretells inputs from the joined linearisations, on the undamped two-mass oscillator."""
+
+from itertools import cycle
+
+import numpy as np
+import pytest
+from any_fmu.models import RATES, STATES, V
+
+from orchestrator import Coupling, Problem, Trace, assemble, run
+from orchestrator.coupling.masters.interface_jacobian import interface_jacobian
+from orchestrator.coupling.pace import Pace
+
+ABLE = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
+DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
+
+
+def telling(workshop, model, name=None, **more):
+    """A mass that lists its states and tells how they and the outputs change."""
+    outputs = ("force", "x", "v") if model == "mass_a" else ("x", "v")
+    given = {
+        "interpolates": workshop.fmi == 2,
+        "able": {ABLE[workshop.fmi]: "true"},
+        "also": STATES[model],
+        "changes": {y: {"depends": DEPENDS[y]} for y in outputs},
+    }
+    return workshop.make(model, name or f"{model}_tells", **given | more)
+
+
+def oscillator_of(a, b):
+    return assemble({"a": a, "b": b}, ["a.force -> b.force", "b.x -> a.x2"])
+
+
+@pytest.fixture(scope="module")
+def open_oscillator(fmus):
+    """Both masses tell how they change; their inputs follow cubics."""
+    return oscillator_of(telling(fmus, "mass_a"), telling(fmus, "mass_b"))
+
+
+def worst(result, exact):
+    """Largest error of the first mass' position over its largest position."""
+    truth = exact(result.trace.time)[:, 0]
+    return np.abs(result.trace["a.x"] - truth).max() / np.abs(truth).max()
+
+
+def follow(system, **choices):
+    """A run with this master."""
+    run_choices = {k: choices.pop(k) for k in list(choices) if k in ("step", "stop", "native", "record_step")}
+    return run(system, master=Coupling("interface-jacobian", **choices), **run_choices)
+
+
+# ------------------------------------------------------------------ accuracy
+
+
+def test_order_four(open_oscillator, exact):
+    """Halving the step divides the error by sixteen, and the errors are those of the trial."""
+    errors = [worst(follow(open_oscillator, step=h, stop=10.0), exact) for h in (2e-2, 1e-2, 5e-3)]
+    # measured 4.02 and 3.99: the cubic through thirds of the step, and the method in between
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(4, abs=0.1)
+    assert errors[1] < 3e-6  # the trial, with exact components: 2.5e-6
+
+
+def test_far_better_than_one_pass_of_hermite(open_oscillator, exact):
+    """One pass without rollback, at 20 ms: two orders of magnitude."""
+    hermite = run(open_oscillator, master=Coupling("hermite", passes=1), step=2e-2, stop=10.0)
+    # measured 4.0e-5 and 1.9e-2
+    assert worst(follow(open_oscillator, step=2e-2, stop=10.0), exact) < worst(hermite, exact) / 100
+
+
+@pytest.mark.parametrize("factors", [{"a": 3}, {"b": 4}, {"a": 2, "b": 5}])
+def test_components_with_steps_of_their_own(open_oscillator, exact, factors):
+    """Each of its steps gets its part of the polynomial: nothing is lost."""
+    # as with one step for all; the trial's 2.5e-6
+    assert worst(follow(open_oscillator, step=1e-2, stop=10.0, factors=factors), exact) < 3e-6
+
+
+def test_a_kept_linearisation_of_a_linear_system_is_as_good(open_oscillator):
+    """Where nothing changes it does not matter how old it is; the drift is rounding."""
+    fresh, kept = (follow(open_oscillator, step=1e-2, stop=2.0, lag=lag).trace for lag in (1, 7))
+    # rounding of the drift, 1e-16 of accelerations around 1e5, in 200 undamped steps
+    np.testing.assert_allclose(kept["a.x"], fresh["a.x"], rtol=0, atol=1e-9)
+
+
+def test_inputs_that_move_at_lines_keep_the_order(fmus3, exact):
+    """FMI 3.0, with inputs that move at their rates: the line with the same mean and moment, order four."""
+    also = {m: [*STATES[m], RATES[m]] for m in ("mass_a", "mass_b")}
+    lines = oscillator_of(*(telling(fmus3, m, f"{m}_lines", also=also[m]) for m in also))
+    errors = [worst(follow(lines, step=h, stop=10.0), exact) for h in (2e-2, 1e-2)]
+    # a line instead of the cubic acts differently on a linear system from h^4 on, docs/coupling.md
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.2)
+
+
+# ------------------------------------------------------------------ steps that are chosen
+
+
+def test_adaptive_steps_keep_the_tolerance(open_oscillator, exact):
+    """For 1e-5 in under 1000 steps; some are repeated, and nothing of the one before is left then."""
+    result = follow(open_oscillator, step=1e-3, stop=10.0, adaptive=1e-5, record_step=0.1)
+    assert result.card.repeated > 0
+    assert result.card.steps < 1000  # measured 849
+    assert worst(result, exact) < 2e-5  # measured 5e-6: errors of all steps add up, and the estimate is rough
+
+
+@pytest.mark.parametrize("lag", [1, 3])
+def test_a_repeated_step_is_foretold_anew(open_oscillator, monkeypatch, lag):
+    """A step that is computed three times, always as long, ends where it ended at first: nothing is stale."""
+
+    def ends(rejected):
+        verdicts = cycle([False] * rejected + [True])
+        monkeypatch.setattr(Pace, "good", lambda *_: next(verdicts))
+        choices = {"adaptive": 1e-3, "lag": lag, "smallest": 1e-2, "largest": 1e-2}
+        return follow(open_oscillator, step=1e-2, stop=0.5, native=False, **choices)
+
+    once, thrice = ends(0), ends(2)
+    assert (once.card.repeated, thrice.card.repeated) == (0, 2 * once.card.steps)
+    np.testing.assert_array_equal(thrice.trace["a.x"], once.trace["a.x"])
+
+
+# ------------------------------------------------------------------ both loops
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [{}, {"lag": 5}, {"factors": {"b": 3}}, {"adaptive": 1e-5}, {"adaptive": 1e-4, "lag": 4}],
+    ids=str,
+)
+def test_c_and_python_give_the_same_numbers(open_oscillator, choices):
+    """Bit for bit over 1000 steps, and the same steps where they are chosen."""
+    stop = 1.0 if "adaptive" not in choices else 10.0
+    slow, fast = (
+        follow(open_oscillator, step=1e-3, stop=stop, native=native, **choices) for native in (False, True)
+    )
+    assert (slow.card.steps, slow.card.repeated) == (fast.card.steps, fast.card.repeated)
+    assert slow.card.steps >= 300
+    for name, values in slow.trace.signals.items():
+        np.testing.assert_array_equal(fast.trace[name], values)
+
+
+# ------------------------------------------------------------------ what components cannot do
+
+
+def closed(workshop, model):
+    return workshop.make(model, f"{model}_closed", interpolates=workshop.fmi == 2)
+
+
+@pytest.mark.parametrize("which", ["a", "b", "ab"])
+def test_components_that_do_not_tell_are_continued(fmus, exact, which):
+    """What does not tell how it changes is continued from its past; a line on the card names it."""
+    files = {n: (closed if n in which else telling)(fmus, f"mass_{n}") for n in "ab"}
+    result = follow(oscillator_of(**files), step=1e-3, stop=10.0)
+    assert [note.split()[0] for note in result.card.notes if "continued from" in note] == sorted(
+        which, reverse=True
+    )
+    assert worst(result, exact) < 5e-8  # as one pass of hermite, 3e-8; with everything told 7e-10
+
+
+def test_derivatives_that_fail_are_told(fmus):
+    """An FMU that lists its states, but whose derivatives are no numbers, is continued, and said so."""
+    rates = [V("der_y", "local", depends=["u"], derives="y", place=14)]
+    more = {
+        "interpolates": True,
+        "able": {ABLE[2]: "true"},
+        "also": rates,
+        "changes": {"y": {"depends": ["y"]}},
+    }
+    files = {"one": fmus.make("fails", "nan_one", **more), "other": fmus.make("fails", "nan_other", **more)}
+    system = assemble(files, ["one.y -> other.u", "other.y -> one.u"])
+    notes = follow(system, step=0.1, stop=0.5).card.notes
+    assert [note.split()[0] for note in notes if "continued from" in note] == ["one", "other"]
+
+
+# ------------------------------------------------------------------ what leads
+
+
+def test_sources_and_scenarios_lead(fmus):
+    """What depends on no other component steps first; an integrator behind a sine, and behind a ramp."""
+    integrator = fmus.make("fails", "led", interpolates=True)
+    system = assemble({"sum": integrator, "sine": fmus["source"]}, ["sine.y -> sum.u"])
+    errors = []
+    for h in (0.1, 0.05):
+        trace = follow(system, step=h, stop=1.0).trace
+        errors.append(abs(trace["sum.y"][-1] - (1 - np.cos(1.0))))
+    # slopes of the sine are differences of four values, third order: the integral of the cubic, fourth
+    assert np.log2(errors[0] / errors[1]) > 3
+    ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
+    end = run(str(integrator), ramp, master="interface-jacobian", step=0.1).trace["led.y"][-1]
+    assert end == pytest.approx(0.5, abs=1e-12)  # exact for a ramp; rounding of 4000 inner steps
+
+
+def test_what_only_follows_sources_leads(fmus, open_oscillator):
+    """A chain behind a source steps in its order, each with the course of the one before."""
+    files = {"last": closed(fmus, "mass_b"), "middle": closed(fmus, "mass_a"), "first": fmus["source"]}
+    chain = assemble(files, ["middle.force -> last.force", "first.y -> middle.x2"], {"first.omega": 20.0})
+    assert interface_jacobian(chain, Coupling("interface-jacobian")).turns == [2, 1, 0]
+    assert interface_jacobian(open_oscillator, Coupling("interface-jacobian")).outlook.leads == 0
+    coarse, fine = (follow(chain, step=h, stop=1.0) for h in (1e-2, 1e-3))
+    assert coarse.card.notes == fine.card.notes
+    assert not any("continued from" in note for note in coarse.card.notes)
+    # the source tells no slope: its 20 m/s are missed at the start, 2000 N/s h^2 / 12, over 33 rad/s: 5e-4 m
+    np.testing.assert_allclose(coarse.trace["last.x"], fine.trace["last.x"][::10], rtol=0, atol=6e-4)
+
+
+# ------------------------------------------------------------------ choices
+
+
+def test_a_linearisation_is_kept_for_at_least_one_step():
+    """Zero steps are a mistake."""
+    with pytest.raises(Problem, match="lag: expected at least 1 step, got 0"):
+        Coupling("interface-jacobian", lag=0)

@@ -1,0 +1,109 @@
+"""The joined linear system against the exact solution of what it solves."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from orchestrator.coupling.joined import Joined
+from orchestrator.coupling.linear import inverted
+
+
+def random(n, m, seed, direct=True):
+    """A joined system with numbers everywhere; of K C and the rest, the plain matrices."""
+    rng = np.random.default_rng(seed)
+    joined = Joined(n, m)
+    joined.through = direct
+    a, b, c = rng.normal(size=(n, n)) - 2 * np.eye(n), rng.normal(size=(n, m)), rng.normal(size=(m, n))
+    d = 0.3 * rng.normal(size=(m, m)) / m if direct else np.zeros((m, m))
+    joined.a[:, :n], joined.b[:, :n], joined.c[:, :m], joined.d[:, :m] = a.T, b.T, c.T, d.T
+    joined.f[:n], joined.course[:, :m] = rng.normal(size=n), rng.normal(size=(3, m))
+    k = np.linalg.inv(np.eye(m) - d)
+    return joined, (a + b @ k @ c, b @ k, k @ c, k)
+
+
+def exact(joined, matrices, h, q=None, since=0.0):
+    """The change of the inputs up to h/3, 2h/3 and h: states and powers of time as one linear system."""
+    closed, push, told, k = matrices
+    n, m = joined.n, joined.m
+    course = joined.course[:, :m]
+    big = np.zeros((n + 4, n + 4))
+    big[:n, :n], big[:n, n] = closed, joined.f[:n]
+    for power in range(3):  # the columns behind f are for s, s^2 and s^3
+        big[:n, n + 1 + power] = push @ course[power]
+        big[n + 1 + power, n + power] = power + 1
+    if q is not None:
+        big[:n, n + 1] += since * q
+        big[:n, n + 2] += 0.5 * q
+    found = []
+    for s in (h / 3, 2 * h / 3, h):
+        state = (expm(big * s) @ np.eye(n + 4)[n])[:n]
+        found.append(told @ state + k @ (course.T @ [s, s**2, s**3]))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("direct", [False, True])
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (5, 3), (8, 8), (18, 15)])
+def test_the_prediction_converges_with_order_three(n, m, direct):
+    """Three steps of a method of order three: halving the step divides the error of the end by sixteen."""
+    joined, matrices = random(n, m, n, direct)
+    errors = []
+    for h in (0.02, 0.01):
+        joined.join()
+        joined.prepare(h)
+        joined.foretell(0.0)
+        errors.append(np.max(np.abs(joined.v[:, :m] - exact(joined, matrices, h))))
+    # the local error of order three goes with h^4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.3)
+
+
+def test_the_drift_is_what_the_linearisation_missed():
+    """Rates that grow quadratically since the linearisation are continued exactly, but for the method."""
+    joined, matrices = random(4, 2, 1)
+    missed, last, since, h = np.array([3.0, -1.0, 0.5, 2.0]), 0.01, 0.03, 0.01
+    joined.join()
+    joined.f0[:], joined.f[:4] = joined.f, joined.f[:4] + missed * (since**2 - (since - last) ** 2) / 2
+    joined.find_drift(last, since)
+    # rounding
+    np.testing.assert_allclose(joined.q[:4], missed, rtol=1e-10)
+    joined.prepare(h)
+    joined.foretell(since)
+    # the error of the method, h^4 of rates around 10 1/s
+    np.testing.assert_allclose(joined.v[:, :2], exact(joined, matrices, h, missed, since), rtol=0, atol=1e-6)
+
+
+def test_a_stiff_system_comes_to_rest():
+    """Far beyond the fast rates the changes are those of the equilibrium: the method is L-stable."""
+    joined = Joined(2, 2)
+    joined.a[0, 0], joined.a[1, 1] = -1e9, -1e7
+    joined.c[0, 0] = joined.c[1, 1] = 1.0
+    joined.f[:2] = 3e9, -2e7
+    joined.join()
+    joined.prepare(0.1)
+    joined.foretell(0.0)
+    # the stability function falls with one over the fast rate times the step, 1e-6 and less
+    np.testing.assert_allclose(joined.v[:, :2], [[3.0, -2.0]] * 3, rtol=1e-5)
+
+
+def test_connections_without_a_solution_are_no_system():
+    """Outputs that come back as their own inputs, unchanged: any value fits."""
+    joined = Joined(1, 2)
+    joined.through = True
+    joined.d[0, 1] = joined.d[1, 0] = 1.0
+    joined.join()
+    assert not joined.usable
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 18])
+def test_inverse(n):
+    """Matrix times inverse is one, with rows that have to be exchanged."""
+    matrix = np.random.default_rng(n).normal(size=(n, n))
+    np.fill_diagonal(matrix, 0.0 if n > 1 else 2.0)
+    found = matrix.copy()
+    assert inverted(found, np.zeros(n, np.int32))
+    # rounding times the condition of the matrix, below 1e4
+    np.testing.assert_allclose(found @ matrix, np.eye(n), atol=1e-11)
+
+
+def test_no_inverse():
+    """A matrix without one is told."""
+    assert not inverted(np.ones((2, 2)), np.zeros(2, np.int32))
