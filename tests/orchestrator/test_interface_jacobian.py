@@ -1,5 +1,6 @@
 """The master that foretells inputs from the joined linearisations, on the undamped two-mass oscillator."""
 
+from contextlib import closing
 from itertools import cycle
 
 import numpy as np
@@ -9,6 +10,10 @@ from any_fmu.models import RATES, STATES, V
 from orchestrator import Coupling, Problem, Trace, assemble, run
 from orchestrator.coupling.masters.interface_jacobian import interface_jacobian
 from orchestrator.coupling.pace import Pace
+from orchestrator.coupling.tangent import Tangent
+from orchestrator.files.archive import Location
+from orchestrator.slaves.fmu import FmuSlave
+from orchestrator.system.description import read_interface
 
 ABLE = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
 DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
@@ -166,6 +171,56 @@ def test_derivatives_that_fail_are_told(fmus):
     system = assemble(files, ["one.y -> other.u", "other.y -> one.u"])
     notes = follow(system, step=0.1, stop=0.5).card.notes
     assert [note.split()[0] for note in notes if "continued from" in note] == ["one", "other"]
+
+
+# ------------------------------------------------------------------ what FMUs tell
+
+
+def test_states_are_read_from_the_model_structure(fmus, fmus3):
+    """States, their derivatives, and what these and the outputs depend on, in both versions of FMI."""
+    for workshop in (fmus, fmus3):
+        face = read_interface(Location(telling(workshop, "mass_a")))
+        assert face.states == {"x": "der_x", "v": "der_v"}
+        assert face.knowns["der_v"] == {"x2", "x"}
+        assert face.knowns["force"] == {"x2", "x"}
+    silent = read_interface(Location(telling(fmus, "mass_a", "silent", undeclared=True)))
+    assert silent.states == {"x": "der_x", "v": "der_v"}
+    assert silent.knowns["der_v"] is None
+    assert read_interface(Location(fmus["mass_a"])).states == {}
+
+
+@pytest.mark.parametrize(("undeclared", "calls"), [(False, 2), (True, 3)])
+def test_one_call_for_knowns_that_share_nothing(fmus, undeclared, calls):
+    """x and v change different unknowns, so one directional derivative tells both; if that is declared."""
+    fmu = Location(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
+    with closing(FmuSlave("a", read_interface(fmu), fmu)) as slave:
+        slave.setup(0.0, 1.0, None)
+        slave.enter()
+        slave.exit()
+        tangent = Tangent(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
+        assert len(tangent.columns) == calls
+        # x' = v, v' = -10 x + 100 (x2 - x), force = 100 (x2 - x): exact
+        np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])
+
+
+def test_undeclared_dependencies_cost_calls_only(fmus, open_oscillator):
+    """Without declared dependencies the same numbers."""
+    silent = oscillator_of(*(telling(fmus, m, f"{m}_quiet", undeclared=True) for m in ("mass_a", "mass_b")))
+    first, second = (follow(s, step=1e-2, stop=1.0).trace["b.x"] for s in (open_oscillator, silent))
+    # more columns, added up in another order: rounding
+    np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
+
+
+def test_an_algebraic_loop_is_part_of_the_linear_system(fmus):
+    """Two masses whose forces move each other at once: nothing is lost at a step a hundred times as long."""
+    units = {"force": {"depends": DEPENDS["force"], "unit": "m"}}
+    same = {y: {"depends": DEPENDS[y]} for y in ("x", "v")}
+    files = {n: telling(fmus, "mass_a", f"loop_{n}", changes=units | same) for n in "pq"}
+    system = assemble(files, ["p.force -> q.x2", "q.force -> p.x2"], {"p.coupling": 0.5, "q.coupling": 0.3})
+    coarse, fine = (follow(system, step=h, stop=1.0) for h in (1e-1, 1e-3))
+    assert coarse.card.notes[0].startswith("algebraic loop")
+    # 0.33 rad per step of 0.1 s: 1e-6 of the amplitude of 30 m
+    assert coarse.trace["p.x"][-1] == pytest.approx(fine.trace["p.x"][-1], abs=3e-5)
 
 
 # ------------------------------------------------------------------ what leads
