@@ -185,6 +185,7 @@ class Foresight:
 
     # ---- at every step
 
+    @np.errstate(all="ignore")  # what is no number is found out at the end
     def look(self, h: float) -> None:
         """Foretell the inputs over a step of length h; the components that lead have done it."""
         joined = self.joined

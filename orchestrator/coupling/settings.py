@@ -139,6 +139,7 @@ class Coupling:
             more.append("in one pass" if self.passes == 1 else f"in up to {self.passes} passes")
         more += ["with correction"] if self.correct else []
         more += ["with control of the energy"] if self.by_energy else []
+        more += [f"linearised every {self.lag} steps"] if self.lag > 1 else []
         each = [f"{factor} of {name}" for name, factor in self.factors.items() if factor > 1]
         more += [f"with {' and '.join(each)} in each step"] if each else []
         return " ".join([self.master, *more])
