@@ -36,7 +36,7 @@ class Sweep:
         for k, calls in enumerate(newest(network, self.turns)):
             network.parts[k].newest = calls
         for k, name in enumerate(network.slaves):
-            last = self.foresight is not None and k == self.turns[-1]  # then nobody needs it before the others
+            last = self.foresight is not None and k == self.turns[-1]  # nobody waits for it
             network.parts[k].reads = [] if last else network.read_again(name)
 
     def begin(self, t: float) -> None:

@@ -128,8 +128,9 @@ def _needed(description: Any, inputs: Collection[str]) -> set[str]:
 
 def _states(description: Any, variables: Mapping[str, Variable]) -> dict[str, str]:
     """Continuous states and their time derivatives."""
-    found = {u.variable.derivative.name: u.variable.name for u in description.derivatives if u.variable.derivative}
-    complete = len(found) == len(description.derivatives)
+    rates = [u.variable for u in description.derivatives]
+    found = {v.derivative.name: v.name for v in rates if v.derivative}
+    complete = len(found) == len(rates)
     return found if complete and all(name in variables for pair in found.items() for name in pair) else {}
 
 

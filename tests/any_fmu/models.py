@@ -58,7 +58,7 @@ RATES = {  # more of the masses: their input moves at it
     "mass_a": V("x2_rate", "input", "m/s", 0.0, derives="x2"),
     "mass_b": V("force_rate", "input", "N/s", 0.0, derives="force"),
 }
-STATES = {  # more of the masses: time derivatives of their states, which they tell with directional derivatives
+STATES = {  # more of the masses: time derivatives of their states
     "mass_a": [
         V("der_x", "local", "m/s", depends=["v"], derives="x", place=14),
         V("der_v", "local", "m/s2", depends=["x2", "x"], derives="v", place=15),

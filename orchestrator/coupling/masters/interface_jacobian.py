@@ -80,8 +80,8 @@ def _loops(system: System, name: str, heard: frozenset[Port]) -> bool:
 def _needed(system: System, leads: set[int], heard: frozenset[Port]) -> frozenset[str]:
     """Components whose future is to be foretold: they do not lead, and feed one that does not."""
     others = {name for k, name in enumerate(system.components) if k not in leads}
-    makers = {c.source.component for c in system.connections if c.target in heard and c.target.component in others}
-    return frozenset(makers & others)
+    wires = [c for c in system.connections if c.target in heard and c.target.component in others]
+    return frozenset({c.source.component for c in wires} & others)
 
 
 def _tells(face: Interface) -> bool:

@@ -14,7 +14,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-SOURCES = ("calls.c", "driver.c", "foresight.c", "loop.c", "march.c", "pace.c", "signal.c", "sweep.c", "threads.c")
+SOURCES = (
+    *("calls.c", "driver.c", "foresight.c", "loop.c", "march.c", "pace.c", "signal.c", "sweep.c"),
+    "threads.c",
+)
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = (
     *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
