@@ -49,9 +49,10 @@ class Network:
         system: System,
         slaves: Mapping[str, Slave],
         drive: Drive | None = None,
-        probes: Iterable[Port] = (),
+        probes: Iterable[Port] | None = None,
         factors: Mapping[str, int] | None = None,
     ) -> None:
+        """probes: what is wanted beside what connections carry; default: all outputs, all that is exposed."""
         self.system, self.slaves, self.drive = system, slaves, drive
         self.order: Order = output_order(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
@@ -288,21 +289,26 @@ class Network:
         """The bank that holds this port's value."""
         return self.real if self.system.variable(port).is_real else self.whole
 
-    def _place(self, probes: Iterable[Port]) -> tuple[list[tuple[Bank, Block]], list[tuple[Bank, Block]]]:
+    def _place(self, probes: Iterable[Port] | None) -> tuple[list[tuple[Bank, Block]], list[tuple[Bank, Block]]]:
         """Give every output, probe and fed input its place; returns the blocks to read and to set."""
         last = max(self.order.count - 1, 0)
-        outputs = {p: s for p, s in self.order.stages.items() if self.system.variable(p).kind != "String"}
+        wanted = set(self.order.stages if probes is None else probes) | {c.source for c in self.connections}
+        outputs = {p: s for p, s in self.order.stages.items() if p in wanted and self._numeric(p)}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
         for i, (knot, _) in enumerate(self.order.knots):  # in blocks of their own, which no stage touches
             outputs |= {c.source: (TIED - i,) for c in knot.connections}
             inputs |= {c.target: (TIED - i,) for c in knot.connections}
         inputs |= {p: (FIRST,) for p in (self.drive.columns if self.drive else ())}
-        outputs |= {p: (last,) for p in probes if p not in outputs and p not in inputs}
+        more = self.system.exposed if probes is None else probes
+        outputs |= {p: (last,) for p in more if p not in outputs and p not in inputs}
         reads, writes = [], []
         for bank in (self.real, self.whole):
             reads += [(bank, b) for b in bank.add(self.system, self._of(bank, outputs))]
             writes += [(bank, b) for b in bank.add(self.system, self._of(bank, inputs))]
         return reads, writes
+
+    def _numeric(self, port: Port) -> bool:
+        return self.system.variable(port).kind != "String"
 
     def _of(self, bank: Bank, stages: Mapping[Port, tuple[int, ...]]) -> dict[Port, tuple[int, ...]]:
         return {p: s for p, s in stages.items() if self.bank(p) is bank}

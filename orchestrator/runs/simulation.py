@@ -218,8 +218,7 @@ class _Job:
             for name, component in self.system.components.items():
                 slaves[name] = self.open(component)
                 stack.callback(slaves[name].close)
-            probes = self.system.exposed if chosen is None else chosen
-            network = Network(self.system, slaves, self.drive, probes, self.coupling.factors)
+            network = Network(self.system, slaves, self.drive, chosen, self.coupling.factors)
             sweep = Sweep(network, plan(self.system, self.coupling))
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
