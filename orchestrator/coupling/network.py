@@ -238,7 +238,7 @@ class Network:
     ) -> Signal:
         """An input that moves; without `moved` one that is only watched."""
         slave, target = self.slaves[port.component], self.real.index[port]
-        scale = abs(self.system.variable(port).nominal or 1.0)  # the standard says: 1 if not declared
+        scale = abs(self.system.variable(port).nominal or 1.0)  # 1 if not declared, by the standard
         if wire is None:
             return Signal(target, -1, 1.0, 0.0, DRIVEN, NO_SLOPE, slave.follows(port.variable, 1), 1, scale=scale)
         rate = Port(port.component, slave.interface.rates.get(port.variable, ""))
