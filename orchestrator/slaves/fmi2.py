@@ -24,7 +24,7 @@ TYPES: dict[str, Any] = {
 
 
 class Fmi2:
-    """See `orchestrator.slaves.fmu.Standard`."""
+    """See `orchestrator.slaves.standard.Standard`."""
 
     prefix, state, thaw, slopes = "fmi2", "FMUstate", "DeSerialize", "GetRealOutputDerivatives"
     types = TYPES

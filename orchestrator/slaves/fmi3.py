@@ -28,7 +28,7 @@ TYPES: dict[str, Any] = {
 
 
 class Fmi3:
-    """See `orchestrator.slaves.fmu.Standard`."""
+    """See `orchestrator.slaves.standard.Standard`."""
 
     prefix, state, thaw, slopes = "fmi3", "FMUState", "Deserialize", "GetOutputDerivatives"
     types = TYPES
