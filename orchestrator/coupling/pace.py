@@ -45,7 +45,7 @@ class Pace:
         return room / 2.0 if 2.0 * self.h > room else self.h
 
     def good(self, e: float, h: float) -> bool:
-        """Judge the step of length h [s] with the error e, a share of the tolerance; False: to be repeated."""
+        """Judge the step of length h [s] with the error e, a share of the tolerance; False: repeat it."""
         c = min(max(e, TINY), HUGE) / SAFETY**self.power if isfinite(e) else HUGE
         k = float(self.power)
         if not e <= 1.0 and self.repeats and h > self.smallest:
@@ -62,8 +62,3 @@ class Pace:
         self.h = min(max(fresh, self.smallest), self.largest)
         self.before = c
         return True
-
-    def shorter(self, h: float) -> None:
-        """An FMU could not do the last step: try h [s]."""
-        self.h = max(h, self.smallest)
-        self.before = 0.0

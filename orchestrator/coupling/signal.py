@@ -107,7 +107,7 @@ class Signal:
         self.returned = 0.0
 
     def _straight(self, h: float) -> bool:
-        """A free source that has the slope of its chord at one end went straight; the other end is a corner."""
+        """A free source with the slope of its chord at one end went straight; the other end is a corner."""
         if not self.free:
             return False
         chord = (self.value1 - self.value) / h

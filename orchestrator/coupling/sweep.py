@@ -90,7 +90,7 @@ class Sweep:
         return worst
 
     def power_error(self, h: float) -> float:
-        """The same as power: what the errors of effort and flow of a bond amount to, as a share, the worst."""
+        """The same as power: what the errors of effort and flow of the worst bond amount to, as a share."""
         worst, repeated = 0.0, self.plan.passes > 1
         for effort, flow in self.network.bonds:
             power = effort.value1 * flow.deviation(h, repeated) - flow.value1 * effort.deviation(h, repeated)

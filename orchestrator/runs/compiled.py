@@ -107,7 +107,7 @@ class Compiled(March):
         """Called from C: what to do after a status that is not OK."""
         try:
             if status == layout.WITHDRAWN:
-                self._withdraw()
+                self._withdraw(self._run.t)
             elif where in self._judges:
                 self._judges[where].judge(status)
             else:

@@ -114,6 +114,7 @@ class March:
         monitor.stepped(h)
         network.settle(self.t, h)
         if self._pace is not None and not self._pace.good(self._error(h) / self._tolerance, h):
+            self._withdraw(self.t)
             network.restore(self.t)
             return False
         self._sweep.accept(h)
@@ -125,17 +126,18 @@ class March:
 
     def _go_back(self, reached: float, h: float) -> bool:
         """To the beginning of a step that an FMU did only the first part of, `reached` [s] long."""
-        shorter = reached if LEAST * h < reached < h else 0.5 * h
+        shorter = reached if LEAST * h < min(reached, h - reached) else 0.5 * h  # neither part is noise
         if not self.goes_back or shorter <= LEAST * self._times.step:
             return False
-        self._withdraw()
+        self._withdraw(self.t)
         self._network.restore(self.t)
         self._shorter = shorter
         return True
 
-    def _withdraw(self) -> None:
-        """Forget what the FMUs said and returned in a step that is repeated."""
+    def _withdraw(self, t: float) -> None:
+        """Forget what the FMUs said and returned in the step from t [s] on, which is repeated."""
         for slave in self._network.slaves.values():
+            slave.log.time = t
             slave.resume()
 
 

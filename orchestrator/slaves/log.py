@@ -67,8 +67,8 @@ class Log:
         self.messages.append(Message(self.time, self.component, label, " ".join(text.split()), self.clock[1]))
 
     def withdraw(self) -> None:
-        """Forget the messages of a step that is going to be repeated."""
-        self.messages = [m for m in self.messages if m.step != self.clock[1]]
+        """Forget the messages of steps from the last communication point on, which are to be repeated."""
+        self.messages = [m for m in self.messages if not m.step >= self.time]
 
     def last(self, count: int = 3) -> str:
         """The last messages of the latest step, or its errors, as one line to end an error with."""

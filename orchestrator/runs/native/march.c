@@ -67,8 +67,9 @@ static int settle(Run *run, double h) {
     return verdict;
 }
 
-/* Back to the beginning of the step. */
+/* Back to the beginning of the step, as if it had not been tried. */
 static int go_back(Run *run) {
+    run->judge(0, 0, WITHDRAWN);
     memcpy(run->real, run->real_kept, (size_t)run->reals * sizeof *run->real);
     memcpy(run->whole, run->whole_kept, (size_t)run->wholes * sizeof *run->whole);
     for (int32_t k = 0; k < run->part_count; k++) {
@@ -83,10 +84,9 @@ static int go_back(Run *run) {
 static int discarded(Run *run, double h) {
     static const double least = 1e-9;
     const double reached = run->reached - run->t;
-    const double shorter = least * h < reached && reached < h ? reached : 0.5 * h;
+    const double shorter = least * h < smaller(reached, h - reached) ? reached : 0.5 * h;
     if (!run->goes_back || shorter <= least * run->step) return STOP;
     run->shorter = shorter;
-    run->judge(0, 0, WITHDRAWN);
     return go_back(run);
 }
 
