@@ -187,7 +187,7 @@ def test_failures_lose_nothing(each, both, where, how):
     Of an FMU with a fatal error nothing is called any more.
     """
     if where == "SetSlope" and each.fmi == 3:
-        return  # has no such function
+        pytest.skip("FMI 3.0 has no such function")
     outcome = both(circle(each, "failing", when=0.45, how=how, where=WHERE[where]), master=HERMITE)
     word = {"DoStep": "the step"}.get(where, f"q: fmi{each.fmi}")
     status = {DISCARD: "discard", FAULT: "error", FATAL: "fatal"}[how]

@@ -226,7 +226,7 @@ START = """
 import sys, threading, time, signal
 from orchestrator import Interrupted, assemble, run
 from orchestrator.coupling.settings import Coupling
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off for what it starts
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """
 LONG = (

@@ -21,6 +21,7 @@ def test_every_master_has_a_name_and_an_order():
         ({"master": "euler"}, "unknown master 'euler', expected one of jacobi, "),
         ({"order": 4}, "order of extrapolation: expected 0, 1, 2 or 3, got 4"),
         ({"master": "hermite", "passes": 0}, "passes: expected at least 1, got 0"),
+        ({"master": "interface-jacobian", "lag": 0}, "lag: expected at least 1 step, got 0"),
         (
             {"master": "hermite", "tolerance": 0.0},
             "coupling tolerance: expected a positive number, got 0",
