@@ -20,6 +20,8 @@ PLAIN = {
 SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3)}
 # where slopes are exchanged and steps repeated
 LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN}
+LARGEST = {case: (5e-3, 1e-2, 2e-2, 4e-2) for case in ("wired", "cut")}
+LAGGED = Coupling("interface-jacobian", lag=5)
 ONE_PASS = {case: (1e-3, 2e-3, 5e-3, 8e-3, 1e-2) for case in PLAIN}
 ONCE = {case: (USUAL,) for case in PLAIN}
 
@@ -66,5 +68,6 @@ OURS = (
         "2 passes, FMUs at 1e-3", "ours", LARGE, {"master": Coupling("hermite", passes=2), "tolerance": 1e-3}
     ),
     Setting("interface-jacobian", "ours", LARGE, {"master": "interface-jacobian"}),
+    Setting("lag 5, FMUs at 1e-4", "ours", LARGEST, {"master": LAGGED, "tolerance": 1e-4}),
 )
 SETTINGS = PEERS + OURS
