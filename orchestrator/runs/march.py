@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 
 from orchestrator.coupling.grid import Grid
 from orchestrator.coupling.network import Network
 from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Discarded
-from orchestrator.runs import native
 from orchestrator.runs.energy import Monitor
 from orchestrator.runs.recorder import BLOCK, Recorder
 
@@ -139,16 +137,3 @@ class March:
         for slave in self._network.slaves.values():
             slave.log.time = t
             slave.resume()
-
-
-def marching(fast: bool, network: Network, *others: object) -> March:
-    """A run that is ready to begin: in C if that is wanted and possible, else in Python."""
-    from orchestrator.runs.compiled import Compiled
-
-    library = native.library() if fast else None
-    if fast and not isinstance(library, str):
-        with suppress(TypeError):
-            return Compiled(network, *others)  # type: ignore[arg-type]
-    march = March(network, *others)  # type: ignore[arg-type]
-    march.notes = (library,) if isinstance(library, str) else ()
-    return march

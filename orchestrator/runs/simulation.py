@@ -23,7 +23,8 @@ from orchestrator.files.trace import Trace, read
 from orchestrator.runs.card import Card, compare
 from orchestrator.runs.energy import Monitor
 from orchestrator.runs.interrupts import Interrupts
-from orchestrator.runs.march import March, marching
+from orchestrator.runs.march import March
+from orchestrator.runs.marching import marching
 from orchestrator.runs.progress import Progress
 from orchestrator.runs.recorder import Recorder
 from orchestrator.slaves.log import Message
