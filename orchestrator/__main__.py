@@ -8,8 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
+from orchestrator.commands.coupled import Coupled
 from orchestrator.commands.interrupt import ends_clean
-from orchestrator.commands.options import Case, Coupled, Steps, Swap, System, seconds
+from orchestrator.commands.options import Case, Steps, Swap, System
+from orchestrator.commands.reading import seconds
 from orchestrator.commands.spread import spread
 from orchestrator.commands.texts import swaps
 from orchestrator.errors import Problem

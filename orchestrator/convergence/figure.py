@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,51 +10,22 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from orchestrator.convergence.lines import Line, lines_of
+from orchestrator.convergence.names import name, room
 from orchestrator.convergence.study import Row, Study
 from orchestrator.validation.figures import PALETTE, frame
 
-# One colour for each family, different in hue and in lightness (Okabe and Ito, darkened).
-COLOURS = {"plain": "#c2341d", "jacobi": "#c98500", "gauss-seidel": "#00735a", "hermite": "#0b5fa5"}
-COLOURS |= {"own steps": "#8f3f8f"}
-OTHER = "#333333"
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))  # within a family
 MARKERS = ("o", "s", "^", "D")
-ALIKE = 0.01  # settings whose errors differ by less share a line
 SIZE = (8.4, 5.2)  # [in]
-APART = 0.034  # of the height of the picture, between two names
-LETTER = 0.0062  # width of a letter of a name, of the width of the picture
 TRIANGLES = (1, 2, 4)  # orders
-LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1.0, "shrinkB": 3.0}
-
-
-@dataclass(eq=False)
-class Line:
-    """The rows of one setting, or of several that give the same."""
-
-    names: list[str]
-    rows: list[Row]
-    colour: str
-    place: int  # in its family
-
-    stable: list[Row] = field(init=False)
-    lost: list[Row] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.stable = [row for row in self.rows if row.stable]
-        self.lost = [row for row in self.rows if not row.stable and not row.refused]
-
-    @property
-    def name(self) -> str:
-        """The settings, a common first word told once."""
-        first = self.names[0].split()[0]
-        return ", ".join([self.names[0], *(n.removeprefix(f"{first} ") for n in self.names[1:])])
 
 
 def draw_error(study: Study, group: str | None = None) -> Figure:
     """Error over step, of the worst signal of a group; the first group unless one is named."""
     chosen = group or next(iter(study.truth.groups))
     figure, axes = _figure(study, chosen)
-    lines = _lines(study, chosen)
+    lines = lines_of(study, chosen)
     drawn = [line for line in lines if line.stable]
     for line in drawn:
         _plot(axes, line, lambda row: 1e3 * row.mean_step, chosen)
@@ -64,11 +33,11 @@ def draw_error(study: Study, group: str | None = None) -> Figure:
     steps = [1e3 * step for step in study.steps]
     axes.set_xticks(steps, [f"{step:g}" for step in steps])
     steps = sorted([*steps, *(1e3 * row.mean_step for line in drawn for row in line.stable)])
-    axes.set_xlim(steps[0] / (1.5 * steps[-1] / steps[0]) ** _room(drawn), steps[-1] * 1.35)
+    axes.set_xlim(steps[0] / (1.5 * steps[-1] / steps[0]) ** room(drawn), steps[-1] * 1.35)
     _losses(axes, lines, chosen)
     _triangles(axes, steps)
     ends = {line: (1e3 * line.stable[0].mean_step, line.stable[0].error(chosen)) for line in drawn}
-    _name(axes, ends, left=True)
+    name(axes, ends, left=True)
     return figure
 
 
@@ -76,16 +45,16 @@ def draw_work(study: Study, group: str | None = None) -> Figure:
     """Error over wall time for each second simulated: lower left is better."""
     chosen = group or next(iter(study.truth.groups))
     figure, axes = _figure(study, chosen)
-    drawn = [line for line in _lines(study, chosen) if line.stable]
+    drawn = [line for line in lines_of(study, chosen) if line.stable]
     for line in drawn:
         _plot(axes, line, lambda row: 1e3 * row.cost, chosen)
     axes.set_xlabel("wall time [ms] for each second simulated", color=PALETTE.ink)
     costs = [1e3 * row.cost for line in drawn for row in line.stable]
     if costs:
-        axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** _room(drawn))
+        axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** room(drawn))
         axes.set_xticks(_round(*axes.get_xlim()), [f"{tick:g}" for tick in _round(*axes.get_xlim())])
     ends = {line: (1e3 * line.stable[0].cost, line.stable[0].error(chosen)) for line in drawn}
-    _name(axes, ends, left=False)
+    name(axes, ends, left=False)
     return figure
 
 
@@ -100,30 +69,6 @@ def _figure(study: Study, group: str) -> tuple[Figure, Axes]:
     axes.set_ylabel(f"worst {group}, root mean square error over range", color=PALETTE.ink)
     axes.set_title(f"against: {study.truth.title}", loc="left", fontsize=9, color=PALETTE.faint)
     return figure, axes
-
-
-def _lines(study: Study, group: str) -> list[Line]:
-    """One for each setting; those that give the same as one before share its line."""
-    lines: list[Line] = []
-    count: dict[str, int] = {}
-    for setting in study.settings:
-        rows = study.of(setting)
-        twin = next((line for line in lines if _alike(line.rows, rows, group)), None)
-        if twin is not None:
-            twin.names.append(setting.label)
-            continue
-        place = count.get(setting.family, 0)
-        count[setting.family] = place + 1
-        lines.append(Line([setting.label], rows, COLOURS.get(setting.family, OTHER), place))
-    return lines
-
-
-def _alike(first: Sequence[Row], second: Sequence[Row], group: str) -> bool:
-    """The same steps, stable at the same ones, with the same errors there."""
-    if [(r.mean_step, r.stable) for r in first] != [(r.mean_step, r.stable) for r in second]:
-        return False
-    pairs = [(a.error(group), b.error(group)) for a, b in zip(first, second, strict=True) if a.stable]
-    return bool(pairs) and all(abs(a - b) <= ALIKE * max(a, b) for a, b in pairs)
 
 
 def _plot(axes: Axes, line: Line, x: Callable[[Row], float], group: str) -> None:
@@ -190,54 +135,7 @@ def _triangles(axes: Axes, steps: Sequence[float]) -> None:
         right = left / 1.08
 
 
-def _room(lines: Sequence[Line]) -> float:
-    """For the names, as a share of the width of what is drawn beside them."""
-    width = 0.05 + LETTER * max((len(line.name) for line in lines), default=0)
-    return width / (1 - width)
-
-
 def _round(low: float, high: float) -> list[float]:
     """1, 2 and 5 times powers of ten between two numbers."""
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     return [tick for p in powers for k in (1, 2, 5) if low <= (tick := k * 10.0**p) <= high]
-
-
-def _name(axes: Axes, ends: Mapping[Line, tuple[float, float]], left: bool) -> None:
-    """The name of each line beside its end, moved up or down where names would touch."""
-    to_axes = (axes.transData + axes.transAxes.inverted()).transform
-    at = {line: to_axes(end) for line, end in ends.items()}
-    lines = sorted(at, key=lambda line: float(at[line][1]))
-    heights = _apart([float(at[line][1]) for line in lines])
-    edge = (
-        min((float(x) for x, _ in at.values()), default=0.0)
-        if left
-        else max((float(x) for x, _ in at.values()), default=0.0)
-    )
-    x = edge - 0.03 if left else edge + 0.03
-    for line, height in zip(lines, heights, strict=True):
-        axes.annotate(
-            line.name,
-            tuple(at[line]),
-            (x, height),
-            xycoords="axes fraction",
-            textcoords="axes fraction",
-            ha="right" if left else "left",
-            va="center",
-            fontsize=8,
-            color=line.colour,
-            arrowprops=LEADER | {"color": line.colour, "relpos": (1.0 if left else 0.0, 0.5)},
-        )
-
-
-def _apart(heights: Sequence[float]) -> list[float]:
-    """Increasing heights, moved as little as needed to stand apart and inside the picture."""
-    found = np.array(heights)
-    for _ in range(400):
-        for i in range(len(found) - 1):
-            short = APART - (found[i + 1] - found[i])
-            if short > 0:
-                found[i] -= short / 2
-                found[i + 1] += short / 2
-        found = np.clip(found, 0.02 + APART * np.arange(len(found)), None)
-        found = np.clip(found, None, 0.98 - APART * np.arange(len(found))[::-1])
-    return [float(height) for height in found]
