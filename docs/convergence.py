@@ -15,7 +15,7 @@ from pathlib import Path
 
 from orchestrator.convergence import Study, draw_error, draw_work, markdown
 from orchestrator.convergence.command import convergence
-from orchestrator.convergence.table import cost, maximum, nrmse
+from orchestrator.convergence.table import cost, maximum, nrmse, own_steps
 from orchestrator.validation.figures import png
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,6 +50,9 @@ def main() -> None:
     for group in ("speed", "pressure"):
         fill(PAGE, f"work cycle, {group}", markdown(nrmse(cycle, group)))
     fill(PAGE, "work cycle, cost", markdown(cost(cycle)))
+    for name, study in (("work cycle", cycle), ("M1", benchmark)):
+        if chosen := own_steps(study):
+            fill(PAGE, f"{name}, own steps", markdown(chosen))
     for document in (PAGE, EXAMPLE / "README.md"):
         fill(document, "M1, pressure", markdown(nrmse(benchmark, "pressure")))
         fill(document, "M1, length", markdown(maximum(benchmark, "position")))

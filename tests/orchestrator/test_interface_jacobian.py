@@ -58,11 +58,11 @@ def follow(system, **choices):
 
 
 def test_order_four(open_oscillator, exact):
-    """Halving the step divides the error by sixteen, and the errors are those of the trial."""
+    """Halving the step divides the error by sixteen, and the errors are those of exact components."""
     errors = [worst(follow(open_oscillator, step=h, stop=10.0), exact) for h in (2e-2, 1e-2, 5e-3)]
     # measured 4.02 and 3.99: the cubic through thirds of the step, and the method in between
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx(4, abs=0.1)
-    assert errors[1] < 3e-6  # the trial, with exact components: 2.5e-6
+    assert errors[1] < 3e-6  # 2.5e-6 with components that are solved exactly
 
 
 def test_far_better_than_one_pass_of_hermite(open_oscillator, exact):
@@ -75,7 +75,7 @@ def test_far_better_than_one_pass_of_hermite(open_oscillator, exact):
 @pytest.mark.parametrize("factors", [{"a": 3}, {"b": 4}, {"a": 2, "b": 5}])
 def test_components_with_steps_of_their_own(open_oscillator, exact, factors):
     """Each of its steps gets its part of the polynomial: nothing is lost."""
-    # as with one step for all; the trial's 2.5e-6
+    # as with one step for all: 2.5e-6
     assert worst(follow(open_oscillator, step=1e-2, stop=10.0, factors=factors), exact) < 3e-6
 
 
