@@ -1,78 +1,26 @@
-"""One call that runs a system: open the FMUs, initialise, step, record, judge, close."""
+"""One call that runs a system: what the user gave becomes a system, a time grid and a job."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.coupling.drive import Drive, drive
-from orchestrator.coupling.grid import Grid, free_grid, grid
-from orchestrator.coupling.initialise import initialise
-from orchestrator.coupling.masters import plan
-from orchestrator.coupling.network import Network
-from orchestrator.coupling.pace import Pace
-from orchestrator.coupling.remarks import remarks
+from orchestrator.coupling.grid import free_grid, grid
 from orchestrator.coupling.settings import Coupling
-from orchestrator.coupling.sweep import Sweep
-from orchestrator.errors import Ended, Problem
+from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
-from orchestrator.runs.card import Card, compare
-from orchestrator.runs.energy import Monitor
-from orchestrator.runs.interrupts import Interrupts
-from orchestrator.runs.march import March
-from orchestrator.runs.marching import marching
-from orchestrator.runs.progress import Progress
-from orchestrator.runs.recorder import Recorder
-from orchestrator.slaves.log import Message
+from orchestrator.runs.estimate import estimated
+from orchestrator.runs.job import Job, Opener
+from orchestrator.runs.result import Interrupted, Result, RunFailed
 from orchestrator.slaves.slave import Slave
-from orchestrator.system.bonds import Bond, find_bonds, named_bond
 from orchestrator.system.interface import Value
 from orchestrator.system.parameters import with_sets
 from orchestrator.system.system import Component, System
 
-CAUTIOUS = 1e-3  # of the first adaptive step, where it cannot be repeated and so has to be good at once
-
-Opener = Callable[[Component], Slave]
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a run leaves behind.
-
-    trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
-    card       the accuracy card
-    messages   what the FMUs logged
-    coupling   all choices about it
-    complete   False when the run ended early; the trace then holds what was recorded until there. A run that
-               an FMU asked to end is complete, and has a note that says so
-    """
-
-    system: System
-    trace: Trace
-    card: Card
-    messages: tuple[Message, ...] = ()
-    complete: bool = True
-    coupling: Coupling = field(default_factory=Coupling)
-
-
-class RunFailed(Problem):
-    """A run that ended early because of a problem; `result` holds what was recorded."""
-
-    def __init__(self, problem: Problem, result: Result) -> None:
-        super().__init__(str(problem))
-        self.result = result
-
-
-class Interrupted(KeyboardInterrupt):
-    """A run that the user stopped; `result` holds what was recorded."""
-
-    def __init__(self, result: Result) -> None:
-        super().__init__()
-        self.result = result
+__all__ = ["Interrupted", "Result", "RunFailed", "open_slave", "run"]  # what a caller of `run` needs
 
 
 def open_slave(component: Component) -> Slave:
@@ -150,34 +98,9 @@ def run(
         times = grid(whole, trace, step, *span)
     else:
         times = free_grid(whole, trace, step, *span, driven[0].table.corners() if driven else ())
-    job = _Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, native, open)
+    job = Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, native, open)
     result = job.run(times, progress)
-    return replace(result, card=_estimate(job, times, result, progress)) if error_estimate else result
-
-
-def _estimate(job: _Job, times: Grid, result: Result, progress: bool) -> Card:
-    """The card of a complete run with error estimates; what happens to the other runs does not harm it."""
-    if times.free:
-        note = "no error estimate: two adaptive runs only meet at the points of a record step, give one"
-        return replace(result.card, notes=(*result.card.notes, note))
-    adaptive = job.coupling.adaptive is not None
-    try:
-        finer = (job.stricter(), times) if adaptive else (job, times.finer())
-        fine, coarse = finer[0].run(finer[1], progress).trace, None
-        if not adaptive and times.steps >= 4:
-            with suppress(RunFailed):
-                coarse = job.run(times.coarser(), progress).trace
-    except RunFailed as failed:
-        which = "a tenth of the tolerance" if adaptive else "half the step"
-        note = f"no error estimate, the run at {which} failed: {failed}"
-        return replace(result.card, notes=(*result.card.notes, note))
-    except Interrupted:
-        raise Interrupted(result) from None
-    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-    shown = result.trace.select(name for name in nominals if name in result.trace.signals)
-    errors = compare(fine, shown, coarse, nominals)
-    told = () if errors else ("no error estimate: no output moves",)
-    return replace(result.card, errors=errors, notes=(*result.card.notes, *told))
+    return replace(result, card=estimated(job, times, result, progress)) if error_estimate else result
 
 
 def _scenario(system: System, scenario: Trace | str | Path | Location | None) -> tuple[Drive, Trace] | None:
@@ -186,151 +109,3 @@ def _scenario(system: System, scenario: Trace | str | Path | Location | None) ->
     trace = scenario if isinstance(scenario, Trace) else read(scenario)
     label = "scenario" if isinstance(scenario, Trace) else str(scenario)
     return drive(system, trace, label), trace
-
-
-def _check_single(system: System) -> None:
-    """Refuse two instances of an FMU that can have only one."""
-    seen: dict[tuple[str, str], str] = {}
-    for name, component in system.components.items():
-        face = component.interface
-        if face.only_one and (other := seen.setdefault((face.guid, face.identifier), name)) != name:
-            raise Problem(f"{other} and {name}: expected one instance, their FMU can have no more, got two")
-
-
-@dataclass
-class _Job:
-    """One system and one way to run it, on any time grid."""
-
-    system: System
-    drive: Drive | None
-    coupling: Coupling
-    record: Sequence[str] | None
-    bonds: Iterable[tuple[str, str]] | None
-    tolerance: float | None
-    native: bool
-    open: Opener
-
-    def run(self, times: Grid, progress: bool) -> Result:
-        """Open all FMUs, run, close them whatever happens."""
-        chosen = None if self.record is None else [self.system.port(name) for name in self.record]
-        _check_single(self.system)
-        with ExitStack() as stack:
-            slaves: dict[str, Slave] = {}
-            for name, component in self.system.components.items():
-                slaves[name] = self.open(component)
-                stack.callback(slaves[name].close)
-            network = Network(self.system, slaves, self.drive, chosen, self.coupling.factors)
-            sweep = Sweep(network, plan(self.system, self.coupling))
-            driven = self.drive.initial(self.system, times.start) if self.drive else {}
-            initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
-            sweep.begin(times.start)
-            monitor = Monitor(network, self._bonds())
-            recorder = Recorder(network, times, chosen)
-            bar = stack.enter_context(Progress(times.stop - times.start, progress))
-            notes = (*remarks(network, sweep.plan, self.coupling), *sweep.notes)
-            loop = _Loop(network, recorder, monitor, times, bar, notes)
-            stack.callback(network.forget)
-            march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
-            stack.callback(march.close)
-            return self._judge(loop, march)
-
-    def stricter(self) -> _Job:
-        """An adaptive run with a tenth of the tolerance."""
-        c = self.coupling
-        assert c.adaptive is not None
-        passes = None if c.tolerance is None else c.tolerance / 10
-        return replace(self, coupling=replace(c, adaptive=c.adaptive / 10, tolerance=passes))
-
-    def _pace(self, sweep: Sweep, times: Grid) -> tuple[Pace | None, bool, float]:
-        """What chooses the steps of an adaptive run, whether it looks at the energy, and the tolerance."""
-        c = self.coupling
-        if c.adaptive is None:
-            return None, False, 1.0
-        if c.by_energy and not sweep.network.bonds:
-            wanted = "a power bond with inputs that may move on both sides"
-            raise Problem(f"control of the energy: expected {wanted}, got none")
-        faces = {name: component.interface for name, component in self.system.components.items()}
-        if even := [name for name, face in faces.items() if not face.varies]:
-            told = f"{', '.join(even)}: the FMU takes steps of one length only"
-            raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {told}")
-        rolls = all(face.rollback for face in faces.values())
-        first = times.first if rolls else CAUTIOUS * times.first
-        pace = Pace(first, sweep.power, *c.limits, rolls)
-        return pace, c.by_energy, c.adaptive
-
-    def _left_out(self) -> tuple[str, ...]:
-        faces = {name: c.interface for name, c in self.system.components.items()}
-        return tuple(f"{name}: {face.left_out}" for name, face in faces.items() if face.refused)
-
-    def _bonds(self) -> list[Bond]:
-        if self.bonds is None:
-            return find_bonds(self.system)
-        return [named_bond(self.system, *pair) for pair in self.bonds]
-
-    def _judge(self, loop: _Loop, march: March) -> Result:
-        """Run, and make a result of it even when it ends early."""
-        began = time.perf_counter()
-        try:
-            with Interrupts() as interrupts:
-                march.look = interrupts.look
-                loop.go(march)
-        except KeyboardInterrupt:
-            raise Interrupted(self._result(loop, march, began, False)) from None
-        except Ended as wish:
-            loop.notes += (f"the run ends early: {wish}",)
-        except Problem as problem:
-            raise RunFailed(problem, self._result(loop, march, began, False)) from problem
-        return self._result(loop, march, began, True)
-
-    def _result(self, loop: _Loop, march: March, began: float, complete: bool) -> Result:
-        logs = [s.log for s in loop.network.slaves.values()]
-        trace = loop.recorder.trace(list(self.system.outputs.values()))
-        reached = march.t - loop.times.start
-        card = Card(
-            master=self.coupling.text,
-            step=loop.times.step if self.coupling.adaptive is None else reached / max(march.steps, 1),
-            record_step=loop.times.every * loop.times.step if not loop.times.free else 0.0,
-            steps=march.steps,
-            simulated=reached,
-            passes=march.passes,
-            repeated=march.repeated,
-            lengths=(march.shortest, march.longest),
-            adaptive=self.coupling.adaptive,
-            wall=time.perf_counter() - began,
-            bonds=tuple(loop.monitor.energies()),
-            warnings=tuple(line for log in logs for line in log.warnings(trace)),
-            inside={name: slave.busy for name, slave in loop.network.slaves.items()},
-            notes=(
-                *(self.system.notes + self._left_out() + loop.network.notes),
-                *(loop.times.notes + march.notes + loop.notes),
-            ),
-        )
-        messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
-        return Result(self.system, trace, card, tuple(messages), complete, self.coupling)
-
-
-@dataclass
-class _Loop:
-    """The loop over the communication steps."""
-
-    network: Network
-    recorder: Recorder
-    monitor: Monitor
-    times: Grid
-    bar: Progress
-    notes: tuple[str, ...]
-
-    def go(self, march: March) -> None:
-        """From the start to the stop time; the recorder sees the first instant and every step."""
-        march.begin()
-        self.recorder.settle()
-        while march.done < self.times.steps:
-            try:
-                march.block()
-            except Problem:
-                self.recorder.settle()  # a number that is not finite may be why a later step failed
-                raise
-            self.recorder.settle()
-            if self.monitor.full:
-                self.monitor.sum()
-            self.bar.update(march.t - self.times.start)
