@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.coupling.drive import Drive
+from orchestrator.coupling.wiring import Wiring
 from orchestrator.system.system import Port
-
-if TYPE_CHECKING:
-    from orchestrator.coupling.network import Network
 
 
 class Driver:
@@ -24,20 +20,20 @@ class Driver:
     held     places of the driven inputs that are no Real numbers
     """
 
-    def __init__(self, network: Network, drive: Drive) -> None:
+    def __init__(self, wiring: Wiring, drive: Drive) -> None:
         self.table = drive.table
         self.writers = [
-            network.writer(bank, b)
-            for bank in (network.real, network.whole)
+            wiring.writer(bank, b)
+            for bank in (wiring.real, wiring.whole)
             for b in bank.blocks
             if any(p in drive.columns for p in b.ports)
         ]
-        self.moving = [p for p in drive.columns if network.system.variable(p).is_continuous]
-        held = [p for p in drive.columns if not network.system.variable(p).is_real]
+        self.moving = [p for p in drive.columns if wiring.system.variable(p).is_continuous]
+        held = [p for p in drive.columns if not wiring.system.variable(p).is_real]
         steady = [p for p in drive.columns if p not in self.moving and p not in held]
-        self._real, self._whole = network.real.values, network.whole.values
-        self.targets, self.steady = network.real.places(self.moving), network.real.places(steady)
-        self.held = network.whole.places(held)
+        self._real, self._whole = wiring.real.values, wiring.whole.values
+        self.targets, self.steady = wiring.real.places(self.moving), wiring.real.places(steady)
+        self.held = wiring.whole.places(held)
         self.columns = self._column(drive, self.moving)
         self.steady_columns, self.held_columns = self._column(drive, steady), self._column(drive, held)
         self.factor, self.offset = self._map(drive, self.moving)
