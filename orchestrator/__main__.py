@@ -190,11 +190,11 @@ def validate(
 ) -> None:
     """Co-simulate and compare with a reference. Writes a report; exit status 1 if a limit is missed."""
     from fmus.build import data
-    from orchestrator.commands import commands
+    from orchestrator.commands.validate import validate as judged
 
     usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given()}
-    if not commands.validate(system, case.scenario, reference, layout, out, usual=usual, **options):
+    if not judged(system, case.scenario, reference, layout, out, usual=usual, **options):
         raise typer.Exit(1)
 
 

@@ -15,7 +15,7 @@ from fmus.machine import ALL, FAMILIES
 from fmus.poses import POSES
 from orchestrator import read
 from orchestrator.__main__ import main
-from orchestrator.commands import commands
+from orchestrator.commands import validate
 
 REFERENCE = data("reference/work_cycle.csv")
 
@@ -24,7 +24,7 @@ REFERENCE = data("reference/work_cycle.csv")
 def here(tmp_path, monkeypatch, fmu_dir):
     """A working directory with build/harvester.ssp; no ISO rating, whose library takes seconds to start."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(commands, "validate", partial(commands.validate, rate=False))
+    monkeypatch.setattr(validate, "validate", partial(validate.validate, rate=False))
     (tmp_path / "build").mkdir()
     shutil.copy(fmu_dir / "harvester.ssp", "build")
     return tmp_path

@@ -13,6 +13,7 @@ from orchestrator.coupling.initialise import initialise
 from orchestrator.coupling.linear import factorised, solve
 from orchestrator.coupling.settings import Coupling
 from orchestrator.files.archive import Location
+from orchestrator.runs.native import library
 from orchestrator.runs.simulation import RunFailed, open_slave
 from orchestrator.slaves.fmu import FmuSlave
 from orchestrator.system.dependencies import output_order
@@ -22,6 +23,12 @@ from orchestrator.system.description import read_interface
 CLOSE = 1e-9
 MUTE = {"maxOutputDerivativeOrder": 0}
 PAIR = ["p.y -> q.u", "q.y -> p.u"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """Where a loop in C is compared with the one in Python there is one."""
+    assert not isinstance(library(), str)
 
 
 @pytest.fixture(params=[False, True], ids=["differences", "directional"])
