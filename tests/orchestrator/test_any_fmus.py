@@ -312,6 +312,15 @@ def test_a_step_done_in_part_ends_the_run_where_one_cannot_repeat_it(each, both,
     assert "with status discard (the FMU got as far as t = 0.03 s)" in outcome.error
 
 
+@pytest.mark.parametrize("longest", [0.0, 0.03])
+def test_messages_are_those_of_the_steps_that_stand(each, both, longest):
+    """One for each, in time, where steps are rejected and where another FMU does only a part of them."""
+    system = circle(each, "chatty", when=-1.0, how=TALK).with_start({"p.longest": longest})
+    result = both(system, master=Coupling("jacobi", 1, adaptive=1e-4), step=0.5).result
+    assert result.card.repeated > 0
+    assert [m.time for m in result.messages] == result.trace.time[:-1].tolist()
+
+
 def test_an_error_that_a_shorter_step_avoids_is_none(each, both):
     """The FMU is terminated properly in the end, and what it said is not told."""
     outcome = both(circle(each, "tender", longest=0.03, how=FAULT), master=HERMITE)
