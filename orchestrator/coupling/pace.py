@@ -1,8 +1,9 @@
 """How long a communication step is, when it follows from an estimate of its error.
 
 The estimate of a step says how far the inputs that the components worked with were from the truth, see
-`Signal.deviation`; e is the worst of them over the tolerance. A step with e <= 1 is good. The next one follows
-from the last two by a proportional-integral law (Gustafsson 1991, ACM Trans. Math. Softw. 17(4) 533-554),
+`Signal.deviation`; e is the worst of them over the tolerance. A step with e <= 1 is good. The next one
+follows from the last two by a proportional-integral law (Gustafsson 1991, ACM Trans. Math. Softw. 17(4),
+533-554),
 
     h_next = h (1/c)^(0.3/k) (c_before/c)^(0.4/k),      c = e / 0.8^k,
 
