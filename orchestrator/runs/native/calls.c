@@ -65,7 +65,7 @@ static int convert(const Access *a) {
     case U32: CONVERT(uint32_t); break;
     case I64: CONVERT(int64_t); break;
     case U64: CONVERT(uint64_t); break;
-    case BOOLEAN:
+    case LOGICAL:
         for (int32_t i = 0; i < a->count; i++) {
             _Bool *own = a->own;
             int32_t *values = a->values;

@@ -5,12 +5,6 @@
 
 #include "run.h"
 
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
 static int keep(Run *run) {
     memcpy(run->real_kept, run->real, (size_t)run->reals * sizeof *run->real);
     memcpy(run->whole_kept, run->whole, (size_t)run->wholes * sizeof *run->whole);
@@ -141,12 +135,12 @@ static int next(Run *run) {
     return CONTINUE;
 }
 
-EXPORT void finish(Run *run) {
+void finish(Run *run) {
     pool_stop(run->pool);
     run->pool = NULL;
 }
 
-EXPORT int32_t march(Run *run) {
+int32_t march(Run *run) {
     if (run->threads > 1 && !run->pool) run->pool = pool_start(run, run->threads);
     const double until = seconds() + run->patience;
     while (run->done < run->total && run->recorder.filled < run->recorder.room &&

@@ -9,7 +9,7 @@
 #include <stdint.h>
 
 enum { REAL, WHOLE };                                           /* banks */
-enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, BOOLEAN }; /* types of values in an FMU */
+enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, LINK, LOOP };                                    /* kinds of instructions */
 enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED };                             /* what to do after a status */
@@ -230,8 +230,14 @@ void pool_stop(Pool *);
 double pace_length(Pace *, double room);
 int pace_good(Pace *, double e, double h);
 
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
 /* march.c: one block; CONTINUE when there is more to do or all is done */
-int32_t march(Run *);
-void finish(Run *);
+EXPORT int32_t march(Run *);
+EXPORT void finish(Run *);
 
 #endif

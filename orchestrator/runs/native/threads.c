@@ -17,7 +17,7 @@ static void relax(void) { SwitchToThread(); }
 static void prepare(Mutex *m, Signalled *s) { InitializeCriticalSection(m), InitializeConditionVariable(s); }
 static void lock(Mutex *m) { EnterCriticalSection(m); }
 static void unlock(Mutex *m) { LeaveCriticalSection(m); }
-static void wait(Signalled *s, Mutex *m) { SleepConditionVariableCS(s, m, INFINITE); }
+static void sleep_on(Signalled *s, Mutex *m) { SleepConditionVariableCS(s, m, INFINITE); }
 static void wake(Signalled *s) { WakeAllConditionVariable(s); }
 #else
 #include <pthread.h>
@@ -31,7 +31,7 @@ static void relax(void) { sched_yield(); }
 static void prepare(Mutex *m, Signalled *s) { pthread_mutex_init(m, NULL), pthread_cond_init(s, NULL); }
 static void lock(Mutex *m) { pthread_mutex_lock(m); }
 static void unlock(Mutex *m) { pthread_mutex_unlock(m); }
-static void wait(Signalled *s, Mutex *m) { pthread_cond_wait(s, m); }
+static void sleep_on(Signalled *s, Mutex *m) { pthread_cond_wait(s, m); }
 static void wake(Signalled *s) { pthread_cond_broadcast(s); }
 #endif
 
@@ -69,7 +69,7 @@ static ROUTINE loop(void *given) {
             if (look % 16 == 15) relax();
         if (atomic_load(&pool->round) == seen) {
             lock(&pool->mutex);
-            while (atomic_load(&pool->round) == seen) wait(&pool->news, &pool->mutex);
+            while (atomic_load(&pool->round) == seen) sleep_on(&pool->news, &pool->mutex);
             unlock(&pool->mutex);
         }
         seen = atomic_load(&pool->round);
