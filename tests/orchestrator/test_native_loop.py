@@ -160,6 +160,21 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
         np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
 
 
+# ---- other machines
+
+
+@pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-macos"])
+def test_the_code_compiles_for_other_systems(tmp_path, target):
+    """Without a warning; headers of other systems have other names, and there Python would do the run."""
+    flags = [flag for flag in native.FLAGS if flag != "-shared"]
+    for source in native.SOURCES:
+        command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-c", source]
+        done = subprocess.run(
+            [*command, "-o", tmp_path / "made.o"], cwd=native.FOLDER, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+
+
 # ---- without a compiler
 
 
