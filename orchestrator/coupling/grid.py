@@ -45,12 +45,13 @@ class Grid:
 
     def finer(self) -> Grid:
         """Half the step, the same points recorded."""
-        return replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
+        points = replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
+        return divided(points, self.events)
 
     def coarser(self) -> Grid:
         """Twice the step, recorded at as many of the same points as it has, and at its own last one."""
         every = self.every if self.every % 2 else self.every // 2
-        return replace(self, step=2 * self.step, steps=self.steps // 2, every=every)
+        return divided(replace(self, step=2 * self.step, steps=self.steps // 2, every=every), self.events)
 
 
 def grid(
@@ -85,6 +86,13 @@ def free_grid(
     inside = tuple(_apart((t for t in events if begin < t < points.stop), points))
     points = replace(points, first=communication_step(system, first), free=record_step is None, events=inside)
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+
+
+def divided(points: Grid, corners: Iterable[float]) -> Grid:
+    """Equal steps, but for those that have a corner inside."""
+    return replace(
+        points, events=tuple(_apart((t for t in corners if points.start < t < points.stop), points))
+    )
 
 
 def _apart(events: Iterable[float], points: Grid) -> Iterator[float]:

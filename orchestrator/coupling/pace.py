@@ -19,6 +19,7 @@ INTEGRAL, PROPORTIONAL = 0.3, 0.4  # exponents of the law, over k
 SAFETY = 0.8  # of the step at which the error would just do
 SHRINK, GROW = 0.2, 2.0  # limits of a change
 REPEATED = 0.9  # at most this much of a step that was not good
+NEARLY = 1.0 - 1e-9  # of what is left: a step that long is meant to end there
 TINY, HUGE = 1e-10, 1e10  # limits of c: no error at all, and none that can be told
 
 
@@ -40,7 +41,7 @@ class Pace:
     def length(self, room: float) -> float:
         """The next step [s] when the next time to hit is `room` [s] away."""
         self._uncut = 0.0
-        if self.h >= room:
+        if self.h >= room * NEARLY:
             self._uncut = self.h
             return room
         return room / 2.0 if 2.0 * self.h > room else self.h

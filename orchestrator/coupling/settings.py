@@ -15,7 +15,9 @@ CONTROLS = ("error", "energy")
 
 # Where the user says nothing: of hermite, and of adaptive runs.
 PASSES = 8
-MISS = 1e-4  # tolerance of the passes
+MISS = 1e-5  # tolerance of the passes
+GUARD = 1e-2  # estimated error at which a step of equal ones is divided, of the masters
+GUARDED = ("hermite", "interface-jacobian")
 OF_STEP = 0.3  # of the tolerance of an adaptive step: tolerance of its passes
 SMALLEST, LARGEST = 1e-7, 0.1  # [s]
 
@@ -29,13 +31,16 @@ class Coupling:
     passes      hermite: how often a step is computed at most; default: 8
     tolerance   hermite: a step is computed again while value or slope (times the step) of a signal ends
                 further from its source, as a share of its magnitude: the nominal value, or the largest seen;
-                default: 1e-4, of adaptive runs 0.3 of their tolerance
+                default: 1e-5, of adaptive runs 0.3 of their tolerance
     correct     inputs get back what their continuation lost over the step before
     lag         interface-jacobian: steps for which a linearisation is kept
     factors     component -> how many steps of its own it takes in one communication step
     adaptive    None: all steps are as long as the user says; else the tolerance of their estimated error, as
                 a share of the magnitude of each signal
     control     what that tolerance is of: "error" of the signals (default), or "energy" of the power bonds
+    guard       of runs with equal steps: one whose estimated error is larger, as a share of the magnitude of
+                a signal, is divided, and so is one with a corner of a scenario inside, where all components
+                can go back; 0: never; default: 0.01 for hermite and interface-jacobian, else 0
     smallest    step [s] of adaptive runs; at it errors above the tolerance are let pass; default: 1e-7
     largest     step [s] of adaptive runs; default: 0.1
     """
@@ -49,6 +54,7 @@ class Coupling:
     factors: Mapping[str, int] = field(default_factory=dict)
     adaptive: float | None = None
     control: str | None = None
+    guard: float | None = None
     smallest: float | None = None
     largest: float | None = None
 
@@ -64,6 +70,8 @@ class Coupling:
         for name, value in (("coupling tolerance", self.tolerance), ("adaptive", self.adaptive)):
             if value is not None and not value > 0:
                 raise Problem(f"{name}: expected a positive number, got {value:g}")
+        if self.guard is not None and not self.guard >= 0:
+            raise Problem(f"guard: expected 0 or a positive number, got {self.guard:g}")
         if self.control not in (None, *CONTROLS):
             raise Problem(f"unknown control {self.control!r}, expected one of {', '.join(CONTROLS)}")
         smallest, largest = self.limits
@@ -89,6 +97,8 @@ class Coupling:
         if self.correct and self.master == "hermite" and self.passes != 1:
             many = f"up to {self.rounds} passes"
             raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
+        if self.guard is not None and self.adaptive is not None:
+            raise Problem("guard: adaptive steps have a tolerance already, expected one of the two")
         for name in ("control", "smallest", "largest"):
             if getattr(self, name) is not None and self.adaptive is None:
                 raise Problem(f"{name}: of adaptive steps only, expected a tolerance for them (adaptive)")
@@ -119,6 +129,19 @@ class Coupling:
         if self.tolerance is not None:
             return self.tolerance
         return MISS if self.adaptive is None else OF_STEP * self.adaptive
+
+    @property
+    def guarded(self) -> float:
+        """The estimated error at which a step of equal ones is divided; 0: none is."""
+        if self.adaptive is not None:
+            return 0.0
+        usual = GUARD if self.master in GUARDED else 0.0
+        return usual if self.guard is None else self.guard
+
+    @property
+    def judges(self) -> bool:
+        """Is the error of steps estimated?"""
+        return self.adaptive is not None or self.guarded > 0
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -153,7 +176,7 @@ class Coupling:
         found |= {"passes": self.rounds} if self.master == "hermite" else {}
         found |= {"tolerance": self.miss} if self.rounds > 1 else {}
         if self.adaptive is None:
-            return found
+            return found | {"guard": self.guarded}
         smallest, largest = self.limits
         how = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
         return found | how | {"smallest": smallest, "largest": largest}

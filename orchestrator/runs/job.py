@@ -82,7 +82,13 @@ class Job:
         """What chooses the steps of an adaptive run, whether it looks at the energy, and the tolerance."""
         c = self.coupling
         if c.adaptive is None:
-            return None, False, 1.0
+            if not guarded(self.system, c):
+                return None, False, 1.0
+            return (
+                Pace(times.step, sweep.power, min(c.limits[0], times.step), times.step, True),
+                False,
+                c.guarded,
+            )
         if c.by_energy and not sweep.network.bonds:
             wanted = "a power bond with inputs that may move on both sides"
             raise Problem(f"control of the energy: expected {wanted}, got none")
@@ -171,6 +177,12 @@ class _Loop:
             if self.monitor.full:
                 self.monitor.sum()
             self.bar.update(march.t - self.times.start)
+
+
+def guarded(system: System, coupling: Coupling) -> bool:
+    """Are steps divided where they would go wrong? All components must be able to go back and to step less."""
+    faces = [component.interface for component in system.components.values()]
+    return coupling.guarded > 0 and all(face.rollback and face.varies for face in faces)
 
 
 def _check_single(system: System) -> None:

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.coupling.drive import Drive, drive
-from orchestrator.coupling.grid import free_grid, grid
+from orchestrator.coupling.grid import divided, free_grid, grid
 from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.estimate import estimated
-from orchestrator.runs.job import Job, Opener
+from orchestrator.runs.job import Job, Opener, guarded
 from orchestrator.runs.result import Interrupted, Result, RunFailed
 from orchestrator.slaves.slave import Slave
 from orchestrator.system.interface import Value
@@ -96,6 +96,8 @@ def run(
     trace, span = driven[1] if driven else None, (start, stop, record_step)
     if coupling.adaptive is None:
         times = grid(whole, trace, step, *span)
+        if driven and guarded(whole, coupling):
+            times = divided(times, driven[0].table.corners())
     else:
         times = free_grid(whole, trace, step, *span, driven[0].table.corners() if driven else ())
     job = Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, native, open)

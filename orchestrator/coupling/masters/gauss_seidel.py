@@ -23,5 +23,5 @@ def gauss_seidel(system: System, coupling: Coupling) -> Plan:
         degree=min(order + 1, 3),
         sequential=True,
         corrected=coupling.correct,
-        watches=coupling.adaptive is not None,
+        watches=coupling.judges,
     )

@@ -32,7 +32,7 @@ def hermite(system: System, coupling: Coupling) -> Plan:
         passes=passes,
         tolerance=coupling.miss,
         corrected=coupling.correct,
-        watches=coupling.adaptive is not None,
+        watches=coupling.judges,
         repeated=repeated,
         notes=(told,) if stuck and coupling.rounds > 1 else (),
     )

@@ -28,7 +28,7 @@ def interface_jacobian(system: System, coupling: Coupling) -> Plan:
         order=coupling.extrapolation,
         degree=3,
         sequential=True,
-        watches=coupling.adaptive is not None,
+        watches=coupling.judges,
         outlook=Outlook(len(leads), open_, open_ == needed, heard, coupling.lag),
     )
 

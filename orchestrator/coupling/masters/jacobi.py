@@ -14,6 +14,6 @@ def jacobi(system: System, coupling: Coupling) -> Plan:
     """
     order = coupling.extrapolation
     moved = system.connections if order or coupling.correct else ()
-    watches = coupling.adaptive is not None
+    watches = coupling.judges
     everybody = range(len(system.components))
     return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)

@@ -5,13 +5,13 @@
 #include "run.h"
 
 static const double INTEGRAL = 0.3, PROPORTIONAL = 0.4, SAFETY = 0.8, SHRINK = 0.2, GROW = 2.0, REPEATED = 0.9,
-                    TINY = 1e-10, HUGEST = 1e10;
+                    NEARLY = 1.0 - 1e-9, TINY = 1e-10, HUGEST = 1e10;
 
 static double within(double x, double low, double high) { return smaller(larger(x, low), high); }
 
 double pace_length(Pace *p, double room) {
     p->uncut = 0.0;
-    if (p->h >= room) {
+    if (p->h >= room * NEARLY) {
         p->uncut = p->h;
         return room;
     }
