@@ -45,7 +45,7 @@ class Coupled:
         typer.Option(
             metavar="TOL",
             help="hermite: compute a step again while a signal is off by more than TOL of its magnitude;"
-            " default: 1e-4, with --adaptive 0.3 of its TOL.",
+            " default: 1e-5, with --adaptive 0.3 of its TOL.",
             parser=number,
         ),
     ] = None
@@ -82,6 +82,15 @@ class Coupled:
         typer.Option(
             metavar="WHAT",
             help="With --adaptive: what TOL is of: error of the signals (default), or energy of power bonds.",
+        ),
+    ] = None
+    guard: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TOL",
+            help="Equal steps: divide one whose estimated error is above TOL, where the components can go"
+            " back; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
+            parser=number,
         ),
     ] = None
     smallest: Annotated[

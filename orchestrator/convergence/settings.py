@@ -41,9 +41,11 @@ SETTINGS = (
     Setting("gauss-seidel order 0", Coupling("gauss-seidel", 0)),
     Setting("gauss-seidel order 1", Coupling("gauss-seidel", 1)),
     Setting("gauss-seidel order 2", Coupling("gauss-seidel", 2)),
-    Setting("hermite 1 pass", Coupling("hermite", passes=1)),  # the same as gauss-seidel of order 3
-    Setting("hermite 2 passes", Coupling("hermite", passes=2)),
-    Setting("hermite to tolerance", Coupling("hermite")),
+    Setting("hermite 1 pass", Coupling("hermite", passes=1, guard=0)),  # the same as gauss-seidel of order 3
+    Setting("hermite 2 passes", Coupling("hermite", passes=2, guard=0)),
+    Setting("hermite to tolerance", Coupling("hermite", guard=0)),
+    Setting("hermite", Coupling("hermite")),
+    Setting("interface-jacobian unguarded", Coupling("interface-jacobian", guard=0)),
     Setting("interface-jacobian", Coupling("interface-jacobian")),
     Setting(
         "hermite adaptive",

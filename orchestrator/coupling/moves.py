@@ -45,14 +45,9 @@ class Moves:
         plan, variable = self._plan, self._wiring.system.variable
         known = self._wiring.system.connections if plan.watches else plan.moved
         found = [c for c in known if variable(c.target).is_continuous and variable(c.source).is_continuous]
-        return [c for c in found if variable(c.target).causality == "input" and self._matters(c.target)]
-
-    def _matters(self, port: Port) -> bool:
-        """Does anything that others use depend on this input?"""
-        wiring = self._wiring
-        face = wiring.slaves[port.component].interface
-        used = {c.source.variable for c in wiring.connections if c.source.component == port.component}
-        return port.variable not in face.inert and face.matters(port.variable, used)
+        return [
+            c for c in found if variable(c.target).causality == "input" and self._wiring.matters(c.target)
+        ]
 
     def _carried(self, moved: set[Port]) -> set[Port]:
         """Inputs that move by themselves, with a rate input, or that merely are the rate of a moved one."""

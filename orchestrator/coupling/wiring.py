@@ -52,6 +52,12 @@ class Wiring:
         self.loops = [Loop(slaves, knot) for knot, _ in self.order.knots]
         self.exchange_calls = self._compile(reads, writes)
 
+    def matters(self, port: Port) -> bool:
+        """Does anything that others use depend on this input?"""
+        face = self.slaves[port.component].interface
+        used = {c.source.variable for c in self.connections if c.source.component == port.component}
+        return port.variable not in face.inert and face.matters(port.variable, used)
+
     def bank(self, port: Port) -> Bank:
         """The bank that holds this port's value."""
         return self.real if self.system.variable(port).is_real else self.whole

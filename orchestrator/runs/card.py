@@ -16,6 +16,7 @@ ADAPTIVE = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times th
 STILL = 1e-6  # of the nominal value: what moves less stands still
 ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
 IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
+TOO_MUCH = 0.05  # of the energy exchanged: no more a small error of the coupling
 LITTLE = 1e-2  # of the busiest bond: of what exchanges less the residual counts, not its share
 
 
@@ -94,6 +95,16 @@ class Card:
             told += f", {each} passes each"
         return told + (f", {self.repeated} repeated" if self.repeated else "")
 
+    def _made_up(self) -> list[str]:
+        """Bonds whose coupling made up or lost so much that the run is not to be trusted."""
+        most = max((b.exchanged for b in self.bonds), default=0.0)
+        wrong = [b for b in self.bonds if b.exchanged >= LITTLE * most > 0 and abs(b.relative) > TOO_MUCH]
+        return [
+            f"the coupling {'made up' if b.residual > 0 else 'lost'} {abs(b.relative):.1%} of the energy of"
+            f" {b.name}: the run is not to be trusted, take shorter steps"
+            for b in wrong
+        ]
+
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
         most = max(b.exchanged for b in self.bonds)
@@ -120,7 +131,8 @@ class Card:
             told, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
             lines += ["", told, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
-        lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
+        warnings = [*self._made_up(), *self.warnings]
+        lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
         return "\n".join(lines)
 
 

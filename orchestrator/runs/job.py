@@ -61,7 +61,7 @@ class Job:
             driven = self.drive.initial(self.system, times.start) if self.drive else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
             sweep.begin(times.start)
-            monitor = Monitor(network, self._bonds())
+            monitor = Monitor(network, self._bonds(network))
             recorder = Recorder(network, times, chosen)
             bar = stack.enter_context(Progress(times.stop - times.start, progress))
             notes = (*remarks(network, sweep.plan, self.coupling), *sweep.notes)
@@ -105,9 +105,11 @@ class Job:
         faces = {name: c.interface for name, c in self.system.components.items()}
         return tuple(f"{name}: {face.left_out}" for name, face in faces.items() if face.refused)
 
-    def _bonds(self) -> list[Bond]:
+    def _bonds(self, network: Network) -> list[Bond]:
+        """The bonds that are asked for, or those over which energy goes: both inputs change something."""
         if self.bonds is None:
-            return find_bonds(self.system)
+            found = find_bonds(self.system)
+            return [b for b in found if network.matters(b.effort) and network.matters(b.flow)]
         return [named_bond(self.system, *pair) for pair in self.bonds]
 
     def _carry_out(self, loop: _Loop, march: March) -> Result:

@@ -55,6 +55,7 @@ KINDS: Mapping[str, Kind] = {
     "correct": TRUTH,
     "lag": WHOLE,
     "adaptive": NUMBER,
+    "guard": NUMBER,
     "control": TEXT,
     "smallest": NUMBER,
     "largest": NUMBER,
