@@ -182,7 +182,7 @@ class _Loop:
 
 
 def guarded(system: System, coupling: Coupling) -> bool:
-    """Are steps divided where they would go wrong? All components must be able to go back and to step less."""
+    """Are steps divided where they would go wrong? All components must go back and vary their steps."""
     faces = [component.interface for component in system.components.values()]
     return coupling.guarded > 0 and all(face.rollback and face.varies for face in faces)
 

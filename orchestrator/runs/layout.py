@@ -157,7 +157,7 @@ class Run(Structure):
         ("bond_count", c_int32),
         ("pace", POINTER(Pace)),
         ("adaptive", c_double),
-        *_all(c_int32, "by_energy free keeps goes_back"),
+        *_all(c_int32, "by_energy free keeps goes_back lost"),
         ("events", c_void_p),
         *_all(c_int64, "event_count event"),
         *_all(c_double, "start step t length older shorter shortest longest patience"),

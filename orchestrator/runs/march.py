@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 
 from orchestrator.coupling.grid import Grid
 from orchestrator.coupling.network import Network
@@ -56,6 +57,7 @@ class March:
             part.even = 0.0 if part.slave.interface.varies else times.step / part.factor
         self.goes_back = all(part.kept and not part.even for part in network.parts)
         self._event = 0  # the next one
+        self._lost = False  # a step without a finite error stands
         self._shorter = 0.0  # an FMU could not go further than that [s]; 0: none said so
 
     def begin(self) -> None:
@@ -66,9 +68,12 @@ class March:
 
     def block(self) -> None:
         """Go on until as many points are to be recorded as fit into a block, or to the end."""
+        self._lost = False
         while self.done < self._times.steps and self._recorder.filled < BLOCK and not self._monitor.full:
             self.look()
             self._next()
+            if self._lost:  # whoever looks at the record will end the run
+                break
 
     def close(self) -> None:
         """End what the run has started."""
@@ -94,7 +99,7 @@ class March:
         self.shortest, self.longest = min(self.shortest, h), max(self.longest, h)
         if self.t == point:
             self.done += 1
-        if self.t == point or times.free:
+        if self.t == point or times.free or self._lost:
             self._recorder.add(self.t)
 
     def _step(self, h: float) -> bool:
@@ -111,10 +116,13 @@ class March:
         self.passes += self._sweep.passes
         monitor.stepped(h)
         network.settle(self.t, h)
-        if self._pace is not None and not self._pace.good(self._error(h) / self._tolerance, h):
-            self._withdraw(self.t)
-            network.restore(self.t)
-            return False
+        if self._pace is not None:
+            e = self._error(h) / self._tolerance
+            if not self._pace.good(e, h):
+                self._withdraw(self.t)
+                network.restore(self.t)
+                return False
+            self._lost = not isfinite(e)
         self._sweep.accept(h)
         monitor.settled()
         return True

@@ -100,6 +100,7 @@ static int one_step(Run *run, double h, int *stands) {
     if (run->pace) {
         const double e = (run->by_energy ? power_error(run, h) : step_error(run, h)) / run->adaptive;
         if (!pace_good(run->pace, e, h)) return go_back(run);
+        run->lost = !isfinite(e);
     }
     for (int32_t i = 0; i < run->signal_count; i++) accept(&run->signals[i], h, run->length);
     if (run->foresight) foresight_accept(run->foresight, h);
@@ -131,7 +132,7 @@ static int next(Run *run) {
     run->shortest = smaller(run->shortest, h);
     run->longest = larger(run->longest, h);
     if (run->t == point) run->done++;
-    if (run->t == point || run->free) record(run);
+    if (run->t == point || run->free || run->lost) record(run);
     return CONTINUE;
 }
 
@@ -143,11 +144,12 @@ void finish(Run *run) {
 int32_t march(Run *run) {
     if (run->threads > 1 && !run->pool) run->pool = pool_start(run, run->threads);
     const double until = seconds() + run->patience;
+    run->lost = 0;
     while (run->done < run->total && run->recorder.filled < run->recorder.room &&
            run->monitor.rows < run->monitor.room) {
         const int verdict = next(run);
         if (verdict) return verdict;
-        if (seconds() > until) break;
+        if (run->lost || seconds() > until) break;
     }
     return CONTINUE;
 }

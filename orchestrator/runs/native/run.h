@@ -154,7 +154,7 @@ struct Run {
     /* the march */
     Pace *pace; /* NULL: all steps are equal */
     double adaptive;
-    int32_t by_energy, free, keeps, goes_back;
+    int32_t by_energy, free, keeps, goes_back, lost;
     const double *events;
     int64_t event_count, event;
     double start, step, t, length, older, shorter, shortest, longest, patience;
