@@ -104,9 +104,9 @@ def test_rate_ports_gain_two_orders_of_magnitude_at_1_ms(system):
 @pytest.mark.parametrize(
     ("step", "speed", "pressure"),
     [
-        (5e-3, 1e-4, 5e-4),  # measured 2.0e-5 and 2.6e-5
-        (10e-3, 1e-3, 1e-3),  # 3.4e-5 and 4.7e-5
-        (20e-3, 2e-3, 2e-3),  # 4.7e-4 and 6.4e-4: a fifth of the fastest oscillation
+        (5e-3, 1e-4, 5e-4),  # measured 2.4e-6 and 3.3e-6
+        (10e-3, 1e-3, 1e-3),  # 3.1e-5 and 4.2e-5
+        (20e-3, 2e-3, 2e-3),  # 4.5e-4 and 6.0e-4: a fifth of the fastest oscillation
     ],
 )
 @pytest.mark.parametrize("led_by", ["scenario", "levers"])
@@ -118,7 +118,7 @@ def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, speed, p
     assert worst(found, "speed") < speed
     assert worst(found, "angle") < speed / 10
     assert worst(found, "pressure") < pressure
-    assert result.card.steps <= result.card.passes < 4 * result.card.steps
+    assert result.card.steps <= result.card.passes < 5 * result.card.steps
 
 
 def without_rollback(system: System) -> System:

@@ -176,7 +176,7 @@ class Coupling:
         found |= {"passes": self.rounds} if self.master == "hermite" else {}
         found |= {"tolerance": self.miss} if self.rounds > 1 else {}
         if self.adaptive is None:
-            return found | {"guard": self.guarded}
+            return found | ({"guard": self.guarded} if self.guarded else {})
         smallest, largest = self.limits
         how = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
         return found | how | {"smallest": smallest, "largest": largest}

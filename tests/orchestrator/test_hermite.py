@@ -8,8 +8,8 @@ from orchestrator import assemble, run
 from orchestrator.coupling.settings import Coupling
 from orchestrator.runs.simulation import open_slave
 
-TWO = Coupling("hermite", passes=2, tolerance=1e-14)
-ONE = Coupling("hermite", passes=1)
+TWO = Coupling("hermite", guard=0, passes=2, tolerance=1e-14)
+ONE = Coupling("hermite", guard=0, passes=1)
 
 
 def error(trace, exact):
@@ -36,11 +36,13 @@ def test_the_undamped_oscillator_over_ten_seconds(moving, exact, coupling, step,
 def test_passes_end_when_the_tolerance_is_met(moving):
     """A stricter tolerance takes more passes, and each of them a smaller share of the error."""
     tolerances = (1e-2, 1e-4, 1e-6, 1e-8)
-    results = [run(moving, master=Coupling("hermite", tolerance=x), step=2e-2, stop=1.0) for x in tolerances]
+    results = [
+        run(moving, master=Coupling("hermite", guard=0, tolerance=x), step=2e-2, stop=1.0) for x in tolerances
+    ]
     passes = [r.card.passes for r in results]
     assert passes == sorted(set(passes))
     assert passes[0] < 2 * 50 < passes[-1] < 8 * 50
-    converged = Coupling("hermite", passes=40, tolerance=1e-13)
+    converged = Coupling("hermite", guard=0, passes=40, tolerance=1e-13)
     limit = run(moving, master=converged, step=2e-2, stop=1.0).trace["a.x"]
     left = [np.abs(r.trace["a.x"] - limit).max() / np.abs(limit).max() for r in results]
     assert left == sorted(left, reverse=True)
@@ -52,7 +54,9 @@ def test_passes_end_when_the_tolerance_is_met(moving):
 
 def test_passes_have_a_limit(moving):
     """A tolerance below rounding is never met, and no reason to go on for ever."""
-    card = run(moving, master=Coupling("hermite", passes=5, tolerance=1e-300), step=2e-2, stop=0.2).card
+    card = run(
+        moving, master=Coupling("hermite", guard=0, passes=5, tolerance=1e-300), step=2e-2, stop=0.2
+    ).card
     assert (card.steps, card.passes) == (10, 50)
 
 
@@ -62,7 +66,12 @@ def test_a_chain_takes_one_pass(fmus, in_c):
     files = {"sum": fmus.make("fails", "last", interpolates=True), "sine": fmus["source"]}
     system = assemble(files, ["sine.y -> sum.u"])
     result = run(
-        system, master=Coupling("hermite", tolerance=1e-14), step=0.1, stop=1.0, record=["sum.y"], native=in_c
+        system,
+        master=Coupling("hermite", guard=0, tolerance=1e-14),
+        step=0.1,
+        stop=1.0,
+        record=["sum.y"],
+        native=in_c,
     )
     assert result.card.passes == result.card.steps == 10
 
@@ -123,3 +132,18 @@ def test_it_stays_stable_where_held_inputs_run_away(moving, exact):
     # measured 3.0e-3 and 437: an error of fourth order, and a growth by 2.5 % in every step
     assert error(good, exact) < 1e-2
     assert error(bad, exact) > 100
+
+
+def test_the_guard_divides_steps_that_would_go_wrong(moving, exact):
+    """Steps longer than a period of the faster mode: lost without it, within a few of its tolerance with it."""
+    lost, kept = (run(moving, master=Coupling("hermite", guard=g), step=0.2, stop=10.0) for g in (0, None))
+    np.testing.assert_array_equal(lost.trace.time, kept.trace.time)  # recorded where it was asked for
+    assert kept.card.repeated > 0
+    # the guard is 1e-2 of the magnitude in each step; measured 7.8e-4 and 1.1
+    assert error(kept.trace, exact) < 1e-2 < 0.5 < error(lost.trace, exact)
+
+
+def test_the_guard_needs_components_that_go_back(oscillators):
+    """Without rollback equal steps stay equal."""
+    stuck = oscillators("curves", canGetAndSetFMUstate="false")
+    assert run(stuck, master="hermite", step=0.05, stop=1.0).card.steps == 20

@@ -54,10 +54,10 @@ def test_explicit_masters_over_a_thousand_steps(alike, oscillators, master, orde
 OTHERS = {
     "correct": Coupling("jacobi", 1, correct=True),
     "correct in turn": Coupling("gauss-seidel", correct=True),
-    "one pass": Coupling("hermite", passes=1),
-    "two passes": Coupling("hermite", passes=2, tolerance=1e-14),
-    "by tolerance": Coupling("hermite"),
-    "many rates": Coupling("hermite", factors={"a": 3, "b": 2}),
+    "one pass": Coupling("hermite", guard=0, passes=1),
+    "two passes": Coupling("hermite", guard=0, passes=2, tolerance=1e-14),
+    "by tolerance": Coupling("hermite", guard=0),
+    "many rates": Coupling("hermite", guard=0, factors={"a": 3, "b": 2}),
     "many rates, held": Coupling("jacobi", factors={"b": 7}),
     "many rates, in turn": Coupling("gauss-seidel", 2, factors={"a": 2}, correct=True),
 }
@@ -106,7 +106,7 @@ def test_energy_of_bonds(alike, fmus, control):
 
 
 MASTERS = [
-    *(Coupling("jacobi"), Coupling("jacobi", 2), Coupling("gauss-seidel", 3), Coupling("hermite")),
+    *(Coupling("jacobi"), Coupling("jacobi", 2), Coupling("gauss-seidel", 3), Coupling("hermite", guard=0)),
     Coupling("hermite", adaptive=1e-5),
 ]
 

@@ -53,7 +53,7 @@ def test_the_correction_raises_the_order_by_one(oscillators, exact, master, n):
 
 def test_one_pass_of_hermite_has_order_four(moving, exact):
     """Cubic continuation, and cubics to what has stepped."""
-    found = order(moving, exact, Coupling("hermite", passes=1), (4e-3, 2e-3))
+    found = order(moving, exact, Coupling("hermite", guard=0, passes=1), (4e-3, 2e-3))
     assert found == pytest.approx(4, abs=NEAR)
 
 
@@ -61,13 +61,13 @@ def test_one_pass_of_hermite_has_order_four(moving, exact):
 @pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
 def test_iterated_hermite_has_order_four(oscillators, exact, passes, follow):
     """Every input is the cubic through both ends, up to h^4; lines keep its mean and first moment."""
-    coupling = Coupling("hermite", passes=passes, tolerance=1e-12)
+    coupling = Coupling("hermite", guard=0, passes=passes, tolerance=1e-12)
     assert order(oscillators(follow), exact, coupling, COARSE) == pytest.approx(4, abs=NEAR)
 
 
 def test_rates_of_fmi_3_do_as_well(oscillators, exact):
     """The line by rate inputs in FMI 3.0 is the line by input derivatives in FMI 2.0, bit for bit."""
-    coupling = Coupling("hermite", **CONVERGED)
+    coupling = Coupling("hermite", guard=0, **CONVERGED)
     lines, rates = (
         errors(s, exact, coupling, COARSE) for s in (oscillators("lines"), oscillators("rates", 3))
     )
@@ -77,7 +77,9 @@ def test_rates_of_fmi_3_do_as_well(oscillators, exact):
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmus_that_hold_their_inputs_keep_order_two(oscillators, exact, fmi):
     """They get the mean: what is left is the first moment, h^2 of the slope; repeating cannot mend that."""
-    found = order(oscillators("held", fmi), exact, Coupling("hermite", **CONVERGED), (1.6e-2, 8e-3, 4e-3))
+    found = order(
+        oscillators("held", fmi), exact, Coupling("hermite", guard=0, **CONVERGED), (1.6e-2, 8e-3, 4e-3)
+    )
     assert found == pytest.approx(2, abs=NEAR)
 
 
@@ -124,7 +126,7 @@ def test_without_slopes_iterated_hermite_keeps_order_four(oscillators, exact):
 
     They reach back three steps, so that short steps are needed for the order: it comes down to 4 from above.
     """
-    coupling = Coupling("hermite", **CONVERGED)
+    coupling = Coupling("hermite", guard=0, **CONVERGED)
     for follow in ("curves", "rates"):
         found = errors(oscillators(follow, slopes=False), exact, coupling, (1.6e-2, 8e-3, 4e-3))
         first, second = np.log2(np.array(found[:-1]) / found[1:])

@@ -27,7 +27,7 @@ HEAD = f"""<ssd:SystemStructureDescription version="1.0" name="pair"
 <ssd:Connection startElement="a" startConnector="force" endElement="b" endConnector="force"/>
 <ssd:Connection startElement="b" startConnector="x" endElement="a" endConnector="x2"/>
 </ssd:Connections>"""
-HERMITE = 'master="hermite" step="0.01" passes="3" tolerance="1e-6"'
+HERMITE = 'master="hermite" step="0.01" passes="3" tolerance="1e-6" guard="0"'
 FACTOR = '<hc:Factor component="a" steps="4"/>'
 
 
@@ -58,7 +58,7 @@ def make(fmus, zip_ssp):
 def test_the_suggestion_is_taken_where_nobody_says_otherwise(make, place):
     """From any of the three places that a file has for annotations."""
     path = make(**{place: annotated(coupling(inside=f"<!-- fine -->{FACTOR}"))})
-    suggested = Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4})
+    suggested = Coupling("hermite", passes=3, tolerance=1e-6, guard=0, factors={"a": 4})
     system = load(path)
     assert (system.coupling, system.step) == (suggested, 0.01)
     result, told = run(path), run(path, master=suggested, step=0.01)
@@ -86,10 +86,13 @@ def test_a_master_from_python_puts_the_suggestion_aside(make):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ([], Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4})),
-        (["--passes", "5"], Coupling("hermite", passes=5, tolerance=1e-6, factors={"a": 4})),
-        (["--factor", "b=2"], Coupling("hermite", passes=3, tolerance=1e-6, factors={"a": 4, "b": 2})),
-        (["--master", "hermite"], Coupling("hermite")),
+        ([], Coupling("hermite", passes=3, tolerance=1e-6, guard=0, factors={"a": 4})),
+        (["--passes", "5"], Coupling("hermite", passes=5, tolerance=1e-6, guard=0, factors={"a": 4})),
+        (
+            ["--factor", "b=2"],
+            Coupling("hermite", passes=3, tolerance=1e-6, guard=0, factors={"a": 4, "b": 2}),
+        ),
+        (["--master", "hermite", "--guard", "0"], Coupling("hermite", guard=0)),
     ],
 )
 def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, options, expected):
