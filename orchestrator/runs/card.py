@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orchestrator.files.trace import Trace
 from orchestrator.runs.energy import BondEnergy
 
-ESTIMATE = "change when the step is halved; at order 2 the error is 4/3 of it"
+ESTIMATE = "change when the step is halved; at order p the error is 2^p / (2^p - 1) of it"
 ADAPTIVE = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that"
 STILL = 1e-6  # of the nominal value: what moves less stands still
 ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit

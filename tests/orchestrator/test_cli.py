@@ -66,7 +66,7 @@ def test_all_options_reach_the_run(capsys):
     assert main(["run", "build/harvester.ssp", *options]) == 0
     trace = read("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
-    assert "change when the step is halved; at order 2 the error is 4/3 of it" in capsys.readouterr().out
+    assert "change when the step is halved; at order p the error is" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")

@@ -135,7 +135,7 @@ def test_it_stays_stable_where_held_inputs_run_away(moving, exact):
 
 
 def test_the_guard_divides_steps_that_would_go_wrong(moving, exact):
-    """Steps longer than a period of the faster mode: lost without it, within a few of its tolerance with it."""
+    """Steps longer than a period of the faster mode: lost without it, within its tolerance with it."""
     lost, kept = (run(moving, master=Coupling("hermite", guard=g), step=0.2, stop=10.0) for g in (0, None))
     np.testing.assert_array_equal(lost.trace.time, kept.trace.time)  # recorded where it was asked for
     assert kept.card.repeated > 0
