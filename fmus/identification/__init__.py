@@ -1,0 +1,1 @@
+"""Identification: recordings of a test rig or a machine become parameters with error bars."""

@@ -1,0 +1,1 @@
+"""Recordings: what was measured, with which instruments, and how far it can be trusted."""

@@ -1,0 +1,96 @@
+"""A recording: signals over one clock, the instruments that took them, what holds during the experiment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The instrument of one signal, numbers in the signal's SI unit.
+
+    text         what it is
+    noise        standard deviation of one sample, 0 if not told
+    resolution   step of the converter, 0 if not told
+    low, high    range; a value at an end is clipped
+    dead_zone    magnitude below which it reads nothing useful, such as the slowest flow of a turbine
+    """
+
+    text: str = ""
+    noise: float = 0.0
+    resolution: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    dead_zone: float = 0.0
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of one sample with the converter's: noise, and a step's width over sqrt(12)."""
+        return math.hypot(self.noise, self.resolution / math.sqrt(12))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals in SI units.
+
+    source       the file
+    procedure    which experiment it is: "valve", "hose_resistance", ..., "machine"
+    use          "train" or "test": what is fitted, what is held out
+    conditions   what holds during the experiment: numbers in SI units, or words
+    time         shape (n,) [s], increasing
+    signals      each of shape (n,); NaN where there is no sample
+    units        SI unit of each signal
+    sensors      instrument of each signal, where told
+    """
+
+    source: Path
+    title: str
+    procedure: str
+    use: str
+    conditions: Mapping[str, float | str]
+    time: Array
+    signals: Mapping[str, Array]
+    units: Mapping[str, str]
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Array:
+        """One signal, shape (n,)."""
+        if name not in self.signals:
+            there = ", ".join(self.signals)
+            raise ModelError(
+                f"{self.source}: signal {name} is missing, expected for {self.procedure}; has {there}"
+            )
+        return self.signals[name]
+
+    def sensor(self, name: str) -> Sensor:
+        """The instrument of a signal; one that knows nothing if none is told."""
+        return self.sensors.get(name, Sensor())
+
+    def number(self, name: str) -> float:
+        """A condition that is a number, in SI units."""
+        value = self.conditions.get(name)
+        if not isinstance(value, float):
+            found = "nothing" if value is None else repr(value)
+            raise ModelError(
+                f"{self.source}: [experiment] {name} is {found}, expected a number with its unit"
+            )
+        return value
+
+    def word(self, name: str) -> str:
+        """A condition that is a word."""
+        value = self.conditions.get(name)
+        if not isinstance(value, str):
+            found = "nothing" if value is None else repr(value)
+            raise ModelError(f"{self.source}: [experiment] {name} is {found}, expected a word")
+        return value

@@ -1,0 +1,1 @@
+"""All chosen parameters together against recorded traces: output error by multiple shooting."""
