@@ -52,6 +52,7 @@ class Recording:
     signals      each of shape (n,); NaN where there is no sample
     units        SI unit of each signal
     sensors      instrument of each signal, where told
+    kind         where it comes from: "measurement", "simulation" or "published", as [reference] says
     """
 
     source: Path
@@ -63,6 +64,7 @@ class Recording:
     signals: Mapping[str, Array]
     units: Mapping[str, str]
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
+    kind: str = "measurement"
 
     def __getitem__(self, name: str) -> Array:
         """One signal, shape (n,)."""
