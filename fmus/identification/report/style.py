@@ -1,0 +1,130 @@
+"""How figures look: colours, axes, and the ways out, PNG for documents and SVG inside a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WIDTH = 9.6  # in; 1000 pixels of a page
+DPI = 150
+# An SVG above this size [characters] is embedded as PNG instead.
+SVG_LIMIT = 700_000
+# Twice as many points as a screen is wide: the eye sees every peak, the file stays small.
+BUCKETS = 600
+DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
+DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours that differ in hue and in lightness, for colour-blind readers and for print (Okabe and Ito).
+
+    pairs   colour of the measurement, colour of the fit to it
+    """
+
+    ink: str = "#1c2024"
+    faint: str = "#8a9099"
+    grid: str = "#dfe2e6"
+    good: str = "#2f7d4f"
+    bad: str = "#c2341d"
+    pairs: tuple[tuple[str, str], ...] = (
+        ("#7db7dc", "#06406b"),
+        ("#f0b35c", "#8c3b00"),
+        ("#8fd0b5", "#00513a"),
+        ("#d3a6cf", "#6b2a66"),
+    )
+
+    def pair(self, place: int) -> tuple[str, str]:
+        """The pair of the curve with this number; after the last one they begin again."""
+        return self.pairs[place % len(self.pairs)]
+
+
+PALETTE = Palette()
+
+
+def frame(axes: Axes) -> None:
+    """A quiet frame: left and bottom only, faint grid."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(PALETTE.faint)
+    axes.tick_params(which="both", colors=PALETTE.ink, labelsize=8, length=3)
+    axes.grid(True, color=PALETTE.grid, linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
+    """The smallest and the largest sample of each bucket, in their order: no peak is lost.
+
+    x, y   shape (n,); returned with at most 2 buckets + 2 samples, first and last among them; a bucket
+           without any number keeps its first sample, so that a gap stays one
+    """
+    if len(x) <= 2 * buckets:
+        return x, y
+    edges = np.linspace(0, len(x), buckets + 1).astype(int)
+    picks = {0, len(x) - 1}
+    for a, b in itertools.pairwise(edges):
+        piece = y[a:b]
+        known = np.flatnonzero(np.isfinite(piece))
+        picks |= (
+            {int(a + known[pick(piece[known])]) for pick in (np.argmin, np.argmax)} if known.size else {a}
+        )
+    kept = np.array(sorted(picks))
+    return x[kept], y[kept]
+
+
+def png(figure: Figure, dpi: int = DPI) -> bytes:
+    """The figure as PNG on white."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def svg(figure: Figure) -> str:
+    """The figure as SVG text: text stays text, the same figure gives the same bytes."""
+    buffer = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "harvester", "path.simplify_threshold": 0.2}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def embed(figure: Figure, prefix: str, title: str) -> Markup:
+    """The figure for HTML: SVG whose colours follow the page's theme, or PNG if that would be too large."""
+    text = svg(figure)
+    if len(text) > SVG_LIMIT:
+        data = Markup(base64.b64encode(png(figure)).decode())
+        return Markup('<img class="paper" alt="{}" src="data:image/png;base64,{}">').format(title, data)
+    return Markup(_inline(text, prefix, title))
+
+
+def _inline(text: str, prefix: str, title: str) -> str:
+    """An SVG file as an HTML element: no prologue, no metadata, own ids, colours as CSS variables."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
+    label = Markup.escape(title)
+    text = re.sub(r'(<svg [^>]*?)width="[^"]*"', r'\1width="100%"', text, count=1)
+    text = re.sub(r'(<svg [^>]*?)height="[^"]*"', rf'\1role="img" aria-label="{label}"', text, count=1)
+    text = re.sub(r'\bid="|href="#|url\(#', lambda match: match[0] + prefix, text)
+    text = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), text)
+    for name, colour in _theme().items():
+        text = text.replace(colour, f"var(--{name}, {colour})")
+    return re.sub(r"\s*\n\s*", "\n", text)
+
+
+def _theme() -> dict[str, str]:
+    """CSS variable -> the colour it stands for in the light theme."""
+    words = {f"fig-{word}": getattr(PALETTE, word) for word in ("ink", "faint", "grid", "good", "bad")}
+    for k, (measured, fit) in enumerate(PALETTE.pairs):
+        words |= {f"fig-m{k}": measured, f"fig-f{k}": fit}
+    return words
