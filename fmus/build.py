@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from shutil import copyfile
 
-from fmus.contract import ModelError
+from fmus.contract import ModelError, Subsystem
 from fmus.export.build import build_all
 from fmus.files import shipped
-from fmus.harvester import HARVESTER
-from fmus.machine import ALL, FAMILIES
+from fmus.harvester import whole
+from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
+from fmus.manipulator import MANIPULATOR
+from fmus.poses import NOMINAL, POSES, pose_set
 from fmus.scenarios import WORK_CYCLE_STOP
+from fmus.sets import read_set, with_numbers
 from fmus.system import write_system
 
 STEP = 1e-3  # default communication step [s]
@@ -29,23 +32,39 @@ def data(name: str) -> Path:
 
 
 def build_machine(
-    folder: Path, versions: Sequence[int] = (2,), platforms: Sequence[str] | None = None
+    folder: Path,
+    versions: Sequence[int] = (2,),
+    platforms: Sequence[str] | None = None,
+    parameters: Path | None = None,
 ) -> list[Path]:
     """Write the FMUs of the machine, its levers and the whole, harvester.ssp, and all variants; their paths.
 
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.platforms`; by default the one this runs on
+    parameters  a set of numbers (`fmus.sets`) in place of those of the parts
     """
-    others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
-    subs = [*ALL.values(), HARVESTER, *others]
+    own, others = parts(parameters)
+    subs = [*own.values(), whole({name: own[name] for name in SUBSYSTEMS}), *others]
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     under = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
     for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, under).items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         usual = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
-        paths += [*built, write_system(folders[fmi], fmus, STEP, fmi), *usual]
+        paths += [*built, write_system(folders[fmi], fmus, STEP, fmi, own[MANIPULATOR.name]), *usual]
     return paths
+
+
+def parts(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Subsystem]]:
+    """The usual parts by name, and the other variants, all with the numbers of a set if one is given."""
+    others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
+    if parameters is None:
+        return dict(ALL), others
+    given = read_set(parameters, [*ALL.values(), *others])
+    own, new = (pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_numbers(MANIPULATOR, given)))
+    start = {n: value for n, value in new.items() if value != own[n]}  # other masses, other holding forces
+    usual = {n: with_numbers(sub, given, start) for n, sub in ALL.items()}
+    return usual, [with_numbers(sub, given, start) for sub in others]
 
 
 def _copied(fmu: Path, variant: str) -> Path:

@@ -112,14 +112,15 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
         own[section] = {}
         for name, number in found[section].items():
             if name in declared:
-                _check(path, f"[{section}.{name}]", declared[name], number)
+                check(path, f"[{section}.{name}]", declared[name], number)
                 own[section][name] = number
             elif name not in sub.elsewhere:
                 raise ModelError(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return own
 
 
-def _check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
+def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
+    """Refuse another unit than the declared one, and a value out of bounds."""
     if number.unit != quantity.unit:
         raise ModelError(f"{path}: {where} is in {number.unit}, declared {quantity.unit}")
     low, high = quantity.minimum, quantity.maximum

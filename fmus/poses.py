@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import Subsystem, quantities, symbolic
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -37,17 +37,17 @@ POSES: Mapping[str, Pose] = {
 }
 
 
-def pose_set(pose: Pose) -> dict[str, float]:
+def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, float]:
     """The parameters of a pose, and inputs for tools that pass nothing on at initialisation.
 
     Piston positions are x(q) and holding forces G(q) / J, by the manipulator's own equations.
     """
-    model, own = symbolic(MANIPULATOR), values(MANIPULATOR)
+    model, own = symbolic(manipulator), values(manipulator)
     angles = {"swing": pose.swing, "boom": pose.boom, "stick": pose.stick}
     p = {**own.p, **{parameter(joint): angle for joint, angle in angles.items()}}
     x, *known = (list(group.values()) for group in (own.x, own.u, p))
     outputs = model.function()(model.initial()(x, *known), *known)[1].full()[:, 0]
-    y = dict(zip(quantities(MANIPULATOR.outputs), map(float, outputs), strict=True))
+    y = dict(zip(quantities(manipulator.outputs), map(float, outputs), strict=True))
     found = {f"manipulator.{parameter(joint)}": angle for joint, angle in angles.items()}
     for joint in JOINTS:
         force = y[f"{joint}_holding_force"]

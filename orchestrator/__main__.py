@@ -88,6 +88,13 @@ def build(
             help="host (the default), all, or one such as x86_64-windows or aarch64-linux; repeatable.",
         ),
     ] = None,
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Numbers in place of those of the parts (.toml), such as harvester identify writes.",
+        ),
+    ] = None,
 ) -> None:
     """Build the FMUs of the parts, of the whole, and harvester.ssp; or one of a model in Python."""
     from fmus.export.platforms import select
@@ -103,11 +110,13 @@ def build(
 
         if 2 not in versions[fmi]:
             raise Problem(f"--fmi {fmi}: expected 2, an FMU whose code is Python is one of FMI 2.0")
+        if parameters is not None:
+            raise Problem(f"--parameters {parameters}: a model of your own has its own numbers")
         print(build_model(model, out, platforms))
         return
     from fmus.build import build_machine
 
-    for path in build_machine(out, versions[fmi], platforms):
+    for path in build_machine(out, versions[fmi], platforms, parameters):
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
 
 

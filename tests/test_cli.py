@@ -13,7 +13,7 @@ import pytest
 from fmus.build import data
 from fmus.machine import ALL, FAMILIES
 from fmus.poses import POSES
-from orchestrator import read
+from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
 from orchestrator.commands import validate
 
@@ -99,7 +99,8 @@ def test_a_scenario_of_one_column_is_enough(capsys):
 def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
-    note = "no --scenario given: ran what the system plays by itself"
+    commands = "swing.swing_command, boom_stick.boom_command, boom_stick.stick_command"
+    note = f"no --scenario given: played {commands} of the reference"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("build/report.json").read_text(encoding="utf-8")
     title = "<title>harvester against Work cycle, monolithic solution"
@@ -107,6 +108,38 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     assert main(["validate", "--stop", "0.2"]) == 0
     assert note not in capsys.readouterr().out
     assert "<title>Harvester, work cycle" in Path("build/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("here")
+def test_a_recording_without_commands_is_told_what_ran(capsys):
+    """Nothing to play in it: the levers play their own program, and a note says so."""
+    shutil.copy(REFERENCE, "own.csv")
+    Path("own.toml").write_text('[signals."manipulator.boom_angle"]\nunit = "rad"\n', encoding="utf-8")
+    assert main(["validate", "--reference", "own.csv", "--stop", "0.2"]) == 0
+    assert "note: no --scenario given: ran what the system plays by itself" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("system", ["harvester.ssp", "harvester.fmu"])
+def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
+    """In other units and moved in time: the run is that of the recording, whatever the levers would play."""
+    time = np.arange(0.0, 2.0, 0.005)
+    command = 1000.0 * np.interp(time, [0.5, 0.8, 1.4, 1.7], [0.0, 3.0, 3.0, 0.0])
+    write(Trace(time, {"BOOM": command, "ANGLE": np.full(time.size, 11.459)}), "own.csv")
+    Path("own.toml").write_text(
+        '[signals."boom_stick.boom_command"]\ncolumn = "BOOM"\nunit = "mV"\n'
+        '[signals."manipulator.boom_angle"]\ncolumn = "ANGLE"\nunit = "deg"\n',
+        encoding="utf-8",
+    )
+    shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
+    assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
+    assert "played" in capsys.readouterr().out
+    trace = read("build/run.csv")
+    own = "harvester" if system.endswith("fmu") else "boom_stick"
+    at = np.interp(trace.time, time, command / 1000.0)
+    # the trace is recorded on a grid of 5 ms, as the recording: exact but for rounding
+    np.testing.assert_allclose(trace[f"{own}.boom_command"], at, atol=1e-9)
+    assert trace.time[-1] == pytest.approx(time[-1], abs=1e-3)
 
 
 @pytest.mark.usefixtures("here")

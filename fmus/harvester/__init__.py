@@ -1,5 +1,5 @@
 """The whole machine as one block."""
 
-from fmus.harvester.model import HARVESTER
+from fmus.harvester.model import HARVESTER, whole
 
-__all__ = ["HARVESTER"]
+__all__ = ["HARVESTER", "whole"]

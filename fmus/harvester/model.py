@@ -5,9 +5,11 @@ Nothing is declared here but what a user of the one block sees otherwise than a 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from fmus.components.ports import lever, return_line, supply_line
+from fmus.contract import Subsystem
 from fmus.joined import joined
 from fmus.machine import CONNECTIONS, HOLDING, INPUTS, RATES, SUBSYSTEMS
 
@@ -25,15 +27,21 @@ TEXTS = {
 }
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
-HARVESTER = joined(
-    name="harvester",
-    text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
-    subsystems=SUBSYSTEMS,
-    connections=CONNECTIONS,
-    inputs=INPUTS,
-    folder=Path(__file__).parent,
-    hidden=HIDDEN,
-    totals=TOTALS,
-    texts=TEXTS,
-    terminals=(*(lever(axis) for axis in ("swing", "boom", "stick")), supply_line(), return_line()),
-)
+
+def whole(parts: Mapping[str, Subsystem]) -> Subsystem:
+    """The machine of swing, boom_stick and manipulator, with their numbers."""
+    return joined(
+        name="harvester",
+        text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
+        subsystems=parts,
+        connections=CONNECTIONS,
+        inputs=INPUTS,
+        folder=Path(__file__).parent,
+        hidden=HIDDEN,
+        totals=TOTALS,
+        texts=TEXTS,
+        terminals=(*(lever(axis) for axis in ("swing", "boom", "stick")), supply_line(), return_line()),
+    )
+
+
+HARVESTER = whole(SUBSYSTEMS)

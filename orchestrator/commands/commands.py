@@ -10,7 +10,7 @@ from typing import Any
 from orchestrator.coupling.grid import RECORD, communication_step, thinned
 from orchestrator.errors import Problem
 from orchestrator.files.sidecar import write_facts
-from orchestrator.files.trace import check_suffix, write
+from orchestrator.files.trace import Trace, check_suffix, write
 from orchestrator.runs.simulation import Interrupted, Result, RunFailed
 from orchestrator.runs.simulation import run as simulate
 from orchestrator.system.ssp import load
@@ -30,7 +30,7 @@ def given(coupling: Mapping[str, Any] | None = None, **options: Any) -> dict[str
 
 def simulated(
     system: Path,
-    scenario: Path | None,
+    scenario: Path | Trace | None,
     out: Path,
     step: float | None = None,
     record_step: float | None = None,
@@ -60,7 +60,8 @@ def simulated(
         return simulate(loaded, scenario, step=step, record_step=interval, progress=True, **options)
     except (RunFailed, Interrupted) as ended:
         own = {"step": step, "record_step": record_step, "cut": cut, "swap": swap}
-        save(ended.result, out, given(coupling, scenario=scenario, **own, **options))
+        file = None if isinstance(scenario, Trace) else scenario
+        save(ended.result, out, given(coupling, scenario=file, **own, **options))
         raise
 
 

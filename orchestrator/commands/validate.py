@@ -8,12 +8,14 @@ from typing import Any
 
 from rich.console import Console
 
-from orchestrator.commands.commands import BUILT, contents, given, simulated
+from orchestrator.commands.commands import BUILT, contents, given, simulated, there
 from orchestrator.commands.judge import another_model, judge
+from orchestrator.commands.played import played
 from orchestrator.files.sidecar import write_facts
-from orchestrator.files.trace import write
+from orchestrator.files.trace import Trace, write
 from orchestrator.runs.card import Card
 from orchestrator.runs.simulation import Result
+from orchestrator.system.ssp import load
 from orchestrator.system.swap.lost import lost
 from orchestrator.validation import read_reference, summary
 from orchestrator.validation.layout import Layout, read_layout
@@ -41,9 +43,10 @@ def validate(
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
-    result = simulated(system, scenario, trace, **options, everywhere=False)
-    if reference and not scenario and not options.get("parameters"):
-        result = _noted(result, "no --scenario given: ran what the system plays by itself")
+    commands = played(load(there(system)), against) if reference and not scenario else None
+    result = simulated(system, scenario or commands, trace, **options, everywhere=False)
+    if reference and not scenario:
+        result = _noted(result, _ran(commands))
     if scenario and not reference:
         doubt = f"which may be of another scenario than {scenario}"
         result = _noted(result, f"no --reference given: judged against {against.title}, {doubt}")
@@ -64,6 +67,13 @@ def validate(
     Console().print(summary(validation))
     print(f"\n{result.card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {contents(result, trace)}")
     return validation.passed
+
+
+def _ran(commands: Trace | None) -> str:
+    """What ran where nobody gave a scenario."""
+    if commands is None:
+        return "no --scenario given: ran what the system plays by itself"
+    return f"no --scenario given: played {', '.join(commands.signals)} of the reference"
 
 
 def _without_lost(result: Result, against: Reference) -> tuple[Result, Reference]:

@@ -1,0 +1,109 @@
+"""Sets of numbers: which parts they reach, what follows from them, what is refused."""
+
+import pytest
+
+from fmus.build import parts
+from fmus.contract import ModelError, quantities
+from fmus.harvester import whole
+from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
+from fmus.manipulator import MANIPULATOR
+from fmus.parameters import numbers, values
+from fmus.poses import NOMINAL, POSES, pose_set
+from fmus.system import parameter_sets
+from orchestrator.__main__ import main
+
+VALVE = (
+    '[parameters.valve_area]\nvalue = 4.1e-5\nunit = "m2"\nsource = "identified"\nnote = "bench"\nsd = 1e-7\n'
+)
+PRELOAD = (
+    '[parameters."swing.initial_preload"]\nvalue = 1.2e6\nunit = "Pa"\nsource = "identified"\nnote = "read"\n'
+)
+MASS = '[parameters.head_mass]\nvalue = 400.0\nunit = "kg"\nsource = "identified"\nnote = "weighed"\n'
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """All parts with a set of three numbers."""
+    (tmp_path / "set.toml").write_text(VALVE + PRELOAD + MASS, encoding="utf-8")
+    usual, others = parts(tmp_path / "set.toml")
+    return {**usual, **{sub.name: sub for sub in others}}
+
+
+def test_a_name_reaches_every_part_that_declares_it(machine):
+    """The valves are identical, so one area goes to all drives at all fidelities, with its source and sd."""
+    holders = {n for n, sub in machine.items() if "valve_area" in quantities(sub.parameters)}
+    assert holders == {s.name for part in ("swing", "boom_stick") for s in FAMILIES[part].values()}
+    for name in holders:
+        number = numbers(machine[name])["parameters"]["valve_area"]
+        assert (number.value, number.source, number.note, number.sd) == (4.1e-5, "identified", "bench", 1e-7)
+
+
+def test_a_name_with_its_part_reaches_that_part_only(machine):
+    """Both drives have a preload, and they are two things."""
+    found = {n: values(machine[n]).p["initial_preload"] for n in ("swing", "swing_detailed", "boom_stick")}
+    usual = values(SUBSYSTEMS["boom_stick"]).p["initial_preload"]
+    assert found == {"swing": 1.2e6, "swing_detailed": 1.2e6, "boom_stick": usual}
+
+
+def test_what_the_set_leaves_out_stays(machine):
+    """Nothing but the named numbers and what follows from them changes."""
+    changed = {}
+    for name, sub in ALL.items():
+        old, new = numbers(sub), numbers(machine[name])
+        assert {s: set(t) for s, t in old.items()} == {s: set(t) for s, t in new.items()}
+        changed |= {f"{name}.{v}": s for s, t in old.items() for v, n in t.items() if new[s][v] != n}
+    named = {"swing.valve_area", "swing.initial_preload", "boom_stick.valve_area", "manipulator.head_mass"}
+    assert {v for v, section in changed.items() if section == "parameters"} == named
+    # a heavier head is held by other forces; positions of the pistons do not change
+    assert {v for v, section in changed.items() if section == "start"} == {
+        f"{part}.{joint}_{what}"
+        for joint in ("boom", "stick")
+        for part, what in (("manipulator", "force"), ("boom_stick", "holding_force"))
+    }
+
+
+def test_the_whole_and_the_poses_follow(machine):
+    """The one block and the poses of the system are of the same machine as the parts."""
+    block = values(whole({name: machine[name] for name in SUBSYSTEMS})).p
+    assert (block["valve_area"], block["swing_initial_preload"], block["head_mass"]) == (4.1e-5, 1.2e6, 400.0)
+    pose = parameter_sets(machine["manipulator"])[NOMINAL]
+    assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])
+    start = {n: number.value for n, number in numbers(machine["boom_stick"])["start"].items()}
+    assert start["boom_holding_force"] == pose["boom_stick.boom_holding_force"]
+    assert (
+        pose["boom_stick.boom_holding_force"]
+        > pose_set(POSES[NOMINAL], MANIPULATOR)["boom_stick.boom_holding_force"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            VALVE.replace("valve_area", "valve_aera"),
+            "[parameters.valve_aera] is declared by no part, expected",
+        ),
+        (VALVE.replace('"m2"', '"mm2"'), "[parameters.valve_area] is in mm2, declared m2"),
+        (VALVE.replace("4.1e-5", "-4.1e-5"), "[parameters.valve_area] is -4.1e-05 m2, expected 0.0 to None"),
+        (
+            VALVE.replace("parameters.", "start."),
+            "[start.valve_area] is no parameter, expected [parameters.*]",
+        ),
+        (
+            PRELOAD.replace("swing.", "boom."),
+            "[parameters.boom.initial_preload] is declared by no part, expected",
+        ),
+        ("", "no table [parameters.NAME], expected at least one"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(text, told, tmp_path, monkeypatch, capsys):
+    """File, thing, expected, found; before anything is compiled or written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "set.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError):
+        parts(tmp_path / "set.toml")
+    assert main(["build", "--parameters", "set.toml"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"harvester: set.toml: {told}")
+    assert error.count("\n") == 1
+    assert not list((tmp_path / "build").glob("*.fmu"))
