@@ -10,6 +10,7 @@ from the energies (`fmus.manipulator.arm`, `fmus.components.rigid_body`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -76,11 +77,22 @@ def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) ->
     return {c: design.friction.resist(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
 
 
-def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
-    """Time derivative of the state, field by field."""
+def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> ca.SX:
+    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops; all but inertia and gravity."""
     boom, stick = arm.pistons(x, p)
-    r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
-    tau = column(
+    return _forces(design, x, u, p, (boom, stick), _resistances(design, x, p, boom, stick))
+
+
+def _forces(
+    design: Design,
+    x: Any,
+    u: ManipulatorInputs,
+    p: Any,
+    pistons: tuple[Piston, Piston],
+    r: Mapping[str, Resistance],
+) -> ca.SX:
+    (boom, stick), joint = pistons, design.head.joint(x, p)
+    tau: ca.SX = column(
         u.swing_torque - r["swing"].force,
         boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop)
         - r["boom_joint"].force
@@ -90,6 +102,14 @@ def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         + joint.on_stick,
         *joint.own,
     )
+    return tau
+
+
+def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
+    """Time derivative of the state, field by field."""
+    boom, stick = arm.pistons(x, p)
+    r = _resistances(design, x, p, boom, stick)
+    tau = _forces(design, x, u, p, (boom, stick), r)
     acceleration = arm.mechanics(x, p, design.head).acceleration(tau)
     speeds = ("swing_speed", "boom_speed", "stick_speed", *design.head.speeds)
     angles = ("swing_angle", "boom_angle", "stick_angle", *design.head.angles)
