@@ -33,7 +33,7 @@ def native_sources(fmi: int) -> dict[str, str]:
 
 def sources(face: Interface, guid: str, fmi: int) -> dict[str, str]:
     """File name -> text of all C files of an FMU; only that of `main_source` is to be compiled."""
-    code = native_sources(fmi) | _generated(face, guid, fmi)
+    code = native_sources(fmi) | generated(face, guid, fmi)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
     return code | {main_source(face.name): _all(face, names, fmi)}
@@ -56,7 +56,8 @@ def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
     )
 
 
-def _generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+def generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+    """The generated files by name: sizes.h, model.c, and adjoint.c for FMI 3."""
     equations = write_out(face)
     names = {
         "x": [v.name for v in face.states],

@@ -54,21 +54,29 @@ _UNARY = {
 
 @dataclass(frozen=True)
 class Routine:
-    """A C function: named input vectors to named output vectors."""
+    """A C function: named input vectors to named output vectors.
+
+    wide   inputs and outputs whose entries are not numbers but of the C type `Columns`, as are all between
+    """
 
     name: str
     inputs: Mapping[str, ca.SX]
     outputs: Mapping[str, ca.SX]
+    wide: frozenset[str] = frozenset()
 
 
 def routine(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
     """The C text of a routine; `names` gives what the entries of an input vector are called."""
     function = ca.Function("f", list(r.inputs.values()), list(r.outputs.values()), {"cse": True})
-    arguments = [f"const double *{name}" for name in r.inputs] + [f"double *{name}" for name in r.outputs]
+    kinds = {name: "Columns" if name in r.wide else "double" for name in (*r.inputs, *r.outputs)}
+    arguments = [f"const {kinds[name]} *{name}" for name in r.inputs]
+    arguments += [f"{kinds[name]} *{name}" for name in r.outputs]
     used = {function.instruction_input(k)[0] for k in _of(function, ca.OP_INPUT)}
     unused = [f"(void){name};" for i, name in enumerate(r.inputs) if i not in used]
     unused += [f"(void){name};" for name, value in r.outputs.items() if value.numel() == 0]
     body = [*unused, *_statements(function, list(r.inputs), list(r.outputs), names)]
+    if r.wide:
+        body = [line.replace("const double v", "const Columns v", 1) for line in body]
     text = "".join(f"    {line}\n" for line in body)
     return f"LOCAL void {r.name}({', '.join(arguments)}) {{\n{text}}}\n"
 
