@@ -1,0 +1,150 @@
+"""A subsystem compiled for output error: outputs at recorded samples, and their exact derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError, Subsystem
+from fmus.identification.refinement.library import library
+from fmus.identification.refinement.reduced import reduce
+from fmus.identification.refinement.slopes import WIDTH, sources
+from fmus.parameters import Values
+from fmus.parameters import values as numbers
+
+Array = NDArray[np.float64]
+
+_POINTER = ctypes.POINTER(ctypes.c_double)
+_WHY = (
+    "",
+    "the derivative of {} is not finite",
+    "the Jacobian is singular",
+    "steps become too small, the error is largest in {}",
+    "too many steps between two samples",
+    'requirement "{}" is violated',
+    "an output or a derivative of one is not finite",
+)
+
+
+class Failed(Exception):
+    """The model could not be simulated: why, and the time [s] it reached."""
+
+    def __init__(self, why: str, time: float) -> None:
+        super().__init__(f"{why} at t = {time:.9g} s")
+        self.why, self.time = why, time
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What `Model.segment` gives; the derivatives have no entries where none were asked for.
+
+    y          outputs at the samples, shape (n, ny)
+    x          states at the last sample, shape (nx,)
+    y_x, y_p   derivatives of y by the states at the start and by the parameters, (n, ny, nx), (n, ny, np)
+    x_x, x_p   derivatives of x likewise, (nx, nx), (nx, np)
+    steps      steps of the solver
+    """
+
+    y: Array
+    x: Array
+    y_x: Array
+    y_p: Array
+    x_x: Array
+    x_p: Array
+    steps: int
+
+
+class Model:
+    """A subsystem compiled for output error.
+
+    states, inputs   names of those that the outputs depend on: the others are left out
+    outputs, free    names of the outputs and of the free parameters, as given
+    nominal          magnitudes of the states, shape (nx,)
+    p0               values of the free parameters, shape (np,)
+    """
+
+    def __init__(
+        self,
+        sub: Subsystem,
+        outputs: Sequence[str],
+        free: Sequence[str],
+        values: Values | None = None,
+        tolerance: float = 1e-6,
+    ) -> None:
+        given = values or numbers(sub)
+        model = reduce(sub, outputs, free)
+        self.states, self.inputs, self.outputs, self.free = (
+            model.states,
+            model.inputs,
+            model.outputs,
+            model.free,
+        )
+        self.nominal = np.array([model.declared[name].nominal for name in model.states])
+        self._p = np.array([given.p[name] for name in model.parameters])
+        self._places = np.array([model.parameters.index(name) for name in free], dtype=np.intp)
+        self.p0 = self._p[self._places]
+        self._acting = np.array(model.acting, dtype=np.intp)
+        self._statements = model.statements
+        self._tolerance = tolerance
+        self._x = np.array(list(given.x.values()))
+        slope = ca.densify(ca.jacobian(model.start, model.q))
+        self._start = ca.Function("start", [model.all_x, model.u, model.p], [model.start, slope])
+        self._refine = library(sources(model)).refine
+        self._refine.restype = ctypes.c_int
+        doubles = [_POINTER] * 4
+        self._refine.argtypes = [ctypes.c_int, *doubles, ctypes.c_double, ctypes.c_int, *doubles]
+
+    def start(self, p: Array, u0: Array) -> tuple[Array, Array]:
+        """States at the start by the subsystem's `initial`, shape (nx,), and their derivatives by p, (nx, np)."""
+        x, slope = self._start(self._x, u0, self._all(p))
+        return x.full()[:, 0], slope.full()
+
+    def segment(self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True) -> Piece:
+        """The motion from the states x at time[0] to time[-1]; inputs (n, nu) are linear between the samples."""
+        time, inputs = _plain(time), _plain(inputs)
+        n, nx, ny, nu = time.size, len(self.states), len(self.outputs), len(self.inputs)
+        if inputs.shape != (n, nu):
+            raise ModelError(f"inputs have the shape {inputs.shape}, expected ({n}, {nu}): {self.inputs}")
+        columns = -(-(self._acting.size + nx) // WIDTH) * WIDTH if sensitivities else 0
+        x, y, told = _plain(x).copy(), np.empty((n, ny)), np.zeros(3)
+        slopes, ends = np.empty((n, ny, columns)), np.empty((nx, columns))
+        arrays = [a.ctypes.data_as(_POINTER) for a in (time, inputs, x, self._all(p))]
+        results = [a.ctypes.data_as(_POINTER) for a in (y, slopes, ends, told)]
+        outcome = self._refine(n, *arrays, self._tolerance, int(sensitivities), *results)
+        if outcome:
+            raise self._failed(outcome, *told)
+        y_x, y_p = self._split(slopes)
+        x_x, x_p = self._split(ends)
+        return Piece(y, x, y_x, y_p, x_x, x_p, int(told[1]))
+
+    def _all(self, p: Array) -> Array:
+        """All parameters, in the order of their declaration."""
+        every = self._p.copy()
+        every[self._places] = p
+        return every
+
+    def _split(self, columns: Array) -> tuple[Array, Array]:
+        """Derivatives by the states and by the parameters; of those that do not act they are zero."""
+        acting, nx = self._acting.size, len(self.states)
+        if columns.shape[-1] == 0:
+            return columns, columns
+        by_states, by_acting = columns[..., acting : acting + nx], columns[..., :acting]
+        if acting == len(self.free):
+            return by_states, by_acting
+        by_p = np.zeros((*columns.shape[:-1], len(self.free)))
+        by_p[..., self._acting] = by_acting
+        return by_states, by_p
+
+    def _failed(self, outcome: int, time: float, steps: float, culprit: float) -> Failed:
+        del steps
+        names = self._statements if "requirement" in _WHY[outcome] else self.states
+        return Failed(_WHY[outcome].format(names[int(culprit)] if names else ""), time)
+
+
+def _plain(values: Array) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)

@@ -1,0 +1,183 @@
+"""All segments of all runs at one point: residuals, their Jacobian, gaps in the trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.identification.refinement import loss as losses
+from fmus.identification.refinement.condense import Local
+from fmus.identification.refinement.loss import Loss
+from fmus.identification.refinement.problem import Problem, Run
+from fmus.identification.refinement.simulator import Simulator
+
+Array = NDArray[np.float64]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Point:
+    """Unknowns: z of the parameters, and per run the start states (segments, nx) in nominal values."""
+
+    z: Array
+    starts: tuple[Array, ...]
+
+    def moved(self, dz: Array, changes: Sequence[Sequence[Array]], length: float) -> Point:
+        """The point a fraction `length` of a step away."""
+        starts = [
+            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(self.starts, changes, strict=True)
+        ]
+        return Point(self.z + length * dz, tuple(starts))
+
+
+@dataclass(frozen=True)
+class Segment:
+    """What one segment contributes.
+
+    residual   weighted by 1 / standard deviation, shape (m,)
+    column     output of each, shape (m,)
+    factor     of the robust loss, shape (m,)
+    end        end state in nominal values
+    local      the linearisation; none if it was not asked for
+    """
+
+    residual: Array
+    column: NDArray[np.int64]
+    factor: Array
+    end: Array
+    local: Local | None
+
+    def projected(self, other: Segment) -> Array:
+        """Q' r of this segment's linearisation, with the residuals of `other`."""
+        assert self.local is not None
+        return self.local.q.T @ (self.factor * other.residual)
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The segments of each run at a point."""
+
+    point: Point
+    runs: tuple[tuple[Segment, ...], ...]
+
+    @property
+    def defects(self) -> list[list[Array]]:
+        """Gaps: end of each segment minus start of the next, in nominal values."""
+        return [
+            [piece.end - start for piece, start in zip(pieces[:-1], starts[1:], strict=True)]
+            for pieces, starts in zip(self.runs, self.point.starts, strict=True)
+        ]
+
+    def gap(self) -> float:
+        """Largest of them."""
+        return max((float(np.abs(d).max(initial=0.0)) for run in self.defects for d in run), default=0.0)
+
+    def residuals(self) -> tuple[Array, NDArray[np.int64]]:
+        """All weighted residuals, and the output of each."""
+        segments = [s for run in self.runs for s in run]
+        return (np.concatenate([s.residual for s in segments]), np.concatenate([s.column for s in segments]))
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """How a problem is cut into segments and evaluated.
+
+    edges    per run the indices of the samples at which segments begin, and the last one
+    """
+
+    problem: Problem
+    simulator: Simulator
+    edges: tuple[tuple[int, ...], ...]
+    threads: int
+    loss: Loss
+
+    def evaluate(self, point: Point, scales: Scales, sensitivities: bool = True) -> Evaluated:
+        """Integrate all segments; raises what the simulator raises."""
+        p, slopes = self.problem.values_of(point.z), self.problem.slopes(point.z)
+
+        def job(place: tuple[int, int]) -> Segment:
+            run, i = place
+            return self._segment(run, i, point.starts[run][i], p, slopes, scales, sensitivities)
+
+        places = [(k, i) for k, cuts in enumerate(self.edges) for i in range(len(cuts) - 1)]
+        found = iter(parallel(job, places, self.threads))
+        return Evaluated(point, tuple(tuple(next(found) for _ in cuts[1:]) for cuts in self.edges))
+
+    def _segment(
+        self, run: int, i: int, start: Array, p: Array, slopes: Array, scales: Scales, sensitivities: bool
+    ) -> Segment:
+        record, cuts = self.problem.training[run], self.edges[run]
+        first, last = cuts[i], cuts[i + 1]
+        nominal = self.simulator.nominal
+        time, inputs = record.time[first : last + 1], record.inputs[first : last + 1]
+        piece = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
+        own = last - first + (i == len(cuts) - 2)  # a sample on an edge counts once
+        weight = (record.weight / np.hypot(1.0, scales.floor))[first : first + own]
+        use = weight > 0
+        w, column = weight[use], np.nonzero(use)[1]
+        residual = (piece.y[:own][use] - record.measured[first : first + own][use]) * w
+        factor = losses.weights(residual, scales.tuning[column], self.loss)
+        local = None
+        if sensitivities:
+            rows = np.hstack([piece.y_x[:own][use] * nominal, piece.y_p[:own][use] * slopes])
+            q, r = np.linalg.qr(rows * (w * factor)[:, None])
+            local = Local(q, r, piece.x_x * nominal / nominal[:, None], piece.x_p * slopes / nominal[:, None])
+        return Segment(residual, column, factor, piece.x / nominal, local)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Per output, in standard deviations of the sensor.
+
+    floor    standard deviation of the model's own error, 0 for none
+    tuning   where outliers begin, in those of sensor and model together
+    """
+
+    floor: Array
+    tuning: Array
+
+    @classmethod
+    def sensors(cls, outputs: int) -> Scales:
+        """A model without errors."""
+        return cls(np.zeros(outputs), np.full(outputs, losses.TUNING))
+
+    def seen(self, evaluated: Evaluated, model_error: bool) -> Scales:
+        """The scales that the residuals at a point show; the model's error only if it may have one."""
+        residual, column = evaluated.residuals()
+        parts = [residual[column == k] for k in range(len(self.floor))]
+        floor = self.floor
+        if model_error:
+            power = np.array([np.mean(part**2) if part.size else 0.0 for part in parts])
+            floor = np.sqrt(np.maximum(0.0, power * (1 + floor**2) - 1))
+        ratio = np.hypot(1.0, self.floor) / np.hypot(1.0, floor)
+        tuning = [losses.tuning(part * r) for part, r in zip(parts, ratio, strict=True)]
+        return Scales(floor, np.array(tuning))
+
+    def change(self, other: Scales) -> float:
+        """Largest relative difference."""
+        mine, others = (np.concatenate([np.hypot(1.0, s.floor), s.tuning]) for s in (self, other))
+        return float(np.max(np.abs(others / mine - 1)))
+
+
+def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) -> list[Result]:
+    """Results in the order of the places; an interrupt does not wait for what has not begun."""
+    if threads == 1 or len(places) == 1:
+        return [job(place) for place in places]
+    pool = ThreadPoolExecutor(threads)
+    try:
+        return list(pool.map(job, places))
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def cut(time: Array, seconds: float) -> tuple[int, ...]:
+    """Indices that cut `time` into about equal segments of about `seconds`."""
+    count = max(1, round((time[-1] - time[0]) / seconds))
+    inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1])
+    return tuple(int(i) for i in np.unique([0, *inner, len(time) - 1]))
