@@ -1,0 +1,96 @@
+"""What the machine does with given numbers, commands and variants of its parts: the equations, solved tightly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.recording import Recording
+from fmus.machine import INPUTS, parts, wiring
+from fmus.monolith import join, simulate
+from fmus.parameters import Values, values
+
+Array = NDArray[np.float64]
+Signals = Mapping[str, Array]
+COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
+JOINTS = ("swing", "boom", "stick")
+TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it to be this small
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the machine is driven by: commands [V] (n,) over time (n,) [s], the pose [rad] it starts from.
+
+    supply_pressure   constant, or samples (n,), or None for that of the parameter file
+    """
+
+    time: Array
+    commands: Mapping[str, Array]
+    pose: Mapping[str, float]
+    supply_pressure: float | Array | None = None
+
+
+def drive(recording: Recording, rest: float = 0.5) -> Drive:
+    """Commands and pose of a recording of the machine, which stands still in its first `rest` seconds."""
+    still = recording.time <= recording.time[0] + rest
+    pose = {j: float(np.nanmean(recording[f"manipulator.{j}_angle"][still])) for j in JOINTS}
+    commands = {name: recording[signal] for name, signal in COMMANDS.items()}
+    pressure = recording.signals.get("swing.supply_pressure")
+    constant = None if pressure is None else float(np.nanmean(pressure[still]))
+    return Drive(recording.time, commands, pose, constant)
+
+
+def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None) -> Signals:
+    """All outputs of the machine, `part.name`, shape (n,) each, and the commands.
+
+    numbers    parameters by `name`, for every part that declares it, or by `part.name`; others as in the files
+    variants   of parts that are not the usual ones
+    """
+    machine = parts(**(variants or {}))
+    wires, inputs = wiring(machine)
+    pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in given.pose.items()}
+    known = {part: values(sub) for part, sub in machine.items()}
+    model = join(machine, wires, inputs, _set(known, {**numbers, **pose}, any_part=bool(variants)))
+    u = np.tile(model.u, (given.time.size, 1))
+    driven = {**given.commands}
+    if given.supply_pressure is not None and "supply_pressure" in model.inputs:
+        driven["supply_pressure"] = np.broadcast_to(given.supply_pressure, given.time.shape)
+    for name, samples in driven.items():
+        u[:, model.inputs.index(name)] = samples
+    try:
+        _, y = simulate(model, given.time, u, tolerance=TOLERANCE)
+    except RuntimeError as error:
+        raise ModelError(f"machine with {dict(variants or {})}: the solver gave up: {_line(error)}") from None
+    found = dict(zip(model.output_names, y.T, strict=True))
+    return found | {signal: given.commands[name] for name, signal in COMMANDS.items()}
+
+
+def _line(error: Exception) -> str:
+    return str(error).strip().splitlines()[-1]
+
+
+def _set(known: Mapping[str, Values], numbers: Mapping[str, float], *, any_part: bool) -> dict[str, Values]:
+    """Values with parameters replaced; a number that no part has is refused, but where a variant is used."""
+    found, used = {}, set()
+    for part, own in known.items():
+        told = {n: v for name in own.p for n, v in _told(part, name, numbers).items()}
+        used |= set(told)
+        p = {name: _last(_told(part, name, numbers), value) for name, value in own.p.items()}
+        found[part] = replace(own, p=p)
+    lost = sorted(set(numbers) - used)
+    if lost and not any_part:
+        raise ModelError(f"{lost[0]} is given, expected a parameter of the machine")
+    return found
+
+
+def _told(part: str, name: str, numbers: Mapping[str, float]) -> dict[str, float]:
+    """What is given for a parameter; `part.name` counts more than `name` and stands last."""
+    return {key: numbers[key] for key in (name, f"{part}.{name}") if key in numbers}
+
+
+def _last(told: Mapping[str, float], otherwise: float) -> float:
+    return list(told.values())[-1] if told else otherwise
