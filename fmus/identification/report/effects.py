@@ -1,33 +1,15 @@
-"""Which effect a residual shows: the machine is simulated with each effect that a variant of a part has.
+"""What each effect that a variant of a part has would change in the signals of the identified machine.
 
     d_k(t) = y(t; variant k, identified numbers) - y(t; the usual machine, identified numbers)
 
-is what effect k would change. The residual r(t) = measured - predicted of all signals, each over its own root
-mean square, is regressed on the d_k:
-
-    r = sum_k c_k d_k + sum_j b_j dy/dp_j + e        c_k >= 0
-
-The identified parameters p_j may take what they can: a fit without the effect has bent them to cover for it.
-c_k = 1 means an effect as strong as the numbers of the variant say. A share is that of the residual's sum of
-squares. Alone: only effect k is there. Together: the mean over all orders in which effects can be added
-[Shapley value; Lindeman, Merenda and Gold 1980], so that the shares add up to what all of them explain.
+`attribution` compares these changes with a residual.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations
-from math import factorial
+from collections.abc import Iterable, Mapping
 
-import numpy as np
-import statsmodels.api as sm
-from numpy.typing import NDArray
-from scipy.optimize import nnls
-
-from fmus.identification.report.prediction import Drive, Signals, predict
-
-Array = NDArray[np.float64]
+from fmus.identification.report.prediction import Array, Drive, Signals, predict
 
 # effect -> the variants that have it
 EFFECTS: Mapping[str, Mapping[str, str]] = {
@@ -37,54 +19,7 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
     "hose walls, air and spool of the swing": {"swing": "detailed"},
     "pump and engine": {"supply": "engine_pump"},
 }
-LEAST = 0.2  # share from which an effect is named
-CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be told from it
-ABOVE_NOISE = 1.5  # times the sensor's noise: a residual below shows nothing
 STEP = 1e-3  # relative, of finite differences: errors of the solver are 1e5 times smaller
-MEMORY = 0.5  # s: over which neighbouring samples of a residual are taken to depend on each other
-
-
-@dataclass(frozen=True)
-class Share:
-    """What one effect explains, as shares of the residual's sum of squares.
-
-    coefficient, low, high   how strong it is, 1 as in the variant, with its 95 % interval
-    signals                  share alone, by signal, of what the parameters leave
-    """
-
-    effect: str
-    alone: float
-    together: float
-    coefficient: float
-    low: float
-    high: float
-    signals: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Which effects a residual shows.
-
-    shares      largest alone first
-    together    share that all effects explain
-    parameters  share that other values of the identified parameters would take
-    noise       share that is noise of the sensors
-    quiet       signals left out, because their residual is not above the noise
-    verdict     all this in words
-    """
-
-    shares: tuple[Share, ...]
-    together: float
-    parameters: float
-    noise: float
-    signals: tuple[str, ...]
-    quiet: tuple[str, ...]
-    verdict: str
-
-    @property
-    def named(self) -> str:
-        """The effect that the residual shows, empty if it shows none."""
-        return self.shares[0].effect if self.shares and self.shares[0].alone >= LEAST else ""
 
 
 def changes(
@@ -107,156 +42,3 @@ def slopes(given: Drive, numbers: Mapping[str, float], names: Iterable[str]) -> 
 
 def _difference(one: Signals, other: Signals) -> dict[str, Array]:
     return {name: one[name] - other[name] for name in other if name in one}
-
-
-def explain(
-    residual: Signals,
-    effects: Mapping[str, Signals],
-    *,
-    step: float,
-    noise: Mapping[str, float] | None = None,
-    absorbed: Mapping[str, Signals] | None = None,
-) -> Explanation:
-    """Which effects the residual shows.
-
-    residual   measured - predicted by signal, shape (n,); NaN where there is no sample
-    effects    what each effect would change
-    step       sample time [s]
-    noise      standard deviation of a sample of each signal's sensor
-    absorbed   what each identified parameter would change
-    """
-    noise = noise or {}
-    size = {name: _rms(values) for name, values in residual.items()}
-    used = [n for n in residual if size[n] > ABOVE_NOISE * noise.get(n, 0.0)]
-    quiet = tuple(n for n in residual if n not in used)
-    if not used:
-        return Explanation((), 0.0, 0.0, 1.0, (), quiet, _words((), 0.0, 0.0, 1.0))
-    r = _stack({n: residual[n] for n in used}, residual, size, used)
-    d = np.column_stack([_stack(change, residual, size, used) for change in effects.values()])
-    whole = float(r @ r)
-    rows = _rows(residual, used)
-    if absorbed:
-        slope = np.column_stack([_stack(change, residual, size, used) for change in absorbed.values()])
-        r, d = _without(slope, r), _without(slope, d)
-    parameters = 1 - float(r @ r) / whole
-    explained = _explained(d, r) / whole
-    alone = [float(explained[1 << k]) for k in range(len(effects))]
-    shapley = _shapley(explained, len(effects))
-    fits = [_coefficient(d[:, k], r, round(MEMORY / step)) for k in range(len(effects))]
-    shares = tuple(
-        Share(name, alone[k], shapley[k], *fits[k], _by_signal(d[:, k], r, rows))
-        for k, name in enumerate(effects)
-    )
-    ordered = tuple(sorted(shares, key=lambda s: -s.alone))
-    noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    verdict = _words(ordered, float(explained[-1]), parameters, noisy)
-    return Explanation(ordered, float(explained[-1]), parameters, noisy, tuple(used), quiet, verdict)
-
-
-def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
-
-
-def _rows(residual: Signals, used: Sequence[str]) -> dict[str, slice]:
-    """Where each signal stands in the stacked rows."""
-    ends = np.cumsum([0, *(int(np.isfinite(residual[n]).sum()) for n in used)])
-    return {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
-
-
-def _stack(values: Signals, residual: Signals, size: Mapping[str, float], used: Sequence[str]) -> Array:
-    """Signals under each other, each over the size of its residual; a signal that is not there is zero.
-
-    Signals with many samples count as much as those with few.
-    """
-    pieces = []
-    for n in used:
-        known = np.isfinite(residual[n])
-        weight = 1 / (size[n] * np.sqrt(known.sum()))
-        pieces.append(values[n][known] * weight if n in values else np.zeros(int(known.sum())))
-    return np.concatenate(pieces)
-
-
-def _without(slope: Array, values: Array) -> Array:
-    """What is left of columns beside the columns of `slope`."""
-    length = np.linalg.norm(slope, axis=0)
-    q, s, _ = np.linalg.svd(slope[:, length > 0] / length[length > 0], full_matrices=False)
-    q = q[:, s > 1e-6 * s[0]] if s.size else q  # directions that only rounding tells apart
-    rest: Array = values - q @ (q.T @ values)
-    return rest
-
-
-def _explained(d: Array, r: Array) -> Array:
-    """Sum of squares that each set of effects explains, c >= 0; bit k of the index: effect k is in it."""
-    q, upper = np.linalg.qr(d)
-    seen = q.T @ r
-    count = d.shape[1]
-    found = np.zeros(1 << count)
-    for index in range(1, 1 << count):
-        chosen = [k for k in range(count) if index >> k & 1]
-        found[index] = seen @ seen - nnls(upper[:, chosen], seen)[1] ** 2
-    return np.maximum(found, 0.0)
-
-
-def _shapley(explained: Array, count: int) -> list[float]:
-    """Mean increase by each effect over all orders of adding them."""
-    found = []
-    for k in range(count):
-        others = [j for j in range(count) if j != k]
-        total = 0.0
-        for size in range(count):
-            weight = factorial(size) * factorial(count - size - 1) / factorial(count)
-            for chosen in combinations(others, size):
-                index = sum(1 << j for j in chosen)
-                total += weight * float(explained[index | 1 << k] - explained[index])
-        found.append(total)
-    return found
-
-
-def _coefficient(d: Array, r: Array, lags: int) -> tuple[float, float, float]:
-    """Strength of an effect alone with its 95 % interval; errors depend on their neighbours [Newey, West]."""
-    if not d.any():
-        return 0.0, 0.0, 0.0
-    fit = sm.OLS(r, d[:, None]).fit(cov_type="HAC", cov_kwds={"maxlags": max(1, lags)})
-    low, high = fit.conf_int(alpha=0.05)[0]
-    return float(fit.params[0]), float(low), float(high)
-
-
-def _by_signal(d: Array, r: Array, rows: Mapping[str, slice]) -> dict[str, float]:
-    """Share of each signal's residual that the effect takes at the one strength that fits all signals."""
-    strength = max(0.0, float(d @ r) / float(d @ d)) if d.any() else 0.0
-    found = {}
-    for name, where in rows.items():
-        whole = float(r[where] @ r[where])
-        left = r[where] - strength * d[where]
-        found[name] = 1 - float(left @ left) / whole if whole else 0.0
-    return found
-
-
-def _words(shares: Sequence[Share], together: float, parameters: float, noise: float) -> str:
-    """The result in whole sentences."""
-    if not shares:
-        return "The residual is not above the noise of the sensors: it shows no effect."
-    first = shares[0]
-    if first.alone < LEAST:
-        told = (
-            f"None of the effects explains the residual: the largest share is {_percent(first.alone)} "
-            f"({first.effect}), all effects together explain {_percent(together)}."
-        )
-    else:
-        told = (
-            f"The residual shows {first.effect}: {_percent(first.alone)} of it, {first.coefficient:.2g} times "
-            f"as strong as in the variant. All effects together explain {_percent(together)}."
-        )
-        close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
-        if close:
-            told += f" The data hardly tell it from {' and '.join(close)}."
-    if parameters > LEAST / 2:
-        told += f" Other values of the identified parameters would take {_percent(parameters)}."
-    if noise > LEAST / 2:
-        told += f" {_percent(noise)} is noise of the sensors."
-    return told
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"

@@ -1,4 +1,4 @@
-"""What the machine does with given numbers, commands and variants of its parts: the equations, solved tightly."""
+"""What the machine does with given numbers, commands and variants of its parts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def drive(recording: Recording, rest: float = 0.5) -> Drive:
 def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None) -> Signals:
     """All outputs of the machine, `part.name`, shape (n,) each, and the commands.
 
-    numbers    parameters by `name`, for every part that declares it, or by `part.name`; others as in the files
+    numbers    parameters by `name`, for every part that declares it, or by `part.name`; others as in files
     variants   of parts that are not the usual ones
     """
     machine = parts(**(variants or {}))
