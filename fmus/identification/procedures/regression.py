@@ -49,7 +49,7 @@ class Regression:
 
     names, values, covariance   in the same order; the covariance is scaled if there is a misfit
     residual    each divided by its standard deviation
-    chi_square, freedom, aic    of these residuals; AIC = chi-square + 2 (number of parameters)
+    chi_square, freedom         of these residuals
     """
 
     names: tuple[str, ...]
@@ -112,7 +112,8 @@ class Regression:
             for (name, value), h in zip(at.items(), steps, strict=True)
         ]
         rises = np.array([up - down for up, down in both])
-        return np.divide(rises, 2 * steps, out=np.zeros_like(rises), where=steps > 0)
+        slopes: Array = np.divide(rises, 2 * steps, out=np.zeros_like(rises), where=steps > 0)
+        return slopes
 
 
 def symmetrical(name: str, value: float, unit: str, sd: float, note: str) -> Estimate:
@@ -160,7 +161,7 @@ def _regression(names: tuple[str, ...], values: Array, covariance: Array, residu
 
 
 def differ(values: Sequence[float], sds: Sequence[float]) -> float:
-    """Probability that independent estimates scatter as much as these if they are one quantity (chi-square)."""
+    """Probability that independent estimates of one quantity scatter as much as these (chi-square)."""
     v, w = np.array(values), 1 / np.array(sds) ** 2
     mean = np.sum(w * v) / np.sum(w)
     return float(stats.chi2.sf(np.sum(w * (v - mean) ** 2), len(v) - 1))
