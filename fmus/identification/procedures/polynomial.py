@@ -35,7 +35,7 @@ class Polynomial:
 
 
 def polynomial(x: Array, y: Array, highest: int = 8) -> Polynomial:
-    """Plain least squares; the degree, up to `highest`, is that of the lowest AIC (residuals of unknown size)."""
+    """Plain least squares; the degree, up to `highest`, has the lowest AIC (residuals of unknown size)."""
     domain = (float(x.min()), float(x.max()))
     scaled = (2 * x - sum(domain)) / (domain[1] - domain[0])
     top = min(highest, np.unique(x).size - 2)

@@ -14,45 +14,23 @@ area belongs to the C_d and the density that are known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import stats
 
-from fmus.contract import ModelError
 from fmus.identification.finding import Estimate, Finding
-from fmus.identification.procedures import valve_panels
 from fmus.identification.procedures.given import number, training
-from fmus.identification.procedures.regression import UNLIKELY, Guess, Regression, fit, misfit_remark
-from fmus.identification.procedures.valve_law import Constants, Law, flow, resistance
-from fmus.identification.procedures.valve_points import Points, points
+from fmus.identification.procedures.valve_fit import ValveFit, fitted
+from fmus.identification.procedures.valve_law import Constants, resistance
+from fmus.identification.procedures.valve_panels import panels
+from fmus.identification.procedures.valve_points import points
+from fmus.identification.procedures.valve_remarks import remarks
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
-
-Array = NDArray[np.float64]
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, where C_R is told
 ROUNDING = "boom_stick.valve_command_rounding"
-WELL_TOLD = 0.25  # largest relative standard deviation of a rounding that the data tell
-
-
-@dataclass(frozen=True)
-class ValveFit:
-    """A fit of `points`; `rounded` if the data told the rounding of the foot."""
-
-    points: Points
-    regression: Regression
-    constants: Constants
-    rounding: float
-    rounded: bool
-
-    def law(self, values: Mapping[str, float] | None = None) -> Law:
-        """The law of these values, by default of the fitted ones."""
-        v = self.regression.as_dict() if values is None else values
-        return Law(v["area"], v["dead_band"], v.get("rounding", self.rounding))
 
 
 def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
@@ -67,71 +45,10 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Fi
         title="Valve: C_R of the metering edges over the command",
         figure=5,
         estimates=tuple(_estimates(common)),
-        panels=valve_panels.panels(every, common.law(), constants),
+        panels=panels(every, common.law(), constants),
         remarks=remarks(every, common, own),
         others=(*_curve(common), *(e for edge, one in own.items() for e in _estimates(one, edge))),
     )
-
-
-def fitted(given: Points, constants: Constants, rounding: Number) -> ValveFit:
-    """Weighted fit of the flow. The rounding is fitted only if the data tell it, else taken as known.
-
-    Where no step falls on the rounded foot, dead band and rounding w show in the sum V_db + w/2 alone.
-    """
-    fixed = ValveFit(
-        given, _fit(given, constants, rounding.value, False, rounding.sd), constants, rounding.value, False
-    )
-    law = fixed.law()
-    if np.count_nonzero(given.command < law.dead_band + law.rounding) < 2:
-        return fixed
-    free = _fit(given, constants, rounding.value, True, None)
-    if free.sd("rounding") > WELL_TOLD * free["rounding"]:
-        return fixed
-    return ValveFit(given, free, constants, rounding.value, True)
-
-
-def _fit(given: Points, constants: Constants, rounding: float, free: bool, prior: float | None) -> Regression:
-    """The fit with a rounding that is free, free with a prior standard deviation [V], or fixed."""
-    start = _guess(given, constants, rounding)
-    if free or prior:
-        start["rounding"] = Guess(rounding, low=1e-3, high=2.0)
-
-    def residual(v: Mapping[str, float]) -> Array:
-        law = Law(v["area"], v["dead_band"], v.get("rounding", rounding))
-        modelled, slope = flow(given.command, given.drop, law, constants)
-        weighted: Array = (given.flow - modelled) / np.hypot(given.flow_error, slope * given.drop_error)
-        if prior and not free:
-            return np.append(weighted, (v["rounding"] - rounding) / prior)
-        return weighted
-
-    return fit(residual, start, f"valve ({', '.join(given.edges)})")
-
-
-def _guess(given: Points, constants: Constants, rounding: float) -> dict[str, Guess]:
-    """From the straight line of K = Q/sqrt(dp) over the command."""
-    voltages = np.unique(given.command).size
-    if voltages < 3:
-        raise ModelError(
-            f"valve {', '.join(given.edges)}: flow above the dead zone of the meter at {voltages} voltages, "
-            "expected at least 3"
-        )
-    slope, offset = np.polyfit(given.command, given.flow / np.sqrt(given.drop), 1)
-    foot = float(np.clip(-offset / slope, 0.0, given.command.min()))
-    gain = slope * (constants.full_command - foot)
-    area = gain / (constants.discharge_coefficient * np.sqrt(2 / constants.density))
-    return {
-        "area": Guess(float(area), low=0.0),
-        "dead_band": Guess(max(foot - rounding / 2, 0.05), scale=1.0),
-    }
-
-
-def asymmetry(common: ValveFit, own: Mapping[str, ValveFit]) -> float:
-    """Probability of such differences if all edges are equal: chi-square of the common fit less that of each."""
-    alone = sum(one.regression.chi_square for one in own.values())
-    freedom = sum(one.regression.freedom for one in own.values())
-    scale = alone / freedom if stats.chi2.sf(alone, freedom) < UNLIKELY else 1.0
-    gained = (common.regression.chi_square - alone) / scale
-    return float(stats.chi2.sf(gained, common.regression.freedom - freedom)) if len(own) > 1 else 1.0
 
 
 def _estimates(of: ValveFit, edge: str = "") -> list[Estimate]:
@@ -171,64 +88,3 @@ def _curve(of: ValveFit) -> list[Estimate]:
         lambda p: p["dead_band"] + p.get("rounding", of.rounding) / 2,
     )
     return [*found, foot]
-
-
-def remarks(every: Points, common: ValveFit, own: Mapping[str, ValveFit]) -> tuple[str, ...]:
-    """What was masked, what the data cannot tell, whether the edges differ, what the polynomial does."""
-    return (
-        *_masked(every),
-        *_foot(common),
-        *_edges(common, own),
-        *_polynomial(every.measured, common.constants),
-        *misfit_remark(common.regression, "The opening law"),
-        "The intervals hold the noise of the instruments, not an error of their calibration.",
-    )
-
-
-def _masked(every: Points) -> list[str]:
-    dead, rest = every.where(every.dead), every.where(~every.good & ~every.dead)
-    found = []
-    if dead.command.size:
-        found.append(
-            f"{dead.command.size} of {every.command.size} steps, at commands up to {dead.command.max():.3g} V, "
-            "are masked: the flow is in the dead zone of the meter. This is the flat region of Fig. 5; there the "
-            "curve is the opening law, extended."
-        )
-    if rest.command.size:
-        found.append(f"{rest.command.size} steps are masked: an instrument is at the end of its range.")
-    return found
-
-
-def _foot(common: ValveFit) -> list[str]:
-    if common.rounded:
-        return []
-    return [
-        "The data do not tell the rounded foot of the opening, only dead_band + rounding/2. "
-        f"The dead band is that less half the known rounding of {common.rounding:.3g} V: a rounding that is "
-        "0.1 V larger makes it 0.05 V smaller."
-    ]
-
-
-def _edges(common: ValveFit, own: Mapping[str, ValveFit]) -> list[str]:
-    probability = asymmetry(common, own)
-    if len(own) < 2:
-        return [f"Only the edge {', '.join(own)} was tested."]
-    if probability > 0.01:
-        return [f"The {len(own)} edges do not differ significantly (chi-square test, p = {probability:.2g})."]
-    areas = ", ".join(f"{edge} {one.regression['area'] * 1e6:.4g} mm2" for edge, one in own.items())
-    return [f"The edges differ significantly (chi-square test, p = {probability:.1g}): {areas}."]
-
-
-def _polynomial(good: Points, constants: Constants) -> list[str]:
-    paper = valve_panels.fitted_polynomial(good)
-    fine = np.linspace(good.command.min(), constants.full_command, 2000)
-    values, wrong = paper(fine), paper.wrong(fine)
-    if not wrong.any():
-        return [f"A polynomial of degree {paper.degree} (chosen by AIC) stays positive and falls."]
-    low, high = fine[values < 0], fine[wrong & (values >= 0)]
-    parts = [
-        f"is {word} at places from {part.min():.3g} to {part.max():.3g} V"
-        for word, part in (("negative", low), ("positive but rising", high))
-        if part.size
-    ]
-    return [f"The paper's form, a polynomial (degree {paper.degree} by AIC), {' and '.join(parts)}."]

@@ -43,7 +43,7 @@ class Constants:
         """From the parameters of the machine; the three valves are identical (section 4(a))."""
         names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
         rest = (value(known, f"boom_stick.valve_{name}") for name in names)
-        return Constants(*rest, density=value(known, "boom_stick.density"))
+        return Constants(*rest, value(known, "boom_stick.density"))
 
     def all(self) -> tuple[float, ...]:
         """In the order of the fields."""
@@ -95,5 +95,5 @@ def flow(command: Array, drop: Array, law: Law, constants: Constants) -> tuple[A
 def resistance(command: Array, law: Law, constants: Constants) -> Array:
     """C_R [Pa.s2/m6] at commands [V] by eq. (2); infinite where the edge is closed."""
     rest = (law.area, law.dead_band, law.rounding, *constants.all())
-    square = _functions()[1](command[None, :], 0.0, *rest).full()[0]
+    square: Array = _functions()[1](command[None, :], 0.0, *rest).full()[0]
     return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.finding import Curve, Panel
-from fmus.identification.procedures.polynomial import Polynomial, polynomial
+from fmus.identification.procedures.polynomial import polynomial
 from fmus.identification.procedures.valve_law import Constants, Law, flow, resistance
 from fmus.identification.procedures.valve_points import Points
 
@@ -27,11 +27,6 @@ def panels(every: Points, law: Law, constants: Constants) -> tuple[Panel, ...]:
         _compared(good, fine, law, constants),
         _residual(every, law, constants),
     )
-
-
-def fitted_polynomial(good: Points) -> Polynomial:
-    """The paper's polynomial C_R(V), its degree by AIC."""
-    return polynomial(good.command, good.resistance)
 
 
 def _curve(every: Points, fine: Array, law: Law, constants: Constants) -> Panel:
@@ -62,7 +57,7 @@ def _gain(every: Points, law: Law, constants: Constants) -> Panel:
 
 
 def _compared(good: Points, fine: Array, law: Law, constants: Constants) -> Panel:
-    paper = fitted_polynomial(good)
+    paper = polynomial(good.command, good.resistance)
     values = paper(fine)
     wrong = paper.wrong(fine)
     curves = (
