@@ -41,7 +41,7 @@ def write_out(face: Interface) -> Equations:
     system = eliminate(ca.jacobian(sym.dx, sym.x))
     along = _directions(sym, face.y)
     values = _values(sym, face.y, system, along) | _forward(sym, face.y, along) | _reverse(sym, face.y, along)
-    values, c, prepared = _hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
+    values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
     lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
 
@@ -115,8 +115,11 @@ def _along(value: ca.SX, known: Sequence[ca.SX], direction: Sequence[ca.SX]) -> 
     return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
 
 
-def _hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
-    """Replaces what depends on the parameters alone by symbols c; also returns c and what it stands for."""
+def hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
+    """Replaces what depends on the parameters alone by symbols c; also returns c and what it stands for.
+
+    wanted   dense columns
+    """
     everything = ca.cse(ca.vertcat(*wanted.values()))
     reduced, symbols, meanings = ca.extract_parametric(everything, p)
     c = ca.vertcat(*symbols) if symbols else ca.SX(0, 1)

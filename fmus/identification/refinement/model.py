@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError, Subsystem
+from fmus.identification.refinement.columns import WIDTH
 from fmus.identification.refinement.library import library
 from fmus.identification.refinement.reduced import reduce
-from fmus.identification.refinement.slopes import WIDTH, sources
+from fmus.identification.refinement.sources import sources
 from fmus.parameters import Values
 from fmus.parameters import values as numbers
 
 Array = NDArray[np.float64]
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
-_WHY = (
+_NOT_REQUIRED = 5
+_WHY = (  # as in native/solver.h and native/sensitivities.c
     "",
     "the derivative of {} is not finite",
     "the Jacobian is singular",
@@ -78,12 +80,8 @@ class Model:
     ) -> None:
         given = values or numbers(sub)
         model = reduce(sub, outputs, free)
-        self.states, self.inputs, self.outputs, self.free = (
-            model.states,
-            model.inputs,
-            model.outputs,
-            model.free,
-        )
+        self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
+        self.free = model.free
         self.nominal = np.array([model.declared[name].nominal for name in model.states])
         self._p = np.array([given.p[name] for name in model.parameters])
         self._places = np.array([model.parameters.index(name) for name in free], dtype=np.intp)
@@ -100,16 +98,21 @@ class Model:
         self._refine.argtypes = [ctypes.c_int, *doubles, ctypes.c_double, ctypes.c_int, *doubles]
 
     def start(self, p: Array, u0: Array) -> tuple[Array, Array]:
-        """States at the start by the subsystem's `initial`, shape (nx,), and their derivatives by p, (nx, np)."""
+        """States at the start by the subsystem's `initial`, (nx,), and their derivatives by p, (nx, np)."""
         x, slope = self._start(self._x, u0, self._all(p))
         return x.full()[:, 0], slope.full()
 
     def segment(self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True) -> Piece:
-        """The motion from the states x at time[0] to time[-1]; inputs (n, nu) are linear between the samples."""
+        """The motion from the states x at time[0] on to time[-1].
+
+        time    of the samples [s], increasing, shape (n,)
+        inputs  at the samples, linear between them, shape (n, nu)
+
+        Raises Failed. Several threads may call it at once: it runs without Python's lock.
+        """
         time, inputs = _plain(time), _plain(inputs)
-        n, nx, ny, nu = time.size, len(self.states), len(self.outputs), len(self.inputs)
-        if inputs.shape != (n, nu):
-            raise ModelError(f"inputs have the shape {inputs.shape}, expected ({n}, {nu}): {self.inputs}")
+        n, nx, ny = time.size, len(self.states), len(self.outputs)
+        self._check(time, inputs)
         columns = -(-(self._acting.size + nx) // WIDTH) * WIDTH if sensitivities else 0
         x, y, told = _plain(x).copy(), np.empty((n, ny)), np.zeros(3)
         slopes, ends = np.empty((n, ny, columns)), np.empty((nx, columns))
@@ -117,10 +120,18 @@ class Model:
         results = [a.ctypes.data_as(_POINTER) for a in (y, slopes, ends, told)]
         outcome = self._refine(n, *arrays, self._tolerance, int(sensitivities), *results)
         if outcome:
-            raise self._failed(outcome, *told)
+            raise self._failed(outcome, told[0], told[2])
         y_x, y_p = self._split(slopes)
         x_x, x_p = self._split(ends)
         return Piece(y, x, y_x, y_p, x_x, x_p, int(told[1]))
+
+    def _check(self, time: Array, inputs: Array) -> None:
+        expected = (time.size, len(self.inputs))
+        if inputs.shape != expected:
+            names = ", ".join(self.inputs)
+            raise ModelError(f"inputs have the shape {inputs.shape}, expected {expected}, of {names}")
+        if time.ndim != 1 or time.size == 0 or not (np.diff(time) > 0).all():
+            raise ModelError("times of the samples do not increase, expected that they do")
 
     def _all(self, p: Array) -> Array:
         """All parameters, in the order of their declaration."""
@@ -140,10 +151,9 @@ class Model:
         by_p[..., self._acting] = by_acting
         return by_states, by_p
 
-    def _failed(self, outcome: int, time: float, steps: float, culprit: float) -> Failed:
-        del steps
-        names = self._statements if "requirement" in _WHY[outcome] else self.states
-        return Failed(_WHY[outcome].format(names[int(culprit)] if names else ""), time)
+    def _failed(self, outcome: int, time: float, culprit: float) -> Failed:
+        names = self._statements if outcome == _NOT_REQUIRED else self.states
+        return Failed(_WHY[outcome].format(names[int(culprit)]), time)
 
 
 def _plain(values: Array) -> Array:

@@ -49,6 +49,8 @@ def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduc
     rows = [list(groups["outputs"]).index(name) for name in outputs]
     y = column(*(sym.y[i] for i in rows))
     states = _needed(sym.dx, y, sym.x)
+    if not states:
+        raise ModelError(f"{sub.name}: {', '.join(outputs)} depend on no state, expected outputs that do")
     x, dx, start = (column(*(v[i] for i in states)) for v in (sym.x, sym.dx, sym.start))
     inputs = sorted(_arguments(column(dx, y, start), sym.u))
     u = column(*(sym.u[i] for i in inputs))

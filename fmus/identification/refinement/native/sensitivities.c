@@ -75,14 +75,14 @@ static double follow(void *owner, double tau, double length) {
     motion_value(t->motion, t->tau, u);
     slopes_bends(t->x, u, t->p, t->d, bends);
     for (int s = 0; s < STAGES; s++) {
-        double hdu[ROOM(NU)];
-        for (int i = 0; i < NU; i++) hdu[i] = G[s] * h * du[i];
+        double h_du[ROOM(NU)];
+        for (int i = 0; i < NU; i++) h_du[i] = G[s] * h * du[i];
         for (int i = 0; i < NX; i++) {
             x[i] = t->x[i];
             for (int j = 0; j < s; j++) x[i] += A[s][j] * w->k[j][i];
         }
         motion_move(t->motion, t->tau + ALPHA[s] * h, u);
-        slopes_stage(x, u, t->p, t->d, bends, w->k[s], hdu, jac[s], bent[s], direct);
+        slopes_stage(x, u, t->p, t->d, bends, w->k[s], h_du, jac[s], bent[s], direct);
         for (int e = 0; e < NDIRECT; e++) put((double *)t->direct[s], NX, DIRECT[e], direct[e]);
     }
     for (int b = 0; b < BLOCKS; b++) advance(t, b, h, jac, bent);
@@ -97,19 +97,19 @@ static int observe(const Track *t, const double *x, const double *u, double *y, 
     slopes_observe(x, u, t->p, t->d, y);
     for (int i = 0; i < NOUT; i++) sum += 0.0 * y[i];
     if (t->with) {
-        double gx[ROOM(NGX)], gq[ROOM(NGQ)];
+        double y_x[ROOM(NYX)], y_q[ROOM(NYQ)];
         Columns out[ROOM(NOUT)], total = 0.0;
-        slopes_observed(x, u, t->p, t->d, gx, gq);
+        slopes_observed(x, u, t->p, t->d, y_x, y_q);
         for (int b = 0; b < BLOCKS; b++) {
-            columns_observe(gx, t->s[b], out);
+            columns_observe(y_x, t->s[b], out);
             for (int i = 0; i < NOUT; i++) {
                 total += 0.0 * out[i];
                 memcpy(slopes + (i * BLOCKS + b) * WIDTH, &out[i], sizeof out[i]);
             }
         }
-        for (int e = 0; e < NGQ; e++) {
-            slopes[OBSERVED[e][0] * BLOCKS * WIDTH + OBSERVED[e][1]] += gq[e];
-            sum += 0.0 * gq[e];
+        for (int e = 0; e < NYQ; e++) {
+            slopes[OBSERVED[e][0] * BLOCKS * WIDTH + OBSERVED[e][1]] += y_q[e];
+            sum += 0.0 * y_q[e];
         }
         for (int i = 0; i < WIDTH; i++) sum += total[i];
     }
