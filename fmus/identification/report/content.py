@@ -1,0 +1,141 @@
+"""What the page shows: everything is handed in by the caller, nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fmus.identification.finding import Estimate, Finding
+from fmus.identification.report.attribution import Explanation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified parameter: the estimate, the value before, and which procedure found it.
+
+    prior, prior_source   value and source of the machine's own files, None if there is none
+    """
+
+    estimate: Estimate
+    procedure: str
+    prior: float | None = None
+    prior_source: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Data quality of one signal; remarks in whole sentences, empty if nothing is wrong."""
+
+    signal: str
+    unit: str
+    low: float
+    high: float
+    noise: float
+    sensor: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Data quality of one recording."""
+
+    name: str
+    title: str
+    procedure: str
+    use: str
+    kind: str
+    duration: float
+    rate: float
+    channels: tuple[Channel, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def faults(self) -> int:
+        """How many remarks there are."""
+        return len(self.remarks) + sum(len(c.remarks) for c in self.channels)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well one signal is predicted: NRMSE over the range, None where there is no such recording.
+
+    white        p-value of the test that the residual is white
+    correlated   largest correlation of the residual with an input, over lags, over its 95 % bound
+    """
+
+    signal: str
+    unit: str
+    train: float | None
+    test: float | None
+    rmse: float | None = None
+    white: float | None = None
+    correlated: float | None = None
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start point: where the search began (distance in prior standard deviations), where it ended."""
+
+    name: str
+    cost: float
+    iterations: int
+    converged: bool
+    distance: float | None = None
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The joint refinement.
+
+    names, correlation   of the parameters, (n, n)
+    unidentified         what the data cannot tell, whole sentences
+    facts                method, seconds, samples ...: name -> text, in the order to show
+    """
+
+    names: tuple[str, ...]
+    correlation: Array
+    condition: float
+    fits: tuple[Fit, ...]
+    unidentified: tuple[str, ...] = ()
+    starts: tuple[Start, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its caption."""
+
+    title: str
+    figure: Figure
+    caption: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """Everything that the page shows.
+
+    kinds      of the recordings: "simulation", "measurement", "published"
+    pictures   measured and predicted traces
+    commands   how to go on: command -> what it does
+    remarks    what the reader must know first, whole sentences
+    """
+
+    title: str
+    source: str
+    kinds: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    parameters: tuple[Parameter, ...]
+    qualities: tuple[Quality, ...] = ()
+    refinement: Refinement | None = None
+    explanation: Explanation | None = None
+    pictures: tuple[Picture, ...] = ()
+    commands: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
