@@ -1,1 +1,13 @@
-"""A virtual test rig: the paper's experiments on the model, recorded with the paper's instruments."""
+"""A virtual test rig: the paper's experiments on the model, recorded with the paper's instruments.
+
+from fmus.rig import experiments, record, write
+
+for experiment in experiments("detailed"):       # simulated once, kept in memory
+    write(folder, experiment, seed=0)            # noise and converters: nothing is simulated again
+"""
+
+from fmus.rig.plans import MACHINES, Machine, experiments
+from fmus.rig.recording import Experiment, record
+from fmus.rig.writing import write
+
+__all__ = ["MACHINES", "Experiment", "Machine", "experiments", "record", "write"]

@@ -1,0 +1,1 @@
+"""Benches: one part of the machine between a supply, a throttle and the instruments."""
