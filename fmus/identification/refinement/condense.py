@@ -58,6 +58,11 @@ class Condensed:
         return [rows @ full for rows in self.recursion]
 
 
+def triangular(rows: Array) -> Array:
+    """The triangular factor: the same least-squares problem in as few rows as possible."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
 def recursion(locals_: Sequence[Local], defects: Sequence[Array], free: int) -> tuple[Array, ...]:
     """ds_i as a function of (ds_0, dz, 1), per segment."""
     nx = locals_[0].x_x.shape[0]
@@ -74,7 +79,7 @@ def recursion(locals_: Sequence[Local], defects: Sequence[Array], free: int) -> 
 def spread(local: Local, rows: Array, projected: Array) -> Array:
     """A segment's rows [start | parameters | residual] of the condensed problem."""
     nx = rows.shape[0]
-    full = local.r[:, :nx] @ rows
+    full: Array = local.r[:, :nx] @ rows
     full[:, nx:-1] += local.r[:, nx:]
     full[:, -1] += projected
     return full
@@ -93,5 +98,5 @@ def condense(
     nx = prior.shape[1] - 1 - free
     chain = recursion(locals_, defects, free)
     blocks = [spread(a, rows, c) for a, rows, c in zip(locals_, chain, projected, strict=True)]
-    triangle = np.linalg.qr(np.vstack([prior, *blocks]), mode="r")
+    triangle = triangular(np.vstack([prior, *blocks]))
     return Condensed(triangle[:nx], triangle[nx:, nx:], chain)

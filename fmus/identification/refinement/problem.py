@@ -59,7 +59,8 @@ class Free:
 class Run:
     """One recording on the model's names.
 
-    time, inputs   shapes (n,), (n, nu)
+    time           shape (n,) [s]
+    inputs         input -> shape (n,), linear between the samples
     measured       shape (n, ny); NaN allowed where the weight is zero
     weight         shape (n, ny): 1 / standard deviation of a sample, 0 for one that does not count
     compared       shape (n, ny), true where a sample takes part in the fit that is told
@@ -70,7 +71,7 @@ class Run:
 
     name: str
     time: Array
-    inputs: Array
+    inputs: Mapping[str, Array]
     measured: Array
     weight: Array
     compared: NDArray[np.bool_]

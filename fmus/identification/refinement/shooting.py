@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from fmus.identification.refinement import loss as losses
 from fmus.identification.refinement.condense import Local
 from fmus.identification.refinement.loss import Loss
-from fmus.identification.refinement.problem import Problem, Run
+from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.simulator import Simulator
 
 Array = NDArray[np.float64]
@@ -40,9 +41,9 @@ class Point:
 class Segment:
     """What one segment contributes.
 
-    residual   weighted by 1 / standard deviation, shape (m,)
+    residual   in standard deviations of the sensor, shape (m,)
     column     output of each, shape (m,)
-    factor     of the robust loss, shape (m,)
+    factor     for the model's own error and of the robust loss, shape (m,)
     end        end state in nominal values
     local      the linearisation; none if it was not asked for
     """
@@ -79,7 +80,7 @@ class Evaluated:
         return max((float(np.abs(d).max(initial=0.0)) for run in self.defects for d in run), default=0.0)
 
     def residuals(self) -> tuple[Array, NDArray[np.int64]]:
-        """All weighted residuals, and the output of each."""
+        """All residuals in standard deviations of the sensor, and the output of each."""
         segments = [s for run in self.runs for s in run]
         return (np.concatenate([s.residual for s in segments]), np.concatenate([s.column for s in segments]))
 
@@ -88,11 +89,13 @@ class Evaluated:
 class Shooting:
     """How a problem is cut into segments and evaluated.
 
+    inputs   per run, shape (n, nu)
     edges    per run the indices of the samples at which segments begin, and the last one
     """
 
     problem: Problem
     simulator: Simulator
+    inputs: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
     threads: int
     loss: Loss
@@ -115,14 +118,15 @@ class Shooting:
         record, cuts = self.problem.training[run], self.edges[run]
         first, last = cuts[i], cuts[i + 1]
         nominal = self.simulator.nominal
-        time, inputs = record.time[first : last + 1], record.inputs[first : last + 1]
+        time, inputs = record.time[first : last + 1], self.inputs[run][first : last + 1]
         piece = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
         own = last - first + (i == len(cuts) - 2)  # a sample on an edge counts once
-        weight = (record.weight / np.hypot(1.0, scales.floor))[first : first + own]
+        weight = record.weight[first : first + own]
         use = weight > 0
         w, column = weight[use], np.nonzero(use)[1]
         residual = (piece.y[:own][use] - record.measured[first : first + own][use]) * w
-        factor = losses.weights(residual, scales.tuning[column], self.loss)
+        shrunk = 1 / np.hypot(1.0, scales.floor[column])
+        factor = shrunk * losses.weights(residual * shrunk, scales.tuning[column], self.loss)
         local = None
         if sensitivities:
             rows = np.hstack([piece.y_x[:own][use] * nominal, piece.y_p[:own][use] * slopes])
@@ -151,12 +155,11 @@ class Scales:
         """The scales that the residuals at a point show; the model's error only if it may have one."""
         residual, column = evaluated.residuals()
         parts = [residual[column == k] for k in range(len(self.floor))]
-        floor = self.floor
+        floor = np.zeros(len(parts))
         if model_error:
             power = np.array([np.mean(part**2) if part.size else 0.0 for part in parts])
-            floor = np.sqrt(np.maximum(0.0, power * (1 + floor**2) - 1))
-        ratio = np.hypot(1.0, self.floor) / np.hypot(1.0, floor)
-        tuning = [losses.tuning(part * r) for part, r in zip(parts, ratio, strict=True)]
+            floor = np.sqrt(np.maximum(0.0, power - 1))
+        tuning = [losses.tuning(part / math.hypot(1, f)) for part, f in zip(parts, floor, strict=True)]
         return Scales(floor, np.array(tuning))
 
     def change(self, other: Scales) -> float:

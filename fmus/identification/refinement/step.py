@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from fmus.identification.refinement.condense import Condensed, condense
+from fmus.identification.refinement.condense import Condensed, condense, triangular
 from fmus.identification.refinement.model import Failed
 from fmus.identification.refinement.priors import PROXIMAL, Priors
 from fmus.identification.refinement.shooting import Evaluated, Scales, Shooting
@@ -64,7 +64,7 @@ def solve(runs: tuple[Condensed, ...], z: Array, priors: Priors, bounds: tuple[A
     """The step at z: least squares under bounds, held back where the data say nothing."""
     rows = np.vstack([*(run.bottom for run in runs), priors.parameter_rows(z)])
     back = np.hstack([np.eye(len(z)) / PROXIMAL, np.zeros((len(z), 1))])
-    triangle = np.linalg.qr(np.vstack([rows, back]), mode="r")
+    triangle = triangular(np.vstack([rows, back]))
     low, high = (np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0))
     dz = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
     before, after = rows[:, -1], rows[:, :-1] @ dz + rows[:, -1]

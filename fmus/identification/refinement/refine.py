@@ -1,0 +1,146 @@
+"""Joint refinement: all free parameters against all recordings at once.
+
+Output error: the weighted squares of simulation minus measurement, with priors and bounds. Multiple
+shooting: the recordings are cut into segments with start states of their own, which have to meet in the
+end [Bock 1987]. A bad guess is then corrected by the data every few seconds instead of running away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+from fmus.identification.refinement.guess import first_state, first_states, input_matrix
+from fmus.identification.refinement.identifiable import unidentified
+from fmus.identification.refinement.loss import Loss
+from fmus.identification.refinement.model import Failed, Model
+from fmus.identification.refinement.priors import Priors, priors
+from fmus.identification.refinement.problem import Problem, Run
+from fmus.identification.refinement.residuals import Traces, whiteness
+from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.shooting import Point, Shooting, cut, parallel
+from fmus.identification.refinement.simulator import Simulator
+from fmus.identification.refinement.solver import Options, Progress, Solution, minimise
+from fmus.identification.refinement.statistics import statistics
+
+Array = NDArray[np.float64]
+
+SEGMENT = 2.0  # s
+_AT_BOUND = 1e-9  # of z
+
+
+def refine(
+    problem: Problem,
+    simulator: Simulator | None = None,
+    *,
+    segment: float = SEGMENT,
+    threads: int = 2,
+    loss: Loss = "linear",
+    options: Options | None = None,
+    start: Array | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Refined:
+    """Refine the free parameters of a problem.
+
+    simulator   by default the compiled model with exact sensitivities; others are in `differences`
+    segment     length of a segment [s], infinite for single shooting
+    start       z to begin with, by default that of the problem
+    """
+    simulator = simulator or compiled(problem)
+    shooting, solution, known = _searched(
+        problem, simulator, segment, threads, loss, options, start, progress
+    )
+    z = solution.evaluated.point.z
+    p = problem.values_of(z)
+    begins = [run[0] * simulator.nominal for run in solution.evaluated.point.starts]
+    training = parallel(
+        lambda k: simulated(problem.training[k], simulator, p, begins[k], shooting.inputs[k]),
+        range(len(begins)),
+        threads,
+    )
+    held_out = [simulated(run, simulator, p) for run in problem.held_out]
+    found = statistics(solution, known)
+    low, high = problem.bounds()
+    return Refined(
+        problem=problem,
+        z=z,
+        converged=solution.converged,
+        reason=solution.reason,
+        history=solution.history,
+        statistics=found,
+        unidentified=unidentified(problem.free, found.data),
+        at_bound=tuple(
+            n for n, a, b in zip(problem.names, z - low, high - z, strict=True) if min(a, b) < _AT_BOUND
+        ),
+        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
+        training=tuple(training),
+        held_out=tuple(held_out),
+        floor=dict(zip(problem.outputs, solution.scales.floor.tolist(), strict=True)),
+        starts=tuple(dict(zip(simulator.states, x.tolist(), strict=True)) for x in begins),
+    )
+
+
+def compiled(problem: Problem, tolerance: float = 1e-6) -> Model:
+    """The problem's subsystem with exact sensitivities, compiled on first use."""
+    return Model(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
+
+
+def _searched(
+    problem: Problem,
+    simulator: Simulator,
+    segment: float,
+    threads: int,
+    loss: Loss,
+    options: Options | None,
+    start: Array | None,
+    progress: Callable[[Progress], None] | None,
+) -> tuple[Shooting, Solution, Priors]:
+    """Cut, guess a trajectory, search."""
+    _check(problem, simulator)
+    z = problem.search() if start is None else start
+    p = problem.values_of(z)
+    whole = not simulator.states  # what cannot be set cannot be cut
+    inputs = [input_matrix(run, simulator) for run in problem.training]
+    edges = [cut(run.time, np.inf if whole else segment) for run in problem.training]
+    try:
+        guess = parallel(
+            lambda k: (
+                first_states(problem.training[k], simulator, p, inputs[k], edges[k]) / simulator.nominal
+            ),
+            range(len(edges)),
+            threads,
+        )
+        known = priors(problem, simulator, [states[0] for states in guess])
+        shooting = Shooting(problem, simulator, tuple(inputs), tuple(edges), threads, loss)
+        solution = minimise(shooting, Point(z, tuple(guess)), known, options or Options(), progress)
+    except Failed as failed:
+        raise ModelError(
+            f"{problem.sub.name}: cannot be simulated with the values to start from: {failed}"
+        ) from None
+    return shooting, solution, known
+
+
+def _check(problem: Problem, simulator: Simulator) -> None:
+    for found, expected, what in (
+        (simulator.outputs, problem.outputs, "outputs"),
+        (simulator.free, problem.names, "free parameters"),
+    ):
+        if tuple(found) != tuple(expected):
+            raise ModelError(f"{problem.sub.name}: {what} of the simulator are {found}, expected {expected}")
+    if not problem.training:
+        raise ModelError(f"{problem.sub.name}: no recording to fit, expected at least one")
+
+
+def simulated(
+    run: Run, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+) -> Traces:
+    """A pure simulation; without a start state from what the first samples show."""
+    inputs = input_matrix(run, simulator) if inputs is None else inputs
+    state = first_state(run, simulator, p, inputs) if start is None else start
+    try:
+        return Traces(run, simulator.segment(state, p, run.time, inputs, False).y)
+    except Failed:
+        return Traces(run, np.full(run.measured.shape, np.nan))
