@@ -1,0 +1,74 @@
+"""Stretches of equal values: what is clipped, what is stuck.
+
+Two samples in a row of a noisy signal are equal by chance with the probability
+
+    P = step / (2 sqrt(pi) sd)
+
+step: resolution of the converter; sd: noise; for sd above the step. A run of equal values that chance does
+not explain is a fault: clipped if it is at the signal's own extreme, stuck elsewhere. A signal that has no
+noise to be seen (a command, an encoder) may stand still, so it is not judged.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.recording import Array, Mask, Sensor
+
+CHANCE = 1e-3  # of a false alarm in one recording
+LEAST = 1e-3  # least probability of two equal samples, for what a logger does that we do not know
+NOISY = 0.3  # P above which equal samples tell nothing
+
+
+def clipped(values: Array, sensor: Sensor) -> Mask:
+    """Where a signal is at an end of its sensor's range, or stays at an extreme of its own."""
+    return at_ends(values, sensor) | _runs(values, sensor, at_extreme=True)
+
+
+def at_ends(values: Array, sensor: Sensor) -> Mask:
+    """Where a signal is within half a step of an end of its sensor's range."""
+    width = sensor.high - sensor.low
+    margin = max(sensor.resolution / 2, 1e-9 * width) if math.isfinite(width) else sensor.resolution / 2
+    result: Mask = (values >= sensor.high - margin) | (values <= sensor.low + margin)
+    return result
+
+
+def stuck(values: Array, sensor: Sensor) -> Mask:
+    """Where a signal keeps a value longer than its noise lets it, apart from its ends and its dead zone."""
+    idle = np.abs(values) <= sensor.dead_zone if sensor.dead_zone > 0 else np.zeros(len(values), dtype=bool)
+    return _runs(values, sensor, at_extreme=False) & ~clipped(values, sensor) & ~idle
+
+
+def equal_by_chance(values: Array, sensor: Sensor) -> float:
+    """P of the module's docstring; 1 where it cannot be told."""
+    width = sensor.resolution or step(values)
+    told, seen = sensor.noise, noise(values, sensor)
+    own = math.sqrt(max(seen**2 - width**2 / 12, 0.0))
+    sd = max(told, own)
+    if not sd > 0:
+        return 1.0
+    return min(max(width / (2 * math.sqrt(math.pi) * sd), LEAST), 1.0)
+
+
+def _runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
+    """Samples of runs of equal values that are too long for chance, at the extremes or anywhere."""
+    result = np.zeros(len(values), dtype=bool)
+    finite = np.isfinite(values)
+    chance = equal_by_chance(values, sensor)
+    if chance > NOISY or not finite.any():
+        return result
+    longest = 1 + math.ceil(math.log(CHANCE / len(values)) / math.log(chance))
+    ends = (np.min(values[finite]), np.max(values[finite]))
+    for start, stop in runs(values):
+        if stop - start > longest and (not at_extreme or values[start] in ends):
+            result[start:stop] = True
+    return result
+
+
+def runs(values: Array) -> list[tuple[int, int]]:
+    """First sample and end of each run of equal values; each gap is a run of its own."""
+    edges = np.flatnonzero(~(np.diff(values) == 0)) + 1
+    return list(zip([0, *edges.tolist()], [*edges.tolist(), len(values)], strict=True))

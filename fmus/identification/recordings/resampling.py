@@ -1,0 +1,123 @@
+"""A uniform clock: its rate, whether a recording has one, resampling to one. Gaps stay gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import scipy.signal
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.masks import good
+from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
+
+UNEVEN = 0.05  # of a period: how far a stamp may be off a uniform clock; more is jitter that derivatives see
+MISSED = 1.5  # periods from one sample to the next, from which on one is missing
+CUTOFF = 0.8  # of half the new rate: -6 dB of the filter before going down; -30 dB at half the new rate
+ORDER = 8
+
+
+def period(time: Array) -> float:
+    """The usual interval of a clock [s], whatever is missing."""
+    return float(np.median(np.diff(time)))
+
+
+def uniform_rate(recording: Recording) -> float:
+    """Samples per second [Hz]; refuses a clock that is not uniform, which `resample` makes uniform."""
+    time = recording.time
+    if len(time) < 2:
+        raise ModelError(f"{recording.source}: expected two or more samples, found {len(time)}")
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    off = np.abs(time - (time[0] + step * np.arange(len(time)))) / step
+    worst = int(np.argmax(off))
+    if off[worst] > UNEVEN:
+        raise ModelError(
+            f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off a uniform"
+            f" clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
+        )
+    return float(1 / step)
+
+
+def resample(
+    recording: Recording, rate: float, hold: Collection[str] = (), bridge: float | None = None
+) -> Recording:
+    """The recording on a uniform clock of `rate` [Hz] that starts with its first sample.
+
+    Signals are interpolated linearly. When the rate goes down, they pass a zero-phase filter first, and what
+    is not good (clipped, in the dead zone) becomes a gap, which a filtered sample would hide. The standard
+    deviation of the sensor is that of what the filter leaves.
+
+    hold     signals that keep their value from sample to sample, such as commands: not filtered
+    bridge   longest interval to interpolate over [s]; None: a missing sample is a gap
+    """
+    time = recording.time
+    if rate <= 0 or len(time) < 2:
+        found = f"{rate:g} Hz and {len(time)} samples"
+        raise ModelError(
+            f"{recording.source}: expected a rate above 0 and two or more samples, found {found}"
+        )
+    old = 1 / period(time)
+    clock = time[0] + np.arange(1 + int((time[-1] - time[0]) * rate * (1 + 1e-12) + 1e-9)) / rate
+    longest = MISSED / old if bridge is None else bridge
+    down = rate < old * (1 - 1e-6)
+    signals, sensors = {}, dict(recording.sensors)
+    for name, values in recording.signals.items():
+        if name in hold:
+            signals[name] = _held(clock, time, values, longest)
+        elif down:
+            finer = time[0] + np.arange(1 + int((time[-1] - time[0]) * old + 0.5)) / old
+            kept = np.where(good(recording, name), values, np.nan)
+            filtered = _filtered(_linear(finer, time, kept, longest), rate / old)
+            signals[name] = _linear(clock, finer, filtered, longest)
+            if name in sensors:
+                sensors[name] = _quieter(sensors[name], rate / old)
+        else:
+            signals[name] = _linear(clock, time, values, longest)
+    return replace(recording, time=clock, signals=signals, sensors=sensors)
+
+
+def _linear(clock: Array, time: Array, values: Array, longest: float) -> Array:
+    """Linear interpolation; NaN next to a gap and within an interval longer than `longest`."""
+    result = np.interp(clock, time, values, left=np.nan, right=np.nan)
+    return np.where(_missing(clock, time, longest), np.nan, result)
+
+
+def _held(clock: Array, time: Array, values: Array, longest: float) -> Array:
+    """The value of the sample before."""
+    # a stamp that is late by rounding still counts as this sample's
+    before = np.clip(np.searchsorted(time, clock + 1e-6 * period(time), side="right") - 1, 0, len(time) - 1)
+    return np.where(_missing(clock, time, longest), np.nan, values[before])
+
+
+def _missing(clock: Array, time: Array, longest: float) -> Mask:
+    """Where a new sample lies inside an interval longer than `longest` [s]."""
+    after = np.clip(np.searchsorted(time, clock), 1, len(time) - 1)
+    inside = (clock > time[after - 1]) & (clock < time[after])
+    return inside & (time[after] - time[after - 1] > longest)
+
+
+def _filtered(values: Array, ratio: float) -> Array:
+    """Each stretch without a gap through a Butterworth filter, forwards and back."""
+    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
+    result = np.full_like(values, np.nan)
+    for part in stretches(np.isfinite(values)):
+        length = part.stop - part.start
+        pad = min(int(10 / ratio), length - 1)
+        result[part] = scipy.signal.sosfiltfilt(sections, values[part], padlen=pad)
+    return result
+
+
+def stretches(mask: Mask) -> list[slice]:
+    """The runs of True of a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _quieter(sensor: Sensor, ratio: float) -> Sensor:
+    """The sensor behind the filter: white noise keeps the share that passes, nothing has steps any more."""
+    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
+    _, response = scipy.signal.sosfreqz(sections, worN=4096)
+    # forwards and back is |H|^2, so the power is |H|^4
+    passed = float(np.sqrt(np.mean(np.abs(response) ** 4)))
+    return replace(sensor, noise=sensor.sd * passed, resolution=0.0)

@@ -1,0 +1,81 @@
+"""A file of plain numbers without a meta file, such as somebody else's data set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.conversion import signal
+from fmus.identification.recordings.meta import unit
+from fmus.identification.recordings.recording import Array, Recording
+from fmus.identification.recordings.table import read_table
+from fmus.identification.recordings.tables import read_text
+from fmus.units import in_si
+
+
+def read_series(
+    path: Path | str,
+    columns: Mapping[str, int | str],
+    *,
+    rate: float = 1.0,
+    units: Mapping[str, str] | None = None,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    skip_lines: int = 0,
+    title: str = "",
+) -> Recording:
+    """A file of plain numbers without a meta file, such as somebody else's data set.
+
+    columns     our name -> place from 0 in a text file without names, or name of a column or MATLAB variable
+    rate        samples per second [Hz]
+    units       unit of each column; "1" if there is none
+    delimiter   of a text file; None: found in its first line of numbers
+    """
+    path, units = Path(path), units or {}
+    stray = [name for name in units if name not in columns]
+    if stray or not columns or rate <= 0:
+        found = f"a unit of {stray[0]}" if stray else f"{len(columns)} columns and a rate of {rate:g} Hz"
+        raise ModelError(f"{path}: expected columns, their units and a rate above 0, found {found}")
+    spelling = {name: unit(units.get(name, "1"), f"{path}: {name}") for name in columns}
+    raw = _plain(path, columns, delimiter, decimal, skip_lines)
+    size = len(next(iter(raw.values())))
+    return Recording(
+        source=path,
+        title=title or path.stem,
+        procedure="",
+        use="train",
+        conditions={},
+        time=np.arange(size) / rate,
+        signals={name: signal(values, {"unit": spelling[name]}) for name, values in raw.items()},
+        units={name: in_si(text) for name, text in spelling.items()},
+    )
+
+
+def _plain(
+    path: Path, columns: Mapping[str, int | str], delimiter: str | None, decimal: str, skip_lines: int
+) -> dict[str, Array]:
+    """Columns of a file without meta by name or place."""
+    kind, names = path.suffix.lower(), {str(place) for place in columns.values()}
+    by_place = [place for place in columns.values() if isinstance(place, int)]
+    if by_place and (kind in (".mat", ".parquet") or len(by_place) < len(columns)):
+        raise ModelError(f"{path}: expected the names of columns, found place {by_place[0]}")
+    if kind in (".mat", ".parquet"):
+        table = read_table(path, names, {})
+    else:
+        split = delimiter or _delimiter(path, decimal, skip_lines)
+        table = read_text(path, names, split, decimal, skip_lines, named=not by_place)
+    return {name: table.columns[str(place)] for name, place in columns.items()}
+
+
+def _delimiter(path: Path, decimal: str, skip_lines: int) -> str:
+    """What separates the columns of the first line: ; or , or white space."""
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ModelError(f"{path}: expected a file of numbers, found {found}")
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = [line for _, line in zip(range(skip_lines + 1), file, strict=False)]
+    line = lines[-1] if len(lines) > skip_lines else ""
+    return next((mark for mark in ";," if mark in line and mark != decimal), r"\s+")
