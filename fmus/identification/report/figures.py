@@ -7,6 +7,7 @@ or a broad line, a fit is a thin dark line, masked values are hollow, what is on
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -22,9 +23,19 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from fmus.identification.finding import Array, Curve, Finding, Panel
 from fmus.identification.report.captions import footer
-from fmus.identification.report.style import DASHES, DOTS, PALETTE, WIDTH, decimate, frame
+from fmus.identification.report.style import (
+    DASHES,
+    DOTS,
+    PALETTE,
+    WIDTH,
+    decimate,
+    frame,
+    plain_ticks,
+    pretty,
+)
 
 COLUMNS = 2
+MANY = 3  # panels over one quantity that stand beside each other, not below
 TALL, FLAT = 2.35, 1.15  # in, of a panel and of a residual
 ROOM = WIDTH - 0.8  # in, of all axes beside each other
 FLAT_LABEL = 16  # letters that fit beside a residual
@@ -42,17 +53,29 @@ def draw(finding: Finding, kinds: Iterable[str] = ()) -> Figure:
     figure = Figure(figsize=(WIDTH, sum(heights) + 0.35 * len(rows) + 0.75), layout=layout)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(len(rows), max(map(len, rows)), height_ratios=heights)
+    shared: dict[Any, Axes] = {}
     for place, row in enumerate(rows):
         for side, column in enumerate(row):
             where = grid[place, side] if len(row) > 1 else grid[place, :]
-            _column(figure, where, column, ROOM / len(row))
+            over = (column[0].x_label, column[0].x_unit)
+            shared[over] = _column(figure, where, column, ROOM / len(row), shared.get(over))
     heading(figure, finding.title, footer(finding.figure, kinds))
     return figure
 
 
 def columns(panels: Sequence[Panel]) -> list[Column]:
     """Panels that follow each other over the same quantity, range included, together."""
-    return [tuple(found) for _, found in groupby(panels, key=lambda p: (p.x_label, p.x_unit))]
+    together = [tuple(found) for _, found in groupby(panels, key=lambda p: (p.x_label, p.x_unit))]
+    return _halves(together[0]) if len(together) == 1 else together
+
+
+def _halves(column: Column) -> list[Column]:
+    """A column that is too high beside itself, in the order of its panels."""
+    if sum(not is_residual(panel) for panel in column) < MANY:
+        return [column]
+    sizes = np.cumsum([FLAT if is_residual(panel) else TALL for panel in column])
+    cut = int(np.argmin(np.abs(sizes - sizes[-1] / 2))) + 1
+    return [column[:cut], column[cut:]]
 
 
 def _rows(found: list[Column]) -> list[list[Column]]:
@@ -78,10 +101,9 @@ def heading(figure: Figure, title: str, below: str) -> None:
         figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.faint)
 
 
-def _column(figure: Figure, where: Any, column: Column, room: float) -> None:
-    """Panels over each other; only the last one tells its x axis."""
+def _column(figure: Figure, where: Any, column: Column, room: float, first: Axes | None) -> Axes:
+    """Panels over each other; only the last one tells its x axis, which they share with `first`."""
     inner: GridSpec = where.subgridspec(len(column), 1, height_ratios=[height(p, room) for p in column])
-    first: Axes | None = None
     drawn = []
     for place, panel in enumerate(column):
         axes = figure.add_subplot(inner[place, 0], sharex=first)
@@ -89,8 +111,11 @@ def _column(figure: Figure, where: Any, column: Column, room: float) -> None:
         _panel(axes, panel, room)
         axes.tick_params(labelbottom=place == len(column) - 1)
         drawn.append(axes)
-    drawn[-1].set_xlabel(_labelled(column[-1].x_label, column[-1].x_unit[0]), color=PALETTE.ink, fontsize=9)
+    plain_ticks(drawn[-1].xaxis)
+    label = _labelled(column[-1].x_label, column[-1].x_unit[0])
+    drawn[-1].set_xlabel(label, color=PALETTE.ink, fontsize=9)
     figure.align_ylabels(drawn)
+    return drawn[0]
 
 
 def _panel(axes: Axes, panel: Panel, room: float) -> None:
@@ -100,8 +125,10 @@ def _panel(axes: Axes, panel: Panel, room: float) -> None:
     measured = sum(c.kind in ("measured", "masked") for c in panel.curves)
     for order, curve in enumerate(sorted(panel.curves, key=lambda c: ORDER.index(c.kind))):
         look = style(curve, places[curve.kind], joined=joined, several=measured > 1)
-        if is_residual(panel) and curve.line:
-            look |= {"linewidth": 0.8, "color": PALETTE.pair(places[curve.kind])[1], "linestyle": "-"}
+        if is_residual(panel):
+            look |= (
+                _line(PALETTE.pair(places[curve.kind])[1], 0.8, "-") if curve.line else {"markersize": 3.5}
+            )
         places[curve.kind] += 1
         _curve(axes, panel, curve, look | {"zorder": 2 + 0.1 * order})
     _ylabel(axes, panel)
@@ -114,6 +141,7 @@ def _panel(axes: Axes, panel: Panel, room: float) -> None:
     else:
         axes.margins(y=0.08)
         _legend(axes, panel, room)
+    plain_ticks(axes.yaxis)
 
 
 # what is drawn later lies above
@@ -132,7 +160,7 @@ def style(curve: Curve, place: int, *, joined: bool, several: bool) -> dict[str,
     if curve.kind == "measured":
         return _marks(mark, light, face=light, size=5) if drawn else {"color": light, "linewidth": 2.6}
     if curve.kind == "masked":
-        return _marks(mark, PALETTE.faint, face="none", size=4.5) if drawn else _line(PALETTE.faint, 0.9, "-")
+        return _marks(mark, PALETTE.faint, face="none", size=4.5) if drawn else _line(PALETTE.grid, 7.0, "-")
     if curve.kind == "fit":
         colour = dark if several else PALETTE.pair(0)[1]
         return (
@@ -185,7 +213,7 @@ def _ylabel(axes: Axes, panel: Panel) -> None:
     if not is_residual(panel):
         axes.set_ylabel(_labelled(label, unit), color=PALETTE.ink, fontsize=9)
         return
-    told = textwrap.wrap(label, FLAT_LABEL) + ([f"[{unit}]"] if unit and unit != "1" else [])
+    told = textwrap.wrap(label, FLAT_LABEL) + ([f"[{pretty(unit)}]"] if unit and unit != "1" else [])
     axes.set_ylabel("\n".join(told), color=PALETTE.ink, fontsize=8)
 
 
@@ -199,7 +227,8 @@ def _residual(axes: Axes) -> None:
 
 
 def _labelled(label: str, unit: str) -> str:
-    return f"{label} [{unit}]" if unit and unit != "1" else label
+    shown = re.sub(r"\[(.+)\]", lambda m: f"[{pretty(m[1])}]", label)
+    return f"{shown} [{pretty(unit)}]" if unit and unit != "1" else shown
 
 
 READING = ("measured", "masked", "fit", "compared", "corrected")
@@ -212,9 +241,9 @@ def _labels(panel: Panel) -> list[str]:
 
 
 def _legend_columns(panel: Panel, room: float) -> int:
-    """Entries beside each other, in an axes `room` [in] wide."""
-    longest = max(map(len, _labels(panel)))
-    return max(1, min(len(_labels(panel)), int(room / (0.065 * longest + 0.6))))
+    """Entries beside each other, in an axes `room` [in] wide: all in one line if they fit."""
+    widths = [0.062 * len(label) + 0.6 for label in _labels(panel)]
+    return len(widths) if sum(widths) <= room else max(1, int(room / max(widths)))
 
 
 def _legend_lines(panel: Panel, room: float) -> int:

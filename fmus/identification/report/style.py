@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import itertools
+import math
 import re
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -61,6 +63,28 @@ def frame(axes: Axes) -> None:
     axes.tick_params(which="both", colors=PALETTE.ink, labelsize=8, length=3)
     axes.grid(True, color=PALETTE.grid, linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Large and small numbers as powers of ten at the ticks: an exponent above would lie on the legend."""
+    if axis.get_scale() != "linear":
+        return
+    largest = max(map(abs, axis.get_view_interval()))
+    power = math.floor(math.log10(largest)) if largest > 0 else 0
+    if -3 <= power <= 4:
+        return
+    ending = f"·10{raised(str(power))}"
+    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.3g}{ending if value else ''}")
+
+
+def pretty(unit: str) -> str:
+    """A unit as print has it: a dot in the middle, powers raised."""
+    return re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.)", lambda m: raised(m[1]), unit).replace(".", "·")
+
+
+def raised(digits: str) -> str:
+    """Digits as an exponent."""
+    return digits.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from fmus.identification.finding import Estimate
+from fmus.identification.report.style import pretty, raised
 from fmus.units import display
 
 NONE = "–"  # noqa: RUF001
@@ -14,7 +15,7 @@ MINUS = "\N{MINUS SIGN}"
 def unit(name: str) -> str:
     """The display unit; nothing for a pure number."""
     shown = (display(name) or (name, 1.0))[0]
-    return "" if shown == "1" else shown
+    return "" if shown == "1" else pretty(shown)
 
 
 def in_unit(value: float, name: str) -> float:
@@ -33,12 +34,8 @@ def number(value: float | None, digits: int = 3) -> str:
     if -4 <= exponent < 6:
         text = f"{rounded:.{max(0, digits - 1 - exponent)}f}"
     else:
-        text = f"{rounded / 10.0**exponent:.{digits - 1}f}·10{_raised(exponent)}"
+        text = f"{rounded / 10.0**exponent:.{digits - 1}f}·10{raised(str(exponent))}"
     return text.replace("-", MINUS)
-
-
-def _raised(exponent: int) -> str:
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def digits(estimate: Estimate) -> int:
