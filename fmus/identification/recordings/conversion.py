@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
+from fmus.identification.recordings.columns import Table
 from fmus.identification.recordings.meta import Meta, unit
 from fmus.identification.recordings.recording import Array, Sensor
-from fmus.identification.recordings.tables import Table
 from fmus.units import parse
 
 

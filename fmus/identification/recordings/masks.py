@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.signal import correlate
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.flat import clipped
@@ -125,9 +126,8 @@ def standard_error(values: Array, resolution: float = 0.0) -> float:
     spread = float(values.std(ddof=1)) if n > 1 else math.nan
     if not spread > 0:
         return resolution / math.sqrt(12) if spread == 0 else math.nan
-    from statsmodels.tsa.stattools import acf  # here: it takes long to import, and reading needs none of it
-
-    rho = acf(values, nlags=n - 1, fft=True)
+    centred = values - values.mean()
+    rho = correlate(centred, centred, method="fft")[n - 1 :] / float(centred @ centred)
     pairs = rho[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
     inflation = max(2 * float(pairs[: ends[0] if len(ends) else None].sum()) - 1, 1 / n)

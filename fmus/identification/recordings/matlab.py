@@ -15,7 +15,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.tables import Table, finite, near
+from fmus.identification.recordings.columns import Table, finite, near
 
 MOST_COLUMNS = 256  # of a matrix that are listed one by one
 

@@ -33,8 +33,8 @@ def uniform_rate(recording: Recording) -> float:
     worst = int(np.argmax(off))
     if off[worst] > UNEVEN:
         raise ModelError(
-            f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off a uniform"
-            f" clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
+            f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off"
+            f" a uniform clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
         )
     return float(1 / step)
 

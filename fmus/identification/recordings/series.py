@@ -9,10 +9,10 @@ import numpy as np
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.conversion import signal
+from fmus.identification.recordings.files import read_table
 from fmus.identification.recordings.meta import unit
 from fmus.identification.recordings.recording import Array, Recording
-from fmus.identification.recordings.table import read_table
-from fmus.identification.recordings.tables import read_text
+from fmus.identification.recordings.text import read_text
 from fmus.units import in_si
 
 

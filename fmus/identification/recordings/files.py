@@ -6,8 +6,10 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from fmus.identification.recordings.columns import Table
 from fmus.identification.recordings.matlab import read_mat
-from fmus.identification.recordings.tables import Table, read_parquet, read_text
+from fmus.identification.recordings.parquet import read_parquet
+from fmus.identification.recordings.text import read_text
 
 DATA = (".csv", ".parquet", ".mat")
 

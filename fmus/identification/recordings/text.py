@@ -1,0 +1,127 @@
+"""Number columns of a text file as people and loggers write them. An empty cell is a gap."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Collection
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.columns import Table, finite, first_line, place
+from fmus.identification.recordings.recording import Array
+
+GAPS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
+
+
+def read_text(
+    path: Path,
+    names: Collection[str],
+    delimiter: str = ",",
+    decimal: str = ".",
+    skip_lines: int = 0,
+    named: bool = True,
+) -> Table:
+    """Columns of a text file by name.
+
+    named        the first row has the names; else they are "0", "1", ...
+    delimiter    one character, or r"\\s+" for any white space
+    skip_lines   lines before the names, or before the first numbers
+    """
+    if decimal not in (".", ",") or delimiter == decimal or (len(delimiter) != 1 and delimiter != r"\s+"):
+        raise ModelError(
+            f"{path}: expected a one-character delimiter and decimal . or ,, found {delimiter!r}, {decimal!r}"
+        )
+    text = _text(path)
+    cells = _cells(text, path, delimiter, skip_lines)
+    lines = np.arange(skip_lines + 1, skip_lines + 1 + len(cells))
+    header = [f"{i}" for i in range(cells.shape[1])]
+    if named:
+        header = [str(name).strip() for name in cells[0]] if len(cells) else []
+        cells, lines = cells[1:], lines[1:]
+    written = (cells != "").any(axis=1)
+    cells, lines = cells[written], lines[written]
+    places = {name: place(name, header, path) for name in sorted(names)}
+    _whole_rows(text, cells, lines, delimiter, path)
+    columns = {
+        name: numbers(cells[:, i], lines, decimal, f"{path}: line {{}}: column {name!r}")
+        for name, i in places.items()
+    }
+    return Table(columns, lines, "line")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise ModelError(f"{path}: expected a file of numbers, found no such file") from None
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        found = error.object[error.start]
+        raise ModelError(
+            f"{path}: line {line}: expected text in UTF-8, found the byte 0x{found:02x}"
+        ) from None
+    except OSError as error:
+        raise ModelError(f"{path}: expected a file of numbers, found {error.strerror}") from None
+
+
+def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> NDArray[Any]:
+    """Cells without the space around them, shape (lines, columns)."""
+    try:
+        frame = pd.read_csv(
+            StringIO(text),
+            sep=delimiter,
+            header=None,
+            skiprows=skip_lines,
+            dtype=str,
+            keep_default_na=False,
+            skip_blank_lines=False,
+        )
+    except pd.errors.EmptyDataError:
+        raise ModelError(f"{path}: expected two or more rows of numbers, found an empty file") from None
+    except pd.errors.ParserError as error:
+        found = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        if not found:
+            raise ModelError(f"{path}: expected a text file of columns, found {first_line(error)}") from None
+        wanted, line, saw = found.groups()
+        raise ModelError(f"{path}: line {line}: expected {wanted} cells, found {saw}") from None
+    return np.array([[str(cell).strip() for cell in frame[i]] for i in frame], dtype=object).T
+
+
+def _whole_rows(text: str, cells: NDArray[Any], lines: NDArray[np.int64], delimiter: str, path: Path) -> None:
+    """A row that stops early, such as the last one of a logger that lost power, is an error, not a gap."""
+    if len(cells) < 2:
+        raise ModelError(f"{path}: expected two or more rows of numbers, found {len(cells)}")
+    written = text.split("\n")
+    for line in lines[cells[:, -1] == ""]:
+        row = written[line - 1]
+        there = len(row.split()) if len(delimiter) > 1 else len(next(csv.reader([row], delimiter=delimiter)))
+        if there < cells.shape[1]:
+            raise ModelError(f"{path}: line {line}: expected {cells.shape[1]} cells, found {there}")
+
+
+def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: str) -> Array:
+    """Text as numbers, gaps as NaN; `where` has a place for the row."""
+    text = np.where(np.isin(np.char.lower(cells.astype(str)), GAPS), "nan", cells)
+    if decimal == ",":
+        text = np.array([str(cell).replace(",", ".") for cell in text], dtype=object)
+    try:
+        values: Array = text.astype(np.float64)
+    except ValueError:
+        bad = next(k for k, cell in enumerate(text) if not _is_number(cell))
+        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {cells[bad]!r}") from None
+    return finite(values, rows, where)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
