@@ -42,8 +42,8 @@ class Constants:
     def of(known: Mapping[str, Number]) -> Constants:
         """From the parameters of the machine; the three valves are identical (section 4(a))."""
         names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
-        rest = (value(known, f"boom_stick.valve_{name}") for name in names)
-        return Constants(*rest, value(known, "boom_stick.density"))
+        rest = {name: value(known, f"boom_stick.valve_{name}") for name in names}
+        return Constants(**rest, density=value(known, "boom_stick.density"))
 
     def all(self) -> tuple[float, ...]:
         """In the order of the fields."""

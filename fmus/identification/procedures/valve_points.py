@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.procedures.levels import levels
+from fmus.identification.procedures.step_means import SETTLE, SHORTEST, step_means
+from fmus.identification.recordings.masks import steady
 from fmus.identification.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -73,25 +73,17 @@ def points(recordings: Sequence[Recording]) -> Points:
 
 
 def _of_one(recording: Recording) -> Points:
-    stretches = [one for one in held(recording["command"], recording.time) if recording["command"][one.start]]
-    drop = levels(recording, "pressure_in", stretches) - levels(recording, "pressure_out", stretches)
-    flow = levels(recording, "flow", stretches)
-    sign = np.where(drop.mean < 0, -1.0, 1.0)
+    command = recording["command"]
+    parts = [one for one in steady(recording, "command", SETTLE, SHORTEST) if command[one.start]]
+    found = step_means(recording, parts)
+    sign = np.where(found.drop < 0, -1.0, 1.0)
     return Points(
-        command=np.abs([recording["command"][one].mean() for one in stretches]),
-        drop=sign * drop.mean,
-        drop_error=drop.error,
-        flow=sign * flow.mean,
-        flow_error=flow.error,
-        dead=flow.dead,
-        good=flow.useful & drop.useful & (sign * flow.mean > 0),
-        edge=np.full(len(stretches), recording.word("edge")),
+        command=np.abs([command[one].mean() for one in parts]),
+        drop=sign * found.drop,
+        drop_error=found.drop_error,
+        flow=sign * found.flow,
+        flow_error=found.flow_error,
+        dead=found.dead,
+        good=found.good & (sign * found.flow > 0),
+        edge=np.full(len(parts), recording.word("edge")),
     )
-
-
-def held(command: Array, time: Array, least: float = 0.5, settle: float = 0.5) -> list[slice]:
-    """Stretches [at least `least` s] of a constant command, without the first `settle` share of each."""
-    corners = np.flatnonzero(np.diff(command)) + 1
-    ends = np.concatenate([[0], corners, [len(command)]])
-    whole = [(a, b) for a, b in pairwise(ends) if time[b - 1] - time[a] >= least]
-    return [slice(int(a + settle * (b - a)), int(b)) for a, b in whole]

@@ -30,9 +30,9 @@ def _masked(every: Points) -> list[str]:
     found = []
     if dead.command.size:
         found.append(
-            f"{dead.command.size} of {every.command.size} steps, up to {dead.command.max():.3g} V, are masked: "
-            "the flow is in the dead zone of the meter. This is the flat region of Fig. 5; there the curve is "
-            "the opening law, extended."
+            f"{len(dead.command)} of {len(every.command)} steps, up to {dead.command.max():.3g} V, are masked: "
+            "the flow is in the dead zone of the meter. This is the flat region of Fig. 5; there the curve "
+            "is the opening law, extended."
         )
     if rest.command.size:
         found.append(f"{rest.command.size} steps are masked: an instrument is at the end of its range.")

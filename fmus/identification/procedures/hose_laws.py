@@ -1,0 +1,112 @@
+"""Steps of the hose test; the laws of its pressure drop, each fitted with the errors of drop and flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+from fmus.identification.procedures.regression import Guess, Regression, fit
+from fmus.identification.procedures.step_means import SETTLE, SHORTEST, StepMeans, step_means
+from fmus.identification.recordings.masks import steady
+from fmus.identification.recordings.noise import noise
+from fmus.identification.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+Drop = Callable[[Array, Mapping[str, float]], Array]
+
+SAME = 8.0  # standard deviations of the flow between samples of one step: noise does not part it
+
+
+@dataclass(frozen=True)
+class HoseFit:
+    """Fits of eq. (1), of eq. (10) and of the laminar and turbulent drop together.
+
+    reference_flow   [m3/s] rms of the flows with the weights that they have in C_R of eq. (1)
+    """
+
+    square: Regression
+    power: Regression
+    mixed: Regression
+    transition_flow: float
+    reference_flow: float
+
+    @property
+    def mixed_is_best(self) -> bool:
+        """True if a laminar part explains what neither law does."""
+        other = min(self.square.aic, self.power.aic)
+        return self.square.misfit and self.power.misfit and self.mixed.aic < other
+
+
+def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
+    """k Q^1.75 with the sign of Q, eq. (10)."""
+    return v["factor"] * np.sign(flow) * np.abs(flow) ** 1.75
+
+
+def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
+    """Q sqrt(R^2 + (C_R Q)^2): laminar below Q = R/C_R, as `fmus.components.line`."""
+    return flow * np.hypot(v["laminar"], v["resistance"] * flow)
+
+
+def square_drop(flow: Array, v: Mapping[str, float], transition_flow: float) -> Array:
+    """C_R Q sqrt(Q^2 + Q_t^2), eq. (1) as the machine has it."""
+    return v["resistance"] * flow * np.hypot(flow, transition_flow)
+
+
+def steps(recordings: Sequence[Recording]) -> StepMeans:
+    """The steady steps of all recordings, found by their flow."""
+    each = [_of_one(recording) for recording in recordings]
+    return StepMeans(**{name: np.concatenate([vars(one)[name] for one in each]) for name in vars(each[0])})
+
+
+def _of_one(recording: Recording) -> StepMeans:
+    sensor = recording.sensor("flow")
+    sd = sensor.sd or noise(recording["flow"], sensor)
+    return step_means(recording, steady(recording, "flow", SETTLE, SHORTEST, SAME * sd + sensor.resolution))
+
+
+def fit_laws(given: StepMeans, transition_flow: float) -> HoseFit:
+    """All laws on the measured steps."""
+    if given.flow.size < 4:
+        raise ModelError(
+            f"hose_resistance: {given.flow.size} steady steps above the dead zone of the flow meter, "
+            "expected at least 4"
+        )
+    start = float(given.drop @ given.flow**2 / (given.flow**2 @ given.flow**2))
+    largest = float(np.abs(given.flow).max())
+
+    def square(flow: Array, v: Mapping[str, float]) -> Array:
+        return square_drop(flow, v, transition_flow)
+
+    found = _fit(given, square, {"resistance": Guess(start)})
+    weights = given.flow**4 / _variance(given, square, found.as_dict())
+    return HoseFit(
+        square=found,
+        power=_fit(given, power_drop, {"factor": Guess(start * largest**0.25)}),
+        mixed=_fit(
+            given,
+            mixed_drop,
+            {"resistance": Guess(start), "laminar": Guess(start * largest / 10, low=0.0)},
+        ),
+        transition_flow=transition_flow,
+        reference_flow=float(np.sqrt(weights @ given.flow**2 / weights.sum())),
+    )
+
+
+def _variance(given: StepMeans, law: Drop, v: Mapping[str, float]) -> Array:
+    """Of the drop, with the flow's: effective variance of a point with errors in both."""
+    h = 1e-4 * np.abs(given.flow)
+    slope = (law(given.flow + h, v) - law(given.flow - h, v)) / (2 * h)
+    variance: Array = given.drop_error**2 + (slope * given.flow_error) ** 2
+    return variance
+
+
+def _fit(given: StepMeans, law: Drop, start: Mapping[str, Guess]) -> Regression:
+    def residual(v: Mapping[str, float]) -> Array:
+        weighted: Array = (given.drop - law(given.flow, v)) / np.sqrt(_variance(given, law, v))
+        return weighted
+
+    return fit(residual, start, "hose_resistance")
