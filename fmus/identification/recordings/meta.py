@@ -60,6 +60,7 @@ class Meta:
 
     path: Path
     title: str
+    kind: str
     procedure: str
     use: str
     experiment: Mapping[str, Any]
@@ -84,7 +85,8 @@ def read_meta(path: Path) -> Meta:
     for name, spec in signals.items():
         _check_signal(spec, f"{path}: [signals.{name!r}]")
     title = about.get("title", path.stem)
-    return Meta(path, title, procedure, use, experiment, file, time, signals)
+    kind = about.get("kind", "measurement")
+    return Meta(path, title, kind, procedure, use, experiment, file, time, signals)
 
 
 def load(path: Path) -> dict[str, Any]:

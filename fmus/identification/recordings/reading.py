@@ -46,6 +46,7 @@ def read(path: Path | str) -> Recording:
         },
         units={name: in_si(unit(spec["unit"], name)) for name, spec in meta.signals.items()},
         sensors={name: found for name, spec in meta.signals.items() if (found := sensor(spec))},
+        kind=meta.kind,
     )
     return _inside(recording, meta.time.get("start", -math.inf), meta.time.get("stop", math.inf))
 
