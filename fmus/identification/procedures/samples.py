@@ -1,0 +1,110 @@
+"""Angles, speeds and pressures of one recording, smoothed, as the equation of motion takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError
+from fmus.identification.procedures import modulation
+from fmus.identification.procedures.modulation import Filters
+from fmus.identification.procedures.motion import ALL_PRESSURES, ANGLES, PARAMETERS, PRESSURES, motion
+from fmus.identification.recordings.masks import good_all
+from fmus.identification.recordings.noise import noise
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.recordings.resampling import uniform_rate
+from fmus.parameters import Number
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+STOP_MARGIN = 2e-3  # m from the ends of a stroke, beyond which the stops are said to touch
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One recording, smoothed: arrays (rows, n); `good` (n - bump + 1,) where the filtered equation holds.
+
+    angle_noise, pressure_noise   standard deviation of one sample of each sensor
+    touched                       samples left out since a piston was at the end of its stroke
+    """
+
+    time: Array
+    q: Array
+    w: Array
+    pressures: Array
+    tank: float
+    filters: Filters
+    good: Mask
+    angle_noise: Array
+    pressure_noise: Array
+    touched: int
+
+    @property
+    def known(self) -> tuple[Array, Array, Array, float]:
+        """The first arguments of the functions of `motion`."""
+        return self.q, self.w, self.pressures, self.tank
+
+    @property
+    def middle(self) -> slice:
+        """The smoothed samples at which the filtered equation stands."""
+        half = self.filters.bump.size // 2
+        return slice(half, self.q.shape[1] - half)
+
+
+def samples(recording: Recording, joints: Sequence[str], p: Array, **lengths: float) -> Samples:
+    """A recording made ready for the balance of these joints; `lengths` [s] are those of `filters`."""
+    kernels = modulation.filters(uniform_rate(recording), **lengths)
+    needed = [n for j in joints for n in PRESSURES[j]]
+    if recording.time.size < 2 * kernels.loss + 10:
+        raise ModelError(
+            f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more: "
+            "the filters take them"
+        )
+    zero = np.zeros(recording.time.size)
+    raw = np.array([modulation.filled(recording[n]) for n in ANGLES])
+    q, w = modulation.apply(kernels.smooth, raw), modulation.apply(kernels.rate, raw)
+    measured = [modulation.filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
+    smooth = modulation.apply(kernels.smooth, np.array(measured))
+    bad = ~good_all(recording, (*ANGLES, *needed))
+    ends = _at_ends(q, p)
+    there = modulation.spread(bad, kernels.smooth.size + kernels.bump.size - 1)
+    inside = modulation.spread(ends, kernels.bump.size)
+    half = kernels.smooth.size // 2
+    tank = recording.conditions.get("tank_pressure", 0.0)
+    return Samples(
+        time=recording.time[half : recording.time.size - half],
+        q=q,
+        w=w,
+        pressures=smooth,
+        tank=tank if isinstance(tank, float) else 0.0,
+        filters=kernels,
+        good=there & inside,
+        angle_noise=np.array([noise_of(recording, n) for n in ANGLES]),
+        pressure_noise=np.array([noise_of(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
+        touched=int(ends.sum()),
+    )
+
+
+def noise_of(recording: Recording, name: str) -> float:
+    """Standard deviation of one sample: as told, else as seen."""
+    told = recording.sensor(name).sd
+    seen = told or noise(recording[name])
+    return seen if np.isfinite(seen) else 0.0
+
+
+def _at_ends(q: Array, p: Array) -> Mask:
+    position: Array = np.array(motion(()).pistons(q, p)[0].full())
+    strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
+    touched: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
+    return touched
+
+
+def numbers(known: Mapping[str, Number]) -> Array:
+    """The machine's parameters in the order of `motion.PARAMETERS`."""
+    missing = [n for n in PARAMETERS if n not in known]
+    if missing:
+        raise ModelError(f"known parameters: {missing[0]} is missing, expected all of the lumped machine")
+    return np.array([known[n].value for n in PARAMETERS])
