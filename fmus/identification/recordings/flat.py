@@ -14,18 +14,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmus.identification.recordings.noise import noise, step
 from fmus.identification.recordings.recording import Array, Mask, Sensor
 
 CHANCE = 1e-3  # of a false alarm in one recording
 LEAST = 1e-3  # least probability of two equal samples, for what a logger does that we do not know
-NOISY = 0.3  # P above which equal samples tell nothing
+NOISY = 0.5  # P above which equal samples tell nothing; a slow encoder looks like 0.6
 
 
 def clipped(values: Array, sensor: Sensor) -> Mask:
     """Where a signal is at an end of its sensor's range, or stays at an extreme of its own."""
-    return at_ends(values, sensor) | _runs(values, sensor, at_extreme=True)
+    return at_ends(values, sensor) | (_long_runs(values, sensor, at_extreme=True) & ~_idle(values, sensor))
 
 
 def at_ends(values: Array, sensor: Sensor) -> Mask:
@@ -38,37 +39,44 @@ def at_ends(values: Array, sensor: Sensor) -> Mask:
 
 def stuck(values: Array, sensor: Sensor) -> Mask:
     """Where a signal keeps a value longer than its noise lets it, apart from its ends and its dead zone."""
-    idle = np.abs(values) <= sensor.dead_zone if sensor.dead_zone > 0 else np.zeros(len(values), dtype=bool)
-    return _runs(values, sensor, at_extreme=False) & ~clipped(values, sensor) & ~idle
+    flat = _long_runs(values, sensor, at_extreme=False)
+    result: Mask = flat & ~clipped(values, sensor) & ~_idle(values, sensor)
+    return result
 
 
 def equal_by_chance(values: Array, sensor: Sensor) -> float:
     """P of the module's docstring; 1 where it cannot be told."""
     width = sensor.resolution or step(values)
-    told, seen = sensor.noise, noise(values, sensor)
-    own = math.sqrt(max(seen**2 - width**2 / 12, 0.0))
-    sd = max(told, own)
+    seen = noise(values, sensor)
+    own = math.sqrt(max(seen**2 - width**2 / 12, 0.0)) if seen > 0 else 0.0
+    sd = max(sensor.noise, own)
     if not sd > 0:
         return 1.0
     return min(max(width / (2 * math.sqrt(math.pi) * sd), LEAST), 1.0)
 
 
-def _runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
+def _idle(values: Array, sensor: Sensor) -> Mask:
+    """In the dead zone, where a meter may well stand still."""
+    result: Mask = (np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0)
+    return result
+
+
+def _long_runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
     """Samples of runs of equal values that are too long for chance, at the extremes or anywhere."""
     result = np.zeros(len(values), dtype=bool)
-    finite = np.isfinite(values)
     chance = equal_by_chance(values, sensor)
-    if chance > NOISY or not finite.any():
+    if chance > NOISY or not np.isfinite(values).any():
         return result
     longest = 1 + math.ceil(math.log(CHANCE / len(values)) / math.log(chance))
-    ends = (np.min(values[finite]), np.max(values[finite]))
-    for start, stop in runs(values):
-        if stop - start > longest and (not at_extreme or values[start] in ends):
+    extremes = (np.nanmin(values), np.nanmax(values))
+    starts, stops = runs(values)
+    for start, stop in zip(starts[stops - starts > longest], stops[stops - starts > longest], strict=True):
+        if not at_extreme or values[start] in extremes:
             result[start:stop] = True
     return result
 
 
-def runs(values: Array) -> list[tuple[int, int]]:
+def runs(values: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First sample and end of each run of equal values; each gap is a run of its own."""
     edges = np.flatnonzero(~(np.diff(values) == 0)) + 1
-    return list(zip([0, *edges.tolist()], [*edges.tolist(), len(values)], strict=True))
+    return np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
