@@ -1,0 +1,231 @@
+"""The compiled model of output error where the solution and its derivatives are known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+
+from fmus.contract import ModelError, Quantity, Scalar, Subsystem
+from fmus.identification.refinement.model import Failed, Model
+from fmus.parameters import Values
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Constants."""
+
+    delay: Annotated[Scalar, Quantity("s", "Time constant of the lag")]
+    gain: Annotated[Scalar, Quantity("1", "Gain of the lag")]
+    growth: Annotated[Scalar, Quantity("1/s", "Growth per input")]
+    seed: Annotated[Scalar, Quantity("1", "What grows, at the start")]
+    scale: Annotated[Scalar, Quantity("1", "Scale of an output")]
+
+
+@dataclass(frozen=True)
+class State:
+    """States."""
+
+    lag: Annotated[Scalar, Quantity("1", "Follows the input")]
+    total: Annotated[Scalar, Quantity("s", "Integral of the lag")]
+    size: Annotated[Scalar, Quantity("1", "Grows with the input")]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs."""
+
+    idle: Annotated[Scalar, Quantity("1", "Nothing but the integral depends on it")]
+    drive: Annotated[Scalar, Quantity("1", "Input")]
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Outputs."""
+
+    lag: Annotated[Scalar, Quantity("1", "Follows the input")]
+    total: Annotated[Scalar, Quantity("s", "Integral of the lag")]
+    square: Annotated[Scalar, Quantity("1", "Square of the size, scaled")]
+
+
+def _dynamics(x: Any, u: Any, p: Any) -> State:
+    return State(
+        lag=(p.gain * u.drive - x.lag) / p.delay, total=x.lag + u.idle, size=p.growth * u.drive * x.size
+    )
+
+
+def _observe(x: Any, u: Any, p: Any) -> Outputs:
+    return Outputs(lag=x.lag, total=x.total, square=p.scale * x.size**2 + u.drive * p.gain)
+
+
+TOY = Subsystem(
+    name="toy",
+    text="A lag, and growth in proportion to an input",
+    parameters=Parameters,
+    states=State,
+    inputs=Inputs,
+    outputs=Outputs,
+    dynamics=_dynamics,
+    observe=_observe,
+    initial=lambda _, u, p: {"lag": p.gain * u.drive, "size": p.seed * (1 + u.drive)},
+    require=lambda x, *_: {"size stays below 100": 100 - x.size},
+    values=Path(__file__),
+)
+NUMBERS = Values(
+    p={"delay": 0.3, "gain": 2.0, "growth": 0.7, "seed": 0.5, "scale": 1.5},
+    u={"idle": 0.0, "drive": 0.0},
+    x={"lag": 0.0, "total": 0.0, "size": 0.0},
+)
+FREE = ("seed", "scale", "delay", "growth", "gain")
+TOLERANCE = 1e-9
+TIME = np.concatenate([np.linspace(0.0, 0.2, 5), np.linspace(0.25, 2.0, 30)])  # not uniform
+U0, SLOPE = 0.4, 0.6
+DRIVE = U0 + SLOPE * TIME
+
+
+def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERANCE) -> Model:
+    """The toy with two of its outputs."""
+    return Model(TOY, outputs, FREE, NUMBERS, tolerance)
+
+
+def _lag(x0: complex, delay: complex, gain: complex) -> np.ndarray:
+    """The lag behind a ramp from x0."""
+    line = gain * (U0 + SLOPE * (TIME - delay))
+    return line + (x0 - gain * (U0 - SLOPE * delay)) * np.exp(-TIME / delay)
+
+
+def _square(size: complex, growth: complex, scale: complex, gain: complex) -> np.ndarray:
+    grown = size * np.exp(growth * (U0 * TIME + SLOPE * TIME**2 / 2))
+    return scale * grown**2 + gain * DRIVE
+
+
+def solution(x: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Outputs from the states (lag, size) at the start and the parameters FREE; also for complex numbers."""
+    _, scale, delay, growth, gain = p
+    return np.column_stack([_lag(x[0], delay, gain), _square(x[1], growth, scale, gain)])
+
+
+def slope(x: np.ndarray, p: np.ndarray, direction: int) -> np.ndarray:
+    """Derivative of the solution by one of (x, p): a complex step, exact to rounding."""
+    both = np.concatenate([x, p]).astype(complex)
+    both[direction] += 1e-30j
+    return solution(both[:2], both[2:]).imag / 1e-30
+
+
+def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form() -> None:
+    """A lag and a bilinear growth behind a ramp, from any state: every column is right."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
+    found = np.concatenate([piece.y_x, piece.y_p], axis=2)
+    # error of the solver at a tolerance of 1e-9; it adds up over 2 s, in which the square grows tenfold
+    assert piece.y == pytest.approx(solution(x0, toy.p0), rel=1e-7, abs=1e-7)
+    for j in range(7):
+        expected = slope(x0, toy.p0, j)
+        assert found[:, :, j] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    lag = found[-1, 0]  # an output that is a state: its row at the end is that of the state
+    assert np.array_equal(np.concatenate([piece.x_x[0], piece.x_p[0]]), lag)
+
+
+def test_the_start_is_that_of_the_subsystem() -> None:
+    """`initial` and its derivatives: the lag at rest, the size from its seed."""
+    toy = model()
+    x0, slopes = toy.start(toy.p0, np.array([U0]))
+    seed, gain = toy.p0[FREE.index("seed")], toy.p0[FREE.index("gain")]
+    expected = np.zeros((2, 5))
+    expected[0, FREE.index("gain")] = U0
+    expected[1, FREE.index("seed")] = 1 + U0
+    assert x0 == pytest.approx([gain * U0, seed * (1 + U0)], rel=1e-15)  # rounding
+    assert slopes == pytest.approx(expected, rel=1e-15)
+
+
+def test_what_the_outputs_do_not_depend_on_is_left_out() -> None:
+    """States and inputs are those that act; a parameter of the start alone has columns of zeros."""
+    toy = model()
+    assert toy.states == ("lag", "size")
+    assert toy.inputs == ("drive",)
+    piece = toy.segment(np.array([0.1, 0.8]), toy.p0, TIME, DRIVE[:, None])
+    assert not piece.y_p[:, :, FREE.index("seed")].any()
+    assert model(("total",)).states == ("lag", "total")
+    assert model(("total",)).inputs == ("idle", "drive")
+
+
+def test_without_derivatives_the_outputs_are_the_same() -> None:
+    """The derivatives are taken of the steps, they do not change them."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    full, bare = (toy.segment(x0, toy.p0, TIME, DRIVE[:, None], with_) for with_ in (True, False))
+    assert np.array_equal(full.y, bare.y)
+    assert np.array_equal(full.x, bare.x)
+    assert full.steps == bare.steps
+    assert bare.y_p.size == 0
+
+
+def test_one_sample_is_the_state_itself() -> None:
+    """A segment of one sample: no step, the derivatives of the outputs alone."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    piece = toy.segment(x0, toy.p0, TIME[:1], DRIVE[:1, None])
+    assert piece.steps == 0
+    assert np.array_equal(piece.x, x0)
+    assert np.array_equal(piece.x_x, np.eye(2))
+    assert not piece.x_p.any()
+    assert piece.y_x[0] == pytest.approx(np.diag([1, 2 * 1.5 * 0.8]))
+
+
+def test_no_free_parameter() -> None:
+    """The states at the start alone may be what is sought."""
+    toy, x0 = Model(TOY, ("square",), (), NUMBERS, TOLERANCE), np.array([0.8])
+    piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
+    expected = slope(np.array([0.1, 0.8]), model().p0, 1)[:, 1]
+    assert piece.y_x[:, 0, 0] == pytest.approx(expected, rel=1e-6)  # the solver's error, as above
+    assert piece.y_p.shape == (TIME.size, 1, 0)
+
+
+def test_other_numbers_are_no_other_code() -> None:
+    """Numbers are given at run time: those of the fixed parameters too."""
+    numbers = replace(NUMBERS, p={**NUMBERS.p, "gain": 3.0})
+    toy, other = (Model(TOY, ("lag",), ("delay",), n, TOLERANCE) for n in (NUMBERS, numbers))
+    still = np.full((TIME.size, 1), U0)
+    ends = [m.segment(np.zeros(1), m.p0, TIME, still).x[0] for m in (toy, other)]
+    assert ends[1] == pytest.approx(1.5 * ends[0], rel=1e-6)  # the solver's error
+
+
+def test_failure_tells_the_time_and_the_reason() -> None:
+    """A requirement, a parameter that is not a number, a step that cannot be done."""
+    toy, x0 = model(), np.array([0.1, 30.0])
+    drive = np.full((TIME.size, 1), 2.0)
+    with pytest.raises(Failed, match="size stays below 100") as failed:
+        toy.segment(x0, toy.p0, TIME, drive)
+    reached = np.log(100 / 30) / (0.7 * 2.0)  # when the size is 100
+    assert failed.value.time == TIME[np.searchsorted(TIME, reached)]
+    for name, value in (("growth", np.nan), ("delay", 0.0)):
+        bad = toy.p0.copy()
+        bad[FREE.index(name)] = value
+        with pytest.raises(Failed, match="not finite") as failed:
+            toy.segment(x0, bad, TIME, drive)
+        assert failed.value.time == 0.0
+
+
+@pytest.mark.parametrize(
+    ("outputs", "free", "told"),
+    [
+        (("speed",), (), "toy: speed is no output, expected one of lag, total, square"),
+        (("lag",), ("mass",), "toy: mass is no parameter, expected one of delay, gain, "),
+        (("lag",), ("gain", "gain"), "toy: parameter gain is asked for twice, expected once"),
+    ],
+)
+def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], told: str) -> None:
+    """Names that are not there are told with those that are."""
+    with pytest.raises(ModelError, match=told):
+        Model(TOY, outputs, free, NUMBERS)
+
+
+def test_samples_are_checked() -> None:
+    """Inputs of another shape and clocks that stand still are refused."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    with pytest.raises(ModelError, match=r"inputs have the shape \(35, 2\), expected \(35, 1\), of drive"):
+        toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
+    with pytest.raises(ModelError, match="do not increase"):
+        toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])

@@ -1,0 +1,187 @@
+"""The machine's sensitivities by routes that share no code with the compiled ones."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.contract import quantities, symbolic
+from fmus.harvester import HARVESTER
+from fmus.identification.refinement.model import Model, Piece
+from fmus.monolith import breakpoints
+from fmus.parameters import values
+from fmus.scenarios import COMMANDS, Move, sample
+
+OUTPUTS = (
+    *("swing_pressure_a", "boom_head_pressure", "stick_rod_pressure", "boom_head_flow"),
+    *("swing_angle", "boom_angle", "stick_speed", "tip_radius"),
+)
+FREE = (
+    *("valve_area", "valve_dead_band", "line_capacitance", "motor_displacement", "bulk_modulus"),
+    *("boom_hose_resistance", "stick_hose_inertance", "boom_joint_damping", "head_mass"),
+    *("swing_initial_preload", "initial_boom_angle"),
+)
+NUMBERS = values(HARVESTER)
+# all axes at once: a ramp out of the dead band, a hold, a ramp back
+MOVES = (
+    Move("swing", 0.05, 3.0, 0.2, 0.2, 0.3),
+    Move("boom", 0.1, 3.2, 0.2, 0.3, 0.2),
+    Move("stick", 0.15, -3.0, 0.2, 0.2, 0.2),
+)
+TIME, COMMANDED = sample(MOVES, 1.0)
+
+
+@cache
+def model(tolerance: float) -> Model:
+    """The machine; kept, for its equations take a quarter of a second."""
+    return Model(HARVESTER, OUTPUTS, FREE, NUMBERS, tolerance)
+
+
+def inputs(machine: Model) -> np.ndarray:
+    """Commands, and the other inputs as in the file of numbers."""
+    rows = np.tile([NUMBERS.u[name] for name in machine.inputs], (TIME.size, 1))
+    for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
+        rows[:, machine.inputs.index(name)] = column
+    return rows
+
+
+def variational() -> tuple[np.ndarray, np.ndarray]:
+    """Outputs and their derivatives by the parameters from the start on, (n, ny) and (n, ny, np).
+
+    CVODES integrates the states with the variational equations dS/dt = J S + f_p, both in magnitudes;
+    from one kink of the inputs to the next, as in `fmus.monolith.simulate`.
+    """
+    sym = symbolic(HARVESTER)
+    nx, scale = sym.x.numel(), np.array([q.nominal for q in quantities(HARVESTER.states).values()])
+    names = list(quantities(HARVESTER.parameters))
+    rows = [list(quantities(HARVESTER.outputs)).index(name) for name in OUTPUTS]
+    y = ca.vertcat(*[sym.y[i] for i in rows])
+    p = np.array([NUMBERS.p[name] for name in names])
+    free = [names.index(name) for name in FREE]
+    own = ca.SX.zeros(p.size, len(free))
+    for j, i in enumerate(free):
+        own[i, j] = p[i]  # the derivative by the parameter over its value: columns of one magnitude
+    s = ca.SX.sym("s", nx, len(free))
+    known = [sym.x, sym.u, sym.p]
+
+    def along(value: ca.SX) -> ca.SX:
+        return ca.jacobian(value, sym.x) @ s + ca.jacobian(value, sym.p) @ own
+
+    at, slope, t = ca.SX.sym("at", sym.u.numel()), ca.SX.sym("slope", sym.u.numel()), ca.SX.sym("t")
+    z = ca.SX.sym("z", nx * (1 + len(free)))
+    weights = np.tile(scale, 1 + len(free))
+    spread = [z[:nx] * scale, ca.reshape(z[nx:] * weights[nx:], nx, len(free))]
+    rate = ca.Function("rate", [*known, s], [ca.vertcat(sym.dx, ca.vec(along(sym.dx)))], {"cse": True})
+    shown = ca.Function("shown", [*known, s], [y, along(y)])
+    ode = {"t": t, "x": z, "p": ca.vertcat(at, slope)}
+    ode["ode"] = rate(spread[0], at + slope * t, p, spread[1]) / weights
+    x = np.array(list(NUMBERS.x.values()))
+    u = np.tile([NUMBERS.u[name] for name in quantities(HARVESTER.inputs)], (TIME.size, 1))
+    for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
+        u[:, list(quantities(HARVESTER.inputs)).index(name)] = column
+    begin = ca.Function(
+        "begin", known, [sym.start, ca.substitute(along(sym.start), s, ca.SX.zeros(nx, len(free)))]
+    )
+    x0, s0 = (value.full() for value in begin(x, u[0], p))
+    state = np.concatenate([x0.T.ravel(), s0.T.ravel()]) / weights
+    history = [state]
+    options = {"reltol": 1e-11, "abstol": 1e-11, "max_num_steps": 100_000}
+    for first, last in pairwise(breakpoints(TIME, u)):
+        grid = TIME[first : last + 1] - TIME[first]
+        solver = ca.integrator("variational", "cvodes", ode, 0.0, grid[1:], options)
+        ends = solver(x0=state, p=np.concatenate([u[first], (u[last] - u[first]) / grid[-1]]))["xf"].full().T
+        history.extend(ends)
+        state = ends[-1]
+    found = [
+        shown(row[:nx] * scale, u[i], p, (row[nx:] * weights[nx:]).reshape(len(free), nx).T)
+        for i, row in enumerate(history)
+    ]
+    outputs = np.array([a.full()[:, 0] for a, _ in found])
+    return outputs, np.array([b.full() for _, b in found]) / p[free]
+
+
+def test_sensitivities_are_those_of_the_variational_equations() -> None:
+    """Every derivative by a parameter, its work at the start included, while all axes move."""
+    machine = model(1e-10)
+    rows = inputs(machine)
+    x0, start = machine.start(machine.p0, rows[0])
+    piece = machine.segment(x0, machine.p0, TIME, rows)
+    found = piece.y_p + piece.y_x @ start
+    y, expected = variational()
+    # errors of both solvers, measured 3e-8 and 2e-6, most from 0.795 s: an emptied line is full again
+    assert (np.abs(piece.y - y).max(axis=0) < 1e-6 * np.abs(y).max(axis=0)).all()
+    assert (np.abs(found - expected).max(axis=0) < 2e-5 * np.abs(expected).max(axis=0)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
+    """Where no step size can change, differences of the program itself agree in any direction, however large
+    the error of its steps: nothing in the derivative of a step is left out."""
+    machine, rng = model(1e9), np.random.default_rng(seed)  # every step is accepted, one for each sample
+    rows = inputs(machine)
+    x0, _ = machine.start(machine.p0, rows[0])
+    moving = model(1e-6).segment(x0, machine.p0, TIME[:61], rows[:61], False).x
+    x0 = moving + 1e-2 * machine.nominal * rng.uniform(-1, 1, x0.size)
+    time = np.linspace(0.3, 0.31, 21)
+    rows = np.column_stack([np.interp(time, TIME, row) for row in rows.T])
+    vx, vp = machine.nominal * rng.uniform(-1, 1, x0.size), machine.p0 * rng.uniform(-1, 1, machine.p0.size)
+
+    def moved(e: float) -> np.ndarray:
+        piece = machine.segment(x0 + e * vx, machine.p0 + e * vp, time, rows, False)
+        assert piece.steps == 20
+        return piece.y
+
+    def central(e: float) -> np.ndarray:
+        return (moved(e) - moved(-e)) / (2 * e)
+
+    piece = machine.segment(x0, machine.p0, time, rows)
+    found = piece.y_x @ vx + piece.y_p @ vp
+    expected = (4 * central(1e-5) - central(2e-5)) / 3
+    # rounding over the step of 1e-5, and a third derivative that jumps (fmax): measured up to 1e-7
+    assert (np.abs(found - expected).max(axis=0) < 1e-6 * np.abs(found).max(axis=0)).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(cut=st.integers(1, TIME.size - 2))
+def test_two_pieces_are_one(cut: int) -> None:
+    """From the start to a cut, and on from there: the chain rule, as multiple shooting needs it."""
+    machine = model(1e-10)
+    rows = inputs(machine)
+    x0, _ = machine.start(machine.p0, rows[0])
+    whole = machine.segment(x0, machine.p0, TIME, rows)
+    first = machine.segment(x0, machine.p0, TIME[: cut + 1], rows[: cut + 1])
+    second = machine.segment(first.x, machine.p0, TIME[cut:], rows[cut:])
+    assert np.array_equal(first.y, whole.y[: cut + 1])
+    assert np.array_equal(first.y_p, whole.y_p[: cut + 1])
+    by_x, by_p = second.y_x @ first.x_x, second.y_p + second.y_x @ first.x_p
+    for found, expected in ((by_x, whole.y_x[cut:]), (by_p, whole.y_p[cut:])):
+        # the second piece begins with other steps: errors of the solver, measured 2e-6
+        scale = np.maximum(np.abs(expected), np.abs(found)).max(axis=0)
+        assert (np.abs(found - expected).max(axis=0) <= 2e-5 * scale).all()
+    assert np.array_equal(second.y[-1, 4:6], second.x[12:14])  # two angles are outputs and states
+
+
+def test_threads_do_not_disturb_each_other() -> None:
+    """Pieces from two threads on one model, to the last digit as from one."""
+    machine = model(1e-6)
+    rows = inputs(machine)
+    x0, _ = machine.start(machine.p0, rows[0])
+
+    def run(scale: float) -> Piece:
+        return machine.segment(x0, machine.p0 * scale, TIME, rows)
+
+    scales = np.linspace(0.98, 1.02, 20)
+    alone = [run(scale) for scale in scales]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(run, scales))
+    for a, b in zip(alone, together, strict=True):
+        assert a.steps == b.steps
+        for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
