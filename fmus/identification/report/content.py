@@ -66,28 +66,36 @@ class Quality:
 class Fit:
     """How well one signal is predicted: NRMSE over the range, None where there is no such recording.
 
-    white        p-value of the test that the residual is white
-    correlated   largest correlation of the residual with an input, over lags, over its 95 % bound
+    noise     root mean square of the training residual in standard deviations of the sensor
+    memory    share of the lags at which the residual depends on its past beyond chance, 0.01 if white
+    white     probability of such a memory if the residual were white [Ljung and Box]
+    inputs    the largest such share for its correlation with an earlier input
     """
 
     signal: str
-    unit: str
     train: float | None
     test: float | None
-    rmse: float | None = None
+    noise: float | None = None
+    memory: float | None = None
     white: float | None = None
-    correlated: float | None = None
+    inputs: float | None = None
 
 
 @dataclass(frozen=True)
 class Start:
-    """One start point: where the search began (distance in prior standard deviations), where it ended."""
+    """One start point: how far from the priors it was, and how far from the result the search ended.
+
+    away        root mean square distance of the start, relative changes of the parameters
+    apart       largest distance of the end from the result, in standard deviations
+    residual    root mean square residual at the end, in standard deviations of the sensors
+    """
 
     name: str
-    cost: float
+    away: float
+    apart: float
+    residual: float
     iterations: int
     converged: bool
-    distance: float | None = None
 
 
 @dataclass(frozen=True)

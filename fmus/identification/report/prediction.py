@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
 COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
 JOINTS = ("swing", "boom", "stick")
+STRAIGHT = 1e-4  # V: a command that is off by this opens a valve by 0.001 %
 TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it to be this small
 
 
@@ -38,10 +39,31 @@ def drive(recording: Recording, rest: float = 0.5) -> Drive:
     """Commands and pose of a recording of the machine, which stands still in its first `rest` seconds."""
     still = recording.time <= recording.time[0] + rest
     pose = {j: float(np.nanmean(recording[f"manipulator.{j}_angle"][still])) for j in JOINTS}
-    commands = {name: recording[signal] for name, signal in COMMANDS.items()}
+    raw = np.column_stack([recording[signal] for signal in COMMANDS.values()])
+    commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
     pressure = recording.signals.get("swing.supply_pressure")
     constant = None if pressure is None else float(np.nanmean(pressure[still]))
     return Drive(recording.time, commands, pose, constant)
+
+
+def straight(time: Array, samples: Array, tolerance: float = STRAIGHT) -> Array:
+    """Samples (n, m) as straight lines between as few of them as `tolerance` allows [Douglas, Peucker 1973].
+
+    The solver starts anew at every corner, and rounding in a file makes a corner of every sample.
+    """
+    kept, left = {0, len(time) - 1}, [(0, len(time) - 1)]
+    while left:
+        first, last = left.pop()
+        part = slice(first, last + 1)
+        share = ((time[part] - time[first]) / (time[last] - time[first]))[:, None]
+        off = np.abs(samples[part] - samples[first] - share * (samples[last] - samples[first])).max(axis=1)
+        worst = first + int(np.argmax(off))
+        if off.max() > tolerance:
+            kept.add(worst)
+            left += [(a, b) for a, b in ((first, worst), (worst, last)) if b - a > 1]
+    corners = sorted(kept)
+    lines = [np.interp(time, time[corners], column[corners]) for column in samples.T]
+    return np.column_stack(lines)
 
 
 def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None) -> Signals:

@@ -86,3 +86,8 @@ def change(now: float, before: float | None) -> str:
         return NONE
     found = 100 * (now / before - 1)
     return f"{'+' if found > 0 else ''}{number(found, 2)} %"
+
+
+def chance(p: float | None) -> str:
+    """A probability."""
+    return "< 0.001" if p is not None and p < 1e-3 else number(p, 2)
