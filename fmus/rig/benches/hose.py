@@ -27,7 +27,8 @@ def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> 
 
 
 def _lumped(resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    spool, p = bench_valve("lumped"), lumped()
+    # a valve without a spool to move would make pressures jump within a sample, which no logger can record
+    spool, p = bench_valve("detailed"), lumped()
 
     def equations(x: Named, u: Named) -> tuple[Named, Named]:
         inlet = spool.ports(x, u["command"], x["flow"], 0.0, RETURN)[0].pressure
@@ -36,11 +37,13 @@ def _lumped(resistance: float, time: Array, command: Array) -> dict[str, Array]:
         rates = {
             "flow": hose.flow_rate(inlet, x["outlet"], x["flow"], *own),
             "outlet": chamber.pressure_rate(x["outlet"], x["flow"] - out, p.stick_hose_capacitance),
+            **spool.rates(x, u["command"]),
         }
         seen = {"pressure_in": inlet, "pressure_out": x["outlet"], "flow_in": x["flow"], "flow_out": out}
         return rates, seen
 
-    return run({"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}, equations, time, {"command": command})
+    still = {"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}
+    return run(still | spool.states, equations, time, {"command": command})
 
 
 def _detailed(resistance: float, time: Array, command: Array) -> dict[str, Array]:
