@@ -1,4 +1,4 @@
-"""A recording of the machine beside its prediction, with speeds, without samples that no sensor could read."""
+"""A recording of the machine beside its prediction: with speeds, without samples no sensor could read."""
 
 from __future__ import annotations
 
