@@ -150,7 +150,7 @@ def _words(found: Sequence[Share], together: float, parameters: float, noise: fl
         )
     else:
         told = (
-            f"The residual shows {first.effect}: {_percent(first.alone)} of it, "
+            f"The residual shows one effect most: {first.effect}, {_percent(first.alone)} of it, "
             f"{first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {_percent(together)}."
         )

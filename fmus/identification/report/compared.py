@@ -40,8 +40,7 @@ class Compared:
 
     def residual(self) -> dict[str, Array]:
         """Measured - predicted of every signal that has a sensor and is an output of the machine."""
-        given = set(COMMANDS.values())
-        names = [n for n in self.recording.signals if n in self.predicted and n not in given]
+        names = [n for n in self.recording.signals if n in self.predicted]
         return {n: self.measured[n] - self.predicted[n] for n in names}
 
     def nrmse(self) -> dict[str, float]:
@@ -49,7 +48,7 @@ class Compared:
         found = {
             name: traces.Line(name, self.units[name], self.measured[name], self.predicted[name]).nrmse
             for name in self.measured
-            if name in self.predicted and name not in COMMANDS.values()
+            if name in self.predicted
         }
         return {name: value for name, value in found.items() if value is not None}
 
@@ -58,7 +57,8 @@ def compare(recording: Recording, predicted: Signals) -> Compared:
     """A recording beside a prediction over the same samples."""
     smooth = filter_for(recording, WINDOW)
     measured = {n: np.where(good(recording, n), recording[n], np.nan) for n in recording.signals}
-    shown, units = dict(predicted), dict(recording.units)
+    given = set(COMMANDS.values())
+    shown, units = {n: y for n, y in predicted.items() if n not in given}, dict(recording.units)
     for joint in JOINTS:
         angle, speed = f"manipulator.{joint}_angle", f"manipulator.{joint}_speed"
         if angle in measured and angle in predicted:

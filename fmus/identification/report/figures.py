@@ -44,7 +44,7 @@ MARKS = ("o", "s", "^", "D")
 Column = tuple[Panel, ...]
 
 
-def draw(finding: Finding, kinds: Iterable[str] = ()) -> Figure:
+def draw(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
     """The figure of a finding; `kinds` of its recordings, for the line that says where the data are from."""
     rows = _rows(columns(finding.panels))
     room = ROOM / max(map(len, rows))
@@ -59,7 +59,7 @@ def draw(finding: Finding, kinds: Iterable[str] = ()) -> Figure:
             where = grid[place, side] if len(row) > 1 else grid[place, :]
             over = (column[0].x_label, column[0].x_unit)
             shared[over] = _column(figure, where, column, ROOM / len(row), shared.get(over))
-    heading(figure, finding.title, footer(finding.figure, kinds))
+    heading(figure, finding.title if titled else "", footer(finding.figure, kinds))
     return figure
 
 
@@ -96,7 +96,8 @@ def height(panel: Panel, room: float) -> float:
 
 def heading(figure: Figure, title: str, below: str) -> None:
     """Title on the left; below, small, where the data come from."""
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, color=PALETTE.ink, fontweight="bold")
+    if title:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=12, color=PALETTE.ink, fontweight="bold")
     if below:
         figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.faint)
 
@@ -242,7 +243,7 @@ def _labels(panel: Panel) -> list[str]:
 
 def _legend_columns(panel: Panel, room: float) -> int:
     """Entries beside each other, in an axes `room` [in] wide: all in one line if they fit."""
-    widths = [0.062 * len(label) + 0.6 for label in _labels(panel)]
+    widths = [0.062 * len(label) + 0.53 for label in _labels(panel)]
     return len(widths) if sum(widths) <= room else max(1, int(room / max(widths)))
 
 

@@ -62,7 +62,7 @@ def _all(page: Page) -> Iterable[tuple[int, Finding]]:
 def _figure(finding: Finding, place: int, kinds: Iterable[str]) -> Markup | None:
     if not finding.panels:
         return None
-    return embed(figures.draw(finding, kinds), f"f{place}-", finding.title)
+    return embed(figures.draw(finding, kinds, titled=False), f"f{place}-", finding.title)
 
 
 def numbers(page: Page) -> dict[str, Any]:
