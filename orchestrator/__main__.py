@@ -286,6 +286,20 @@ def convergence(
 
 
 @app.command()
+def rig(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recordings go.")],
+    machine: Annotated[
+        str, typer.Option(metavar="NAME", help="lumped, the set of the paper, or detailed.")
+    ] = "detailed",
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the noise; equal seeds give equal files.")] = 0,
+) -> None:
+    """Record the paper's experiments on a virtual test rig: CSV files as of a real one, but simulated."""
+    from fmus.rig import command
+
+    command.rig(out, machine, seed)
+
+
+@app.command()
 def check(
     fmu: Annotated[Path | None, typer.Argument(metavar="FILE", help="Any .fmu file.")] = None,
     for_: Annotated[

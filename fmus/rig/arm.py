@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.machine import parts, wiring
+from fmus.machine import Wires, parts, wiring
 from fmus.monolith import Monolith, join, simulate
 from fmus.poses import JOINTS, Pose, parameter
 from fmus.rig.benches.bench import TOLERANCE
@@ -27,15 +27,15 @@ VARIANTS: Mapping[str, Mapping[str, str]] = {
 
 
 @cache
-def _joined(machine: str) -> tuple[Monolith, Mapping[str, tuple[str, ...]]]:
+def _joined(machine: str) -> tuple[Monolith, Wires, Mapping[str, tuple[str, ...]]]:
     chosen = parts(**VARIANTS[machine])
     wires, inputs = wiring(chosen)
-    return join(chosen, wires, inputs), inputs
+    return join(chosen, wires, inputs), wires, inputs
 
 
 def at_work(machine: str, moves: Sequence[Move], stop: float, pose: Pose) -> tuple[Array, dict[str, Array]]:
     """Time (n,) [s] at 200 Hz and all outputs and inputs (n,), as `component.variable`, SI."""
-    model, ends = _joined(machine)
+    model, wires, ends = _joined(machine)
     time, commands = sample(moves, stop)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = np.round(commands, 9)
@@ -46,5 +46,4 @@ def at_work(machine: str, moves: Sequence[Move], stop: float, pose: Pose) -> tup
     known = dict(zip(model.output_names, outputs.T, strict=True))
     for column, name in zip(inputs.T, model.inputs, strict=True):
         known |= dict.fromkeys(ends[name], column)
-    known.setdefault("swing.supply_pressure", known.get("supply.supply_pressure", np.zeros(0)))
-    return time, known
+    return time, known | {target: known[source] for source, target in wires}

@@ -24,13 +24,14 @@ VALVE_STEPS = (*np.arange(0.25, 2.01, 0.25), *np.arange(2.5, 10.01, 0.5))
 HOSE_STEPS = tuple(np.round(np.linspace(1.25, 10.0, 25), 3))
 HOSE_THROTTLE = 1.05e11  # C_R [Pa.s2/m6]: 281 L/min at 10 V
 
-# four groups: throttle C_R [Pa.s2/m6], levels of the command [V], hold and ramp [s]
-# small throttles give fast flow, for the inertance; large ones fast pressure, for the capacitance
+# four groups: throttle C_R [Pa.s2/m6], levels of the command [V], hold and ramp [s]. Small throttles give
+# fast flow, for the inertance; large ones fast pressure, for the capacitance. What goes up comes down again,
+# so that errors of the 200 Hz clock at the corners cancel. Flows stay above the meters' dead zone.
 GROUPS: tuple[tuple[float, Sequence[float], float, float], ...] = (
-    (6e11, (2.0, 8.0) * 25, 0.4, 0.04),
-    (1.5e12, (1.8, 5.0, 2.6, 8.0, 3.5) * 10, 0.4, 0.03),
-    (3e12, (2.0, 4.0, 10.0, 4.0) * 12, 0.4, 0.03),
-    (6e12, (1.8, 6.0) * 25, 0.4, 0.02),
+    (6e11, (3.0, 8.0) * 20, 0.5, 0.06),
+    (1.5e12, (3.0, 6.0, 9.0, 6.0) * 10, 0.5, 0.06),
+    (3e12, (2.5, 4.0, 10.0, 4.0) * 10, 0.5, 0.08),
+    (6e12, (2.0, 6.0) * 20, 0.5, 0.08),
 )
 
 # locked motor: set pressures of the driven port [MPa] at a low and a medium pressure of the other one

@@ -8,7 +8,7 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.contract import ModelError
-from fmus.rig.plans import MACHINES, each
+from fmus.rig.plans import MACHINES, PLANS, each
 from fmus.rig.readme import HEADING, readme
 from fmus.rig.writing import write
 
@@ -25,11 +25,10 @@ def rig(out: Path, machine: str, seed: int, tell: Callable[[str], None] = print)
     begun = perf_counter()
     tell(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
     (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
-    count = 0
-    for count, experiment in enumerate(each(machine), 1):
+    for experiment in each(machine):
         csv, _ = write(out, experiment, seed)
         tell(f"{csv}  {experiment.time[-1]:.1f} s, {len(experiment.signals)} signals: {experiment.title}")
-    tell(f"{count} recordings with their descriptions in {out}, {perf_counter() - begun:.0f} s")
+    tell(f"{len(PLANS)} recordings with their descriptions in {out}, {perf_counter() - begun:.0f} s")
 
 
 def _ready(out: Path) -> None:

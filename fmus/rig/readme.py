@@ -27,7 +27,7 @@ Each NAME.csv is described by its NAME.toml: what was done, the columns with the
 | valve_pa, valve_bt, valve_pb, valve_at | (a) one metering edge of the valve at stepped commands |
 | hose_resistance | (b) the 4 m hose at stepped flows |
 | hose_dynamics_1 to _4 | (c) the same hose, fast changes: four groups |
-| motor_leakage_1, _2 | (d) the swing motor with locked shaft, stepped pressure at one port, then at the other |
+| motor_leakage_1, _2 | (d) the swing motor, shaft locked, pressure stepped at port A, then at port B |
 | damping_JOINT_1, _2 | (d) the machine, one joint moves |
 | machine_train_1, _2 | the machine, all axes move |
 | machine_test | section 5: a work cycle, held out from fitting (`use = "test"`) |

@@ -1,4 +1,4 @@
-"""Writes a recording: NAME.csv and NAME.toml, in the format of docs/reference-traces.md and its supplement."""
+"""Writes a recording: NAME.csv and NAME.toml, as docs/reference-traces.md describes them."""
 
 from __future__ import annotations
 

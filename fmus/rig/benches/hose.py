@@ -31,7 +31,7 @@ def _lumped(resistance: float, time: Array, command: Array) -> dict[str, Array]:
     spool, p = bench_valve("detailed"), lumped()
 
     def equations(x: Named, u: Named) -> tuple[Named, Named]:
-        inlet = spool.ports(x, u["command"], x["flow"], 0.0, RETURN)[0].pressure
+        inlet = spool.ports(x, u["command"], (x["flow"], 0.0), RETURN)[0].pressure
         out = throttle(x["outlet"] - RETURN, resistance, p.valve_transition_flow)
         own = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
         rates = {
@@ -54,7 +54,7 @@ def _detailed(resistance: float, time: Array, command: Array) -> dict[str, Array
 
     def equations(x: Named, u: Named) -> tuple[Named, Named]:
         state = names.each(lambda name: x[name])
-        inlet = spool.ports(x, u["command"], state.flows[0], 0.0, RETURN)[0].pressure
+        inlet = spool.ports(x, u["command"], (state.flows[0], 0.0), RETURN)[0].pressure
         outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
         along = line.rates(of, state, inlet, outlet)
         rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])

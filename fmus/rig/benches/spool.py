@@ -12,16 +12,17 @@ from fmus.components.spool_valve import PortFlow
 from fmus.contract import Scalar
 from fmus.rig.benches.bench import SUPPLY, Named, detailed, lumped
 
+Flows: TypeAlias = tuple[Scalar, Scalar]  # out of A and B [m3/s]
 Ports: TypeAlias = tuple[PortFlow, PortFlow]
 
 
 @dataclass(frozen=True)
 class BenchValve:
-    """States of the spool, (start, nominal); rates (x, command); ports (x, command, flow_a, flow_b, tank)."""
+    """States of the spool, (start, nominal); rates (x, command); ports (x, command, flows, tank)."""
 
     states: dict[str, tuple[Scalar, float]]
     rates: Callable[[Named, Scalar], Named]
-    ports: Callable[[Named, Scalar, Scalar, Scalar, float], Ports]
+    ports: Callable[[Named, Scalar, Flows, float], Ports]
 
 
 def bench_valve(machine: str) -> BenchValve:
@@ -32,10 +33,10 @@ def bench_valve(machine: str) -> BenchValve:
 def _still() -> BenchValve:
     p = lumped()
 
-    def ports(_: Named, command: Scalar, flow_a: Scalar, flow_b: Scalar, tank: float) -> Ports:
-        return spool_valve.ports(p.valve, command, flow_a, flow_b, SUPPLY, tank, p.density)
+    def ports(_: Named, command: Scalar, flows: Flows, tank: float) -> Ports:
+        return spool_valve.ports(p.valve, command, *flows, SUPPLY, tank, p.density)
 
-    return BenchValve({}, lambda *_: {}, ports)
+    return BenchValve({}, lambda _, __: {}, ports)
 
 
 def _moving() -> BenchValve:
@@ -46,7 +47,7 @@ def _moving() -> BenchValve:
         rate = spool_dynamics.rates(p.spool, SpoolState(x["position"], x["speed"]), wanted)
         return {"position": rate.position, "speed": rate.speed}
 
-    def ports(x: Named, _: Scalar, flow_a: Scalar, flow_b: Scalar, tank: float) -> Ports:
-        return spool_dynamics.ports(p.edges, x["position"], flow_a, flow_b, SUPPLY, tank, p.density)
+    def ports(x: Named, _: Scalar, flows: Flows, tank: float) -> Ports:
+        return spool_dynamics.ports(p.edges, x["position"], *flows, SUPPLY, tank, p.density)
 
     return BenchValve({"position": (0.0, 1.0), "speed": (0.0, 10.0)}, rates, ports)

@@ -3,7 +3,7 @@
     supply --P-A-- port --line-- block --throttle-- return line        the edges from the supply
     supply --throttle-- block --line-- port --B-T-- return line        the edges to the tank
 
-The oil block of 0.5 L and the line of 0.5 m of 3/4 in bore are of the bench, not of the machine. The
+The oil block of 0.5 L and the line, 0.5 m of the stick's hose, are of the bench, not of the machine. The
 throttle lets 271 L/min through at 10 V, inside the meter's range, and leaves 16 MPa to the edge; at smaller
 openings the edge takes nearly the whole 20 MPa, so its drop is well measured everywhere.
 """
@@ -11,7 +11,7 @@ openings the edge takes nearly the whole 20 MPa, so its drop is well measured ev
 from __future__ import annotations
 
 from fmus.components import chamber, hose
-from fmus.rig.benches.bench import RETURN, SUPPLY, Array, Named, lumped, run, throttle
+from fmus.rig.benches.bench import RETURN, SUPPLY, Array, Named, detailed, lumped, run, throttle
 from fmus.rig.benches.spool import bench_valve
 
 EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # the sign of the command that opens each
@@ -25,18 +25,17 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
     spool, p = bench_valve(machine), lumped()
     feeds, at_a = edge.startswith("P"), "A" in edge
     far = RETURN if feeds else SUPPLY
-    bore = 0.01905  # m, 3/4 in
-    inertance = hose.inertance(LINE, bore, p.density)
-    friction = (hose.scaled_resistance(p.stick_hose_resistance, LINE / 4.0, 1.0), p.valve_transition_flow)
+    share = LINE / detailed().stick_hose_length
+    friction = (hose.scaled_resistance(p.stick_hose_resistance, share, 1.0), p.valve_transition_flow)
 
     def equations(x: Named, u: Named) -> tuple[Named, Named]:
         flow, block = x["flow"], x["block"]  # out of the port
-        flows = (flow, 0.0) if at_a else (0.0, flow)
-        ports = spool.ports(x, u["command"], *flows, RETURN)
+        at_ports = (flow if at_a else 0.0, 0.0 if at_a else flow)
+        ports = spool.ports(x, u["command"], at_ports, RETURN)
         port = ports[0 if at_a else 1].pressure
         through = throttle(block - far, THROTTLE, p.valve_transition_flow)
         rates = {
-            "flow": hose.flow_rate(port, block, flow, inertance, *friction),
+            "flow": hose.flow_rate(port, block, flow, share * p.stick_hose_inertance, *friction),
             "block": chamber.pressure_rate(block, flow - through, BLOCK / p.bulk_modulus),
         }
         seen = (SUPPLY, port, flow) if feeds else (port, RETURN, -flow)
