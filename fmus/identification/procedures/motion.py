@@ -47,7 +47,7 @@ class Motion:
     pull       (..., lambda, mu) -> gradient of lambda'f + mu'h with respect to q, q', pressures, parameters
     sway       -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
     pistons    (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
-    power      (q, q', q'', pressures, tank pressure, parameters) -> f - dh/dt (3, n), with the acceleration
+    printed    (q, q', q'', ...) -> f - dh/dt, df_i/dq_i', x_i'/q_i', each (3, n); the first as (13) prints it
     """
 
     theta: tuple[str, ...]
@@ -56,7 +56,7 @@ class Motion:
     pull: ca.Function
     sway: ca.Function
     pistons: ca.Function
-    power: ca.Function
+    printed: ca.Function
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,7 @@ def motion(theta: tuple[str, ...]) -> Motion:
     slopes = [ca.vec(ca.jacobian(t, unknown)) for t in (e.momentum, e.force)]
     work = ca.dot(multiplier, e.force) + ca.dot(other, e.momentum)
     pull = [ca.gradient(work, s) for s in (e.q, e.w, e.pressures, e.p)]
+    own, levers = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.lever)
     stacked = ca.vertcat(e.force, slopes[1], e.momentum, slopes[0])
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
     return Motion(
@@ -138,5 +139,5 @@ def motion(theta: tuple[str, ...]) -> Motion:
         ca.Function("pull", [*known, multiplier, other], pull),
         ca.Function("sway", known, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
         ca.Function("pistons", [e.q, e.p], [e.position, e.lever]),
-        ca.Function("power", [e.q, e.w, acceleration, e.pressures, e.tank, e.p], [e.force - rate]),
+        ca.Function("printed", [e.q, e.w, acceleration, *known[2:]], [e.force - rate, own, levers]),
     )

@@ -73,19 +73,23 @@ def samples(recording: Recording, joints: Sequence[str], p: Array, **lengths: fl
     there = modulation.spread(bad, kernels.smooth.size + kernels.bump.size - 1)
     inside = modulation.spread(ends, kernels.bump.size)
     half = kernels.smooth.size // 2
-    tank = recording.conditions.get("tank_pressure", 0.0)
     return Samples(
         time=recording.time[half : recording.time.size - half],
         q=q,
         w=w,
         pressures=smooth,
-        tank=tank if isinstance(tank, float) else 0.0,
+        tank=tank_pressure(recording),
         filters=kernels,
         good=there & inside,
         angle_noise=np.array([noise_of(recording, n) for n in ANGLES]),
         pressure_noise=np.array([noise_of(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
         touched=int(ends.sum()),
     )
+
+
+def tank_pressure(recording: Recording) -> float:
+    """Gauge pressure of the tank [Pa], 0 if it is not told."""
+    return recording.number("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
 
 
 def noise_of(recording: Recording, name: str) -> float:

@@ -1,0 +1,74 @@
+"""What the reader of a damping must know, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fmus.identification.procedures.joint_damping import JointDamping
+
+SEEN = 4.0  # standard deviations from which on a dry friction is said to be seen
+LACKS = 2.0  # residual over sensor noise from which on the model is said to lack something
+MOST = 3  # parameters named
+
+
+def remarks(one: JointDamping) -> list[str]:
+    """For one joint; each begins with the parameter."""
+    texts = [_used(one), _doubt(one), _attenuated(one), _known(one), *_dry(one)]
+    return [f"{one.contact.parameter}: {text}" for text in texts]
+
+
+def _used(one: JointDamping) -> str:
+    samples = sum(s.good.size for s in one.records)
+    share = 100 * (1 - len(one.speed) / samples)
+    seconds = len(one.speed) * one.records[0].filters.step
+    text = f"{seconds:.3g} s of {len(one.records)} recordings are used"
+    if not share:
+        return f"{text}, nothing is left out."
+    ends = sum(s.touched for s in one.records)
+    stops = f"; in {ends} samples a piston was at an end of its stroke" if ends else ""
+    return f"{text}, {share:.2g} % is left out because of clipped or missing samples nearby{stops}."
+
+
+def _doubt(one: JointDamping) -> str:
+    noise, residual = (math.sqrt(max(c[0, 0], 0.0)) for c in (one.solution.noise, one.solution.residual))
+    text = (
+        f"the noise of all sensors gives a standard deviation of {noise:.3g} {one.contact.unit}, the "
+        f"residuals with their autocorrelation {residual:.3g}; the larger one counts."
+    )
+    if residual > LACKS * noise > 0:
+        text += " Noise does not explain the residuals: the model lacks something; the interval covers it."
+    return text
+
+
+def _attenuated(one: JointDamping) -> str:
+    ours, first = 100 * one.solution.attenuation[0] / one.value, one.plain[0]
+    return (
+        f"the noise of the encoders in the speed moves this estimate by {ours:.2g} %, which is taken off. "
+        f"With a at every sample and a derivative over {first.window * 1e3:.3g} ms, (13) gives "
+        f"{first.value:.4g} {one.contact.unit}, {first.corrected:.4g} with the noise taken off."
+    )
+
+
+def _known(one: JointDamping) -> str:
+    most = sorted(one.moved, key=lambda n: -abs(one.moved[n]))[:MOST]
+    if one.known_sd:
+        names = ", ".join(f"{n} by {abs(one.moved[n]):.2g}" for n in most)
+        return (
+            f"the doubt about the known parameters moves it by {one.known_sd:.3g} {one.contact.unit} (one "
+            f"standard deviation; most of all {names}), which the interval includes."
+        )
+    names = ", ".join(f"{n} moves it by {100 * one.moved[n] / one.value:+.2g} %" for n in most)
+    return f"errors of what is taken as known go into it and are not in its interval: 1 % of {names}."
+
+
+def _dry(one: JointDamping) -> list[str]:
+    dry, sd, left = one.dry
+    if not np.isfinite(sd) or dry < SEEN * sd:  # one that pushes is no friction
+        return []
+    return [
+        f"the residual has the sign of the speed. A dry friction of {dry:.3g} +- {sd:.2g} "
+        f"{one.contact.resistance_unit} beside a damping of {left:.4g} {one.contact.unit} fits better; the "
+        "viscous law takes it into B, at the speeds of these recordings."
+    ]

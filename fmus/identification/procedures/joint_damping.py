@@ -1,0 +1,139 @@
+"""Damping of one joint from its recordings: the solution, its doubts, and what the figure needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import statsmodels.api as sm
+from numpy.typing import NDArray
+
+from fmus.identification.procedures import modulation
+from fmus.identification.procedures.balance import Solution, solve
+from fmus.identification.procedures.motion import JOINTS, PARAMETERS
+from fmus.identification.procedures.paper_damping import Plain, least_squares, levers
+from fmus.identification.procedures.samples import Samples, numbers, samples
+from fmus.identification.recordings.recording import Recording
+from fmus.parameters import Number
+
+Array = NDArray[np.float64]
+SIGN = 0.1  # of the root mean square speed, over which the sign of a dry friction is rounded
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Where the friction is: its parameter, the words and units of speed and resistance."""
+
+    joint: str
+    parameter: str
+    unit: str
+    speed: str
+    speed_unit: str
+    resistance: str
+    resistance_unit: str
+
+    @property
+    def theta(self) -> str:
+        """The parameter by part and name."""
+        return f"manipulator.{self.parameter}"
+
+
+CONTACTS = {
+    "swing": Contact(
+        "swing", "swing_damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"
+    ),
+    **{
+        j: Contact(
+            j, f"{j}_piston_damping", "N.s/m", f"speed of the {j} piston", "m/s", "force of its friction", "N"
+        )
+        for j in ("boom", "stick")
+    },
+}
+
+
+@dataclass(frozen=True)
+class JointDamping:
+    """What one joint's recordings told.
+
+    speed, resistance   x' and a of (13), filtered, shape (n,)
+    known_sd            standard deviation by those of the known parameters
+    moved               d B / d parameter times its sd, or times 1 % of it if there is none
+    dry                 dry friction beside B, its standard deviation, and the B that then is left
+    """
+
+    contact: Contact
+    records: tuple[Samples, ...]
+    solution: Solution
+    speed: Array
+    resistance: Array
+    plain: tuple[Plain, ...]
+    known_sd: float
+    moved: Mapping[str, float]
+    dry: tuple[float, float, float]
+
+    @property
+    def value(self) -> float:
+        """B."""
+        return float(self.solution.values[0])
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation by these recordings."""
+        return float(self.solution.sd[0])
+
+
+def joint_damping(
+    contact: Contact, recordings: Sequence[Recording], known: Mapping[str, Number]
+) -> JointDamping:
+    """B of one contact."""
+    p = numbers(known)
+    records = tuple(samples(r, [contact.joint], p) for r in recordings)
+    solution = solve(records, [contact.joint], (contact.theta,), p)
+    arms = [levers(contact.joint, s.q, p) for s in records]
+    speed, resistance = _cloud(records, arms, solution)
+    told = {n: sd for n in PARAMETERS if (sd := known[n].sd) is not None}
+    spreads = told or {n: abs(known[n].value) / 100 for n in PARAMETERS}
+    slopes = dict(zip(PARAMETERS, solution.sensitivity[0], strict=True)) | {contact.theta: 0.0}
+    moved = {n: slopes[n] * spread for n, spread in spreads.items()}
+    return JointDamping(
+        contact=contact,
+        records=records,
+        solution=solution,
+        speed=speed,
+        resistance=resistance,
+        plain=tuple(least_squares(recordings, contact.joint, contact.theta, p)),
+        known_sd=float(np.sqrt(sum(x**2 for x in moved.values()))) if told else 0.0,
+        moved=moved,
+        dry=_dry(JOINTS.index(contact.joint), records, arms, solution),
+    )
+
+
+def _cloud(records: Sequence[Samples], arms: Sequence[Array], solution: Solution) -> tuple[Array, Array]:
+    """Speed and resistance where the equation holds; B times the one is the other but for the residual."""
+    speed, resistance = [], []
+    for s, arm, e in zip(records, arms, solution.equations, strict=True):
+        own = arm[s.middle][s.good]
+        slope, error = e.slope[0, 0][s.good] / own, e.error[0][s.good] / own
+        speed.append(-slope)
+        resistance.append(error - slope * (solution.values[0] + solution.attenuation[0]))
+    return np.concatenate(speed), np.concatenate(resistance)
+
+
+def _dry(
+    row: int, records: Sequence[Samples], arms: Sequence[Array], solution: Solution
+) -> tuple[float, float, float]:
+    """A constant friction against the motion as one more unknown, and an offset: least squares."""
+    y, columns = [], []
+    for s, arm, e in zip(records, arms, solution.equations, strict=True):
+        speed = arm * s.w[row]
+        against = np.tanh(speed / (SIGN * np.sqrt(np.mean(speed**2))))
+        filtered = modulation.apply(s.filters.bump, np.array([arm * against, arm]))[:, s.good]
+        y.append(e.error[0][s.good])
+        columns.append(np.column_stack([-e.slope[0, 0][s.good], *filtered]))
+    matrix = np.concatenate(columns)
+    scale = np.linalg.norm(matrix, axis=0)
+    lags = {"maxlags": 8 * records[0].filters.loss}
+    fit = sm.OLS(np.concatenate(y), matrix / scale).fit(cov_type="HAC", cov_kwds=lags)
+    left = solution.values[0] + fit.params[0] / scale[0]
+    return float(fit.params[1] / scale[1]), float(fit.bse[1] / scale[1]), float(left)
