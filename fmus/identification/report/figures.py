@@ -49,7 +49,7 @@ def draw(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) ->
     rows = _rows(columns(finding.panels))
     room = ROOM / max(map(len, rows))
     heights = [max(sum(height(panel, room) for panel in column) for column in row) for row in rows]
-    layout = ConstrainedLayoutEngine(h_pad=0.03, hspace=0.02, wspace=0.04)
+    layout = ConstrainedLayoutEngine(h_pad=0.03, hspace=0.02, wspace=0.06, w_pad=0.06)
     figure = Figure(figsize=(WIDTH, sum(heights) + 0.35 * len(rows) + 0.75), layout=layout)
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(len(rows), max(map(len, rows)), height_ratios=heights)
