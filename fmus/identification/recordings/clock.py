@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmus.identification.recordings.flat import NOISY, at_ends, equal_by_chance
-from fmus.identification.recordings.recording import Array, Mask, Recording
+from fmus.identification.recordings.flat import NOISY, at_ends, equal_by_chance, step_and_noise
+from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from fmus.identification.recordings.resampling import MISSED, UNEVEN, period
 
 CLOSE = 0.5  # of a period: two stamps closer than this are one sample written twice
 SURE = 5  # standard deviations from which a count or a drift is no chance
+RARE = 0.05  # chance of an equal row above which it tells nothing
+AROUND = 8  # samples on each side that tell how fast a signal moves
 BOW = 0.25  # of a period off a uniform clock, from which a drift is told
 
 
@@ -105,21 +107,36 @@ def _drift(time: Array, steps: Array) -> tuple[float, float, float]:
 
 
 def repeated(recording: Recording) -> Mask:
-    """Rows equal to the row before in all signals, if noise makes that too rare to be chance.
+    """Rows equal to the row before in all signals, if noise and motion make that too rare to be chance.
 
-    Chance is told by the signals with noise that are away from their ends and dead zones.
+    Chance is told by the signals with noise, where they are away from their ends and dead zones.
     """
     again = np.ones(len(recording.time), dtype=bool)
     again[0] = False
     chance = np.ones(len(recording.time))
     for name, values in recording.signals.items():
-        sensor = recording.sensor(name)
         again[1:] &= (np.diff(values) == 0) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
-        equal = equal_by_chance(values, sensor)
-        if equal <= NOISY:
-            live = np.isfinite(values) & ~at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
-            chance[live] *= equal
-    again &= chance < 1
-    expected = float(np.sum(chance[chance < 1]))
-    rare = np.sum(again) > expected + SURE * math.sqrt(expected) + 0.5
-    return again if rare else np.zeros_like(again)
+        chance *= _chance(values, recording.sensor(name))
+    again &= chance < RARE
+    expected = float(np.sum(chance[chance < RARE]))
+    certain = np.sum(again) > expected + SURE * math.sqrt(expected) + 0.5
+    return again if certain else np.zeros_like(again)
+
+
+def _chance(values: Array, sensor: Sensor) -> Array:
+    """Probability that a sample equals the one before; 1 where nothing can be told.
+
+    Two samples of noise sd about values that differ by d are equal with P exp(-d^2 / (4 sd^2)).
+    """
+    result = np.ones(len(values))
+    equal = equal_by_chance(values, sensor)
+    if equal > NOISY:
+        return result
+    _, sd = step_and_noise(values, sensor)
+    move = np.zeros(len(values))
+    if len(values) > 2 * AROUND + 1:
+        late, early = values[2 * AROUND + 1 :], values[: -2 * AROUND - 1]
+        move[AROUND + 1 : -AROUND] = np.nan_to_num((late - early) / (2 * AROUND + 1))
+    live = np.isfinite(values) & ~at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
+    result[live] = (equal * np.exp(-((move / sd) ** 2) / 4))[live]
+    return result

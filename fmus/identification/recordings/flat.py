@@ -46,13 +46,18 @@ def stuck(values: Array, sensor: Sensor) -> Mask:
 
 def equal_by_chance(values: Array, sensor: Sensor) -> float:
     """P of the module's docstring; 1 where it cannot be told."""
+    width, sd = step_and_noise(values, sensor)
+    if not sd > 0:
+        return 1.0
+    return min(width / (2 * math.sqrt(math.pi) * sd), 1.0)
+
+
+def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
+    """Step of the converter and noise before it, told or else seen in the data; 0 if neither."""
     width = sensor.resolution or step(values)
     seen = noise(values, sensor)
     own = math.sqrt(max(seen**2 - width**2 / 12, 0.0)) if seen > 0 else 0.0
-    sd = max(sensor.noise, own)
-    if not sd > 0:
-        return 1.0
-    return min(max(width / (2 * math.sqrt(math.pi) * sd), LEAST), 1.0)
+    return width, max(sensor.noise, own)
 
 
 def _idle(values: Array, sensor: Sensor) -> Mask:
@@ -64,7 +69,7 @@ def _idle(values: Array, sensor: Sensor) -> Mask:
 def _long_runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
     """Samples of runs of equal values that are too long for chance, at the extremes or anywhere."""
     result = np.zeros(len(values), dtype=bool)
-    chance = equal_by_chance(values, sensor)
+    chance = max(equal_by_chance(values, sensor), LEAST)
     if chance > NOISY or not np.isfinite(values).any():
         return result
     longest = 1 + math.ceil(math.log(CHANCE / len(values)) / math.log(chance))

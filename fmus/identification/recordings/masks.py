@@ -48,7 +48,7 @@ def steady(
     """Stretches in which a signal stands still, without the first `settle` seconds of each.
 
     shortest    what must be left of a stretch [s]
-    tolerance   how far a sample may be from the first one of its stretch; None: four standard deviations
+    tolerance   how far a sample may be from the mean of its stretch so far; None: four standard deviations
                 of the sensor and one step, so 0 for a command that is known exactly
     """
     values, time, sensor = recording[command], recording.time, recording.sensor(command)
@@ -63,18 +63,30 @@ def steady(
 
 
 def _edges(values: Array, width: float) -> list[int]:
-    """Where a stretch begins, and the end: a sample is further than `width` from the first of its stretch."""
+    """Where a stretch begins, and the end: a sample is further than `width` from the mean of its stretch."""
     edges, first = [0], 0
+    # the mean of equal numbers is that number but for rounding
+    width += 1e-9 * float(np.nanmax(np.abs(values), initial=0.0))
     while first < len(values):
-        # a gap compares as False, so it ends a stretch; one that starts with a gap is one sample long
-        away = ~(np.abs(values[first:] - values[first]) <= width * (1 + 1e-9))
-        away[0] = False
-        step = int(np.argmax(away))
-        if not away[step]:
-            break
-        first += step
+        size = _steady_size(values[first:], width)
+        first += size
         edges.append(first)
-    return [*edges, len(values)] if len(values) else []
+    return edges if len(values) else []
+
+
+def _steady_size(values: Array, width: float) -> int:
+    """Samples from the first on that are within `width` of the mean of those before them, at least one."""
+    size = 64
+    while True:
+        part = values[:size]
+        mean = np.cumsum(part[:-1]) / np.arange(1, len(part))
+        # a gap compares as False, so it ends a stretch, and a stretch that starts with one is one sample long
+        away = np.flatnonzero(~(np.abs(part[1:] - mean) <= width))
+        if len(away):
+            return int(away[0]) + 1
+        if size >= len(values):
+            return len(values)
+        size *= 2
 
 
 @dataclass(frozen=True)

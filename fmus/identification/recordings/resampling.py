@@ -66,7 +66,7 @@ def resample(
         if name in hold:
             signals[name] = _held(clock, time, values, longest)
         elif down:
-            finer = time[0] + np.arange(1 + int((time[-1] - time[0]) * old + 0.5)) / old
+            finer = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) * old))
             kept = np.where(good(recording, name), values, np.nan)
             filtered = _filtered(_linear(finer, time, kept, longest), rate / old)
             signals[name] = _linear(clock, finer, filtered, longest)
@@ -79,7 +79,8 @@ def resample(
 
 def _linear(clock: Array, time: Array, values: Array, longest: float) -> Array:
     """Linear interpolation; NaN next to a gap and within an interval longer than `longest`."""
-    result = np.interp(clock, time, values, left=np.nan, right=np.nan)
+    # the last new sample may be late by rounding
+    result = np.interp(np.clip(clock, time[0], time[-1]), time, values)
     return np.where(_missing(clock, time, longest), np.nan, result)
 
 
@@ -102,9 +103,10 @@ def _filtered(values: Array, ratio: float) -> Array:
     sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
     result = np.full_like(values, np.nan)
     for part in stretches(np.isfinite(values)):
-        length = part.stop - part.start
-        pad = min(int(10 / ratio), length - 1)
-        result[part] = scipy.signal.sosfiltfilt(sections, values[part], padlen=pad)
+        # a line passes the filter as it is; without the one through the ends these are zero and ring little
+        line = np.linspace(values[part.start], values[part.stop - 1], part.stop - part.start)
+        pad = min(int(10 / ratio), len(line) - 1)
+        result[part] = line + scipy.signal.sosfiltfilt(sections, values[part] - line, padlen=pad)
     return result
 
 

@@ -1,0 +1,86 @@
+"""A recording as a logger writes it, in a folder, and one made in memory."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.identification.recordings.recording import Recording, Sensor
+
+RATE = 200.0
+META = """
+[experiment]
+procedure = "valve"
+edge = "P-A"
+length = { value = 4.0, unit = "ft" }
+
+[time]
+column = "t"
+unit = "ms"
+offset = -1.5
+
+[signals.command]
+column = "U"
+unit = "V"
+
+[signals.pressure_in]
+column = "P1"
+unit = "bar"
+factor = 40.0
+offset = 1.0
+sensor = "transducer"
+noise = 0.1
+resolution = 0.2
+span = [1.0, 401.0]
+
+[signals.flow]
+column = "Q"
+unit = "L/min"
+dead_zone = 10.0
+"""
+
+
+@pytest.fixture
+def columns() -> dict[str, np.ndarray]:
+    """Raw columns of META, with one gap: 40 samples at 200 Hz."""
+    k = np.arange(40)
+    pressure = 2.5 + 0.1 * np.sin(0.3 * k)
+    pressure[7] = np.nan
+    return {"t": 5.0 * k, "U": np.repeat([0.0, 2.5, -1.0, 4.0], 10), "P1": pressure, "Q": 1.7 * k}
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    """Columns as a logger writes them; a gap is an empty cell."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def csv(tmp_path, columns) -> Path:
+    """The columns as a CSV file with its meta file."""
+    (tmp_path / "a.toml").write_text(META, encoding="utf-8")
+    return write_csv(tmp_path / "a.csv", columns)
+
+
+def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **signals) -> Recording:
+    """A recording in memory, all signals without a unit."""
+    n = len(next(iter(signals.values())))
+    return Recording(
+        source=Path("memory.csv"),
+        title="in memory",
+        procedure="valve",
+        use="train",
+        conditions={"edge": "P-A"},
+        time=np.arange(n) / rate,
+        signals={name: np.asarray(values, dtype=float) for name, values in signals.items()},
+        units=dict.fromkeys(signals, "1"),
+        sensors=sensors or {},
+    )
+
+
+@pytest.fixture(name="recording", scope="session")
+def made():
+    """The function that makes a recording in memory."""
+    return recording

@@ -1,0 +1,152 @@
+"""A bad file gets one line that names file, row and column, what was expected and what was found."""
+
+import re
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.reading import read, read_folder
+
+
+def refused(path, *parts):
+    """Reading fails with one line that has all the parts in order."""
+    with pytest.raises(ModelError) as caught:
+        read(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert re.search(".*".join(re.escape(part) for part in parts), message), message
+
+
+def lines(csv, number, text):
+    """Replace a line of the file, counted from 1."""
+    written = csv.read_text(encoding="utf-8").splitlines()
+    written[number - 1] = text
+    csv.write_text("\n".join(written), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("line", "parts"),
+    [
+        ("20,0,error,1", ("line 6", "column 'P1'", "a number", "'error'")),
+        ("20,0,1.5 bar,1", ("line 6", "column 'P1'", "a number", "'1.5 bar'")),
+        ("20,0,inf,1", ("line 6", "column 'P1'", "finite", "inf")),
+        ("20,0,True,1", ("line 6", "column 'P1'", "a number", "'True'")),
+        ("20,0,2.5", ("line 6", "expected 4 cells, found 3")),
+        ("20,0,2.5,1,1", ("line 6", "expected 4 cells, found 5")),
+        (",0,2.5,1", ("line 6", "column 't'", "expected a time, found none")),
+        ("15,0,2.5,1", ("line 6", "column 't'", "increasing times", "15 after 15")),
+        ("14.5,0,2.5,1", ("line 6", "column 't'", "increasing times", "14.5 after 15")),
+    ],
+)
+def test_bad_line_of_a_csv_is_named(csv, line, parts):
+    """The line is counted as an editor counts it, blank lines included."""
+    lines(csv, 6, line)
+    refused(csv, "a.csv", *parts)
+    lines(csv, 3, "\n" + csv.read_text(encoding="utf-8").splitlines()[2])
+    refused(csv, "a.csv", parts[0].replace("6", "7"), *parts[1:])
+
+
+def test_bad_files_of_text(csv):
+    """Wrong names, wrong encoding, nothing in it."""
+    good = csv.read_text(encoding="utf-8")
+    csv.write_text(good.replace("P1", "P2", 1), encoding="utf-8")
+    refused(csv, "a.csv", "column 'P1' expected, found t, U, P2")
+    csv.write_text(good.replace("Q", "P1", 1), encoding="utf-8")
+    refused(csv, "a.csv", "column 'P1' expected once, found 2 times")
+    csv.write_bytes(good.encode().replace(b"10.0", b"1\xb5.0", 1))
+    refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
+    csv.write_text("t,U,P1,Q\n0,0,0,0\n", encoding="utf-8")
+    refused(csv, "a.csv", "two or more rows of numbers, found 1")
+    csv.write_text("", encoding="utf-8")
+    refused(csv, "a.csv", "two or more rows of numbers, found an empty file")
+    csv.write_text(good.replace("\n0.0,", '\n"0.0,', 1), encoding="utf-8")
+    refused(csv, "a.csv", "expected a text file of columns", "found")
+
+
+def test_bad_parquet(csv, columns):
+    """A row of a Parquet file is counted from 1."""
+    path = csv.with_suffix(".parquet")
+    text = [f"{v}" for v in columns["P1"]]
+    text[11] = "off"
+    pd.DataFrame({**columns, "P1": text}).to_parquet(path)
+    refused(path, "a.parquet", "row 12", "column 'P1'", "a number", "'off'")
+    pd.DataFrame({**columns, "t": pd.to_datetime(columns["t"], unit="ms")}).to_parquet(path)
+    refused(path, "a.parquet", "row 1", "column 't'", "numbers", "timestamp")
+    pd.DataFrame({**columns, "Q": np.where(columns["t"] == 10, np.inf, 1.0)}).to_parquet(path)
+    refused(path, "a.parquet", "row 3", "column 'Q'", "finite", "inf")
+    pd.DataFrame({"t": columns["t"]}).to_parquet(path)
+    refused(path, "a.parquet", "column", "expected, found t")
+    path.write_bytes(b"no parquet")
+    refused(path, "a.parquet", "expected a Parquet file")
+
+
+def test_bad_mat(csv, columns):
+    """A row of a vector is counted from 1, as MATLAB does."""
+    path = csv.with_suffix(".mat")
+    scipy.io.savemat(path, {**columns, "U": columns["U"][:-1]})
+    refused(path, "a.mat", "columns of one length", "U 39")
+    scipy.io.savemat(path, {**columns, "P1": "text"})
+    refused(path, "a.mat", "column 'P1'", "numbers", "'text'")
+    scipy.io.savemat(path, {**columns, "P1": columns["P1"] + 1j})
+    refused(path, "a.mat", "column 'P1'", "numbers", "complex")
+    scipy.io.savemat(path, {**columns, "P1": np.where(columns["t"] == 10, np.inf, 1.0)})
+    refused(path, "a.mat", "row 3", "column 'P1'", "finite", "inf")
+    scipy.io.savemat(path, {**columns, "t": columns["t"][::-1]})
+    refused(path, "a.mat", "row 2", "column 't'", "increasing", "190 after 195")
+    scipy.io.savemat(path, {"run": columns})
+    refused(path, "a.mat", "column", "expected, found run.")
+    path.write_bytes(b"no mat file" * 50)
+    refused(path, "a.mat", "expected a MATLAB file")
+    with h5py.File(path, "w") as file:
+        file["P1"] = np.zeros((1, 4))
+    refused(path, "a.mat", "column", "expected, found P1")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("noise = 0.1", "nose = 0.1", ("[signals.'pressure_in']", "unknown key 'nose'", "noise, resolution")),
+        ("noise = 0.1", "noise = -1", ("noise is -1", "0 or more")),
+        ("noise = 0.1", 'noise = "0.1"', ("noise is '0.1'", "int or float")),
+        ("span = [1.0, 401.0]", "span = [401, 1]", ("span is [401, 1]", "[lowest, highest]")),
+        ("span = [1.0, 401.0]", "span = [1]", ("span is [1]", "[lowest, highest]")),
+        ("factor = 40.0", "factor = 0", ("factor is 0",)),
+        ('unit = "bar"', 'unit = "barn"', ("[signals.'pressure_in']", 'unit "barn"', "psi")),
+        ('unit = "bar"\n', "", ("expected a unit, found none",)),
+        ('unit = "ms"', 'unit = "mm"', ("[time]", "unit is 'mm'", "of time")),
+        ('"valve"', '"value"', ("procedure is 'value'", "valve, hose_resistance")),
+        ("[experiment]", '[experiment]\nuse = "fit"', ("use is 'fit'", "train, test")),
+        ('{ value = 4.0, unit = "ft" }', "4.0", ("length is 4.0", "{ value = 1.0, unit =")),
+        ('{ value = 4.0, unit = "ft" }', '{ value = "4", unit = "ft" }', ("value is '4'", "int or float")),
+        ("[time]", "[tim]", ("unknown key 'tim'", "reference, experiment, file, time")),
+        ("[time]", "[time]\nstart = 7", ("samples from 7 s to inf s", "found -1.5 s")),
+        ("[time]", "[file]\nskiplines = 1\n[time]", ("[file]", "unknown key 'skiplines'", "skip_lines")),
+        ("[time]", "[time", ("expected TOML",)),
+    ],
+)
+def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
+    """A misspelt key cannot be lost, a wrong value is named with what it should be."""
+    meta = csv.with_suffix(".toml")
+    text = meta.read_text(encoding="utf-8")
+    assert old in text
+    meta.write_text(text.replace(old, new, 1), encoding="utf-8")
+    refused(csv, "a.", *parts)
+
+
+def test_files_that_are_not_there(csv):
+    """A path that cannot be read says what was expected there."""
+    refused(csv.with_name("b.csv"), "b.csv", "found no such file")
+    refused(csv.with_name("a.xlsx"), "a.xlsx", ".csv, .parquet, .mat, .toml")
+    refused(csv.parent.with_suffix(".csv"), "found no such file")
+    csv.with_suffix(".mat").write_bytes(b"")
+    refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, found a.csv, a.mat")
+    csv.with_suffix(".toml").unlink()
+    refused(csv, "a.toml", "describes the columns", "no such file")
+    with pytest.raises(ModelError, match=r"\.toml files with a table \[experiment\], found none"):
+        read_folder(csv.parent)
+    with pytest.raises(ModelError, match="expected a folder of recordings, found a file"):
+        read_folder(csv)

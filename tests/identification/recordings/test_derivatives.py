@@ -1,0 +1,90 @@
+"""The derivative filter is exact for polynomials, and its noise is what it says."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.recording import Sensor
+from fmus.identification.recordings.signals import SavitzkyGolay, derivatives, filter_for
+
+
+@given(
+    coefficients=st.lists(st.floats(-10, 10), min_size=1, max_size=4),
+    rate=st.sampled_from([50.0, 200.0, 1000.0]),
+    samples=st.integers(3, 30),
+)
+def test_polynomials_up_to_the_degree_pass_exactly(coefficients, rate, samples):
+    """Value, slope and curvature of a cubic are its own, whatever rate and window."""
+    t = np.arange(4 * samples) / rate
+    cubic = np.polynomial.Polynomial(coefficients)
+    used = SavitzkyGolay(rate, 2 * samples / rate, 3)
+    size = sum(abs(c) for c in coefficients)
+    for order in range(3):
+        exact = cubic.deriv(order)(t) if order else cubic(t)
+        found = used.apply(cubic(t), order)
+        inside = np.isfinite(found)
+        assert inside.sum() == len(t) - 2 * samples
+        # scipy finds the weights from powers up to 30^3 of the places in the window: 1e-16 * 3e4, and as
+        # much again for its conditioning
+        tolerance = 1e-11 * (1 + size * max(1, t[-1] ** 3)) * max(used.gain(order), rate**order)
+        np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=tolerance)
+
+
+@settings(max_examples=15)
+@given(window=st.floats(0.03, 0.5), degree=st.integers(2, 4), seed=st.integers(0, 2**31))
+def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
+    """White noise of standard deviation 1 leaves the filter with the standard deviation it states."""
+    used = SavitzkyGolay(200.0, window, degree)
+    samples = np.random.default_rng(seed).normal(size=40 * 1000 + used.size)
+    for order in range(3):
+        found = used.apply(samples, order)
+        found = found[np.isfinite(found)]
+        # at least 40 000 / 101 independent values: 1 / sqrt(2 * 400) = 3.5 %, five times that
+        assert found.std() == pytest.approx(used.gain(order), rel=0.18)
+
+
+def test_covariance_of_value_and_derivatives_is_that_of_a_simulation():
+    """Covariance between orders and over a lag, for corrections of errors in variables."""
+    used = SavitzkyGolay(200.0, 0.05, 3)
+    samples = np.random.default_rng(1).normal(size=400_000)
+    orders = [used.apply(samples, order)[5:-5] for order in range(3)]
+    for one, other, lag in [(0, 0, 3), (0, 1, 2), (0, 1, -2), (1, 2, 1), (0, 2, 0), (1, 1, 10), (1, 1, 11)]:
+        a, b = orders[one], orders[other]
+        n = len(a) - 21
+        found = np.mean(a[10 : 10 + n] * b[10 + lag : 10 + lag + n])
+        # error of a mean of 400 000 products, correlated over 11 samples: 0.5 % of the two gains
+        assert abs(found - used.covariance(one, other, lag)) < 0.025 * used.gain(one) * used.gain(other)
+
+
+def test_window_with_a_gap_gives_a_gap(recording):
+    """Every window that holds a missing sample is missing, no other one; so are both ends."""
+    values = np.sin(np.arange(200) / 20)
+    values[100] = np.nan
+    used = filter_for(recording(x=values), 0.05)
+    assert used.size == 11
+    missing = np.flatnonzero(np.isnan(used.apply(values, 1)))
+    assert missing.tolist() == [*range(5), *range(95, 106), *range(195, 200)]
+    assert np.isnan(used.apply(values[:10])).all()
+
+
+def test_derivatives_of_a_signal_have_its_sensors_noise(recording):
+    """A noisy ramp: what is left of the noise in the slope is what is stated."""
+    rng = np.random.default_rng(2)
+    n, sensor = 20_000, Sensor(noise=0.02, resolution=0.02)
+    ramp = 0.7 * np.arange(n) / 200
+    values = np.round((ramp + rng.normal(0, 0.02, n)) / 0.02) * 0.02
+    found = derivatives(recording(x=values, sensors={"x": sensor}), "x", 0.1)
+    # 20 000 / 21 independent values: 1 / sqrt(2 * 950) = 2.3 %, four times that
+    assert np.nanstd(found.first) == pytest.approx(found.sd_first, rel=0.092)
+    assert np.nanstd(found.value - ramp) == pytest.approx(found.sd_value, rel=0.092)
+    assert np.nanstd(found.second) == pytest.approx(found.sd_second, rel=0.092)
+    # five standard deviations of the mean
+    assert np.nanmean(found.first) == pytest.approx(0.7, abs=5 * found.sd_first / np.sqrt(n / 21))
+
+
+def test_window_that_is_too_short_is_refused(recording):
+    """A cubic needs more than three samples."""
+    with pytest.raises(ModelError, match=r"window of 0\.01 s at 200 Hz is 3 samples, expected more than"):
+        filter_for(recording(x=np.zeros(50)), 0.01)

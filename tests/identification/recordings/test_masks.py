@@ -1,0 +1,116 @@
+"""Which samples are used, where a command stands still, and what an average over that is worth."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.recording import Sensor
+from fmus.identification.recordings.signals import (
+    add,
+    averages,
+    blank,
+    good,
+    good_all,
+    split,
+    standard_error,
+    steady,
+    take,
+    window,
+)
+
+
+def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
+    """Each reason not to use a sample counts by itself."""
+    values = [np.nan, -20.0, 20.0, 5.0, -5.0, 0.0, 5.1, 12.0]
+    made = recording(q=values, u=np.arange(8.0), sensors={"q": Sensor(low=-20, high=20, dead_zone=5)})
+    expected = [False, False, False, False, False, False, True, True]
+    assert good(made, "q").tolist() == expected
+    assert good(made, "u").all()
+    assert good_all(made, ["q", "u"]).tolist() == expected
+    assert np.isnan(blank(made, "q", ~good(made, "q"))["q"]).tolist() == [not v for v in expected]
+
+
+@given(
+    lengths=st.lists(st.integers(1, 60), min_size=1, max_size=8),
+    settle=st.integers(0, 20),
+    shortest=st.integers(0, 20),
+)
+def test_steady_stretches_are_those_of_the_steps(recording, lengths, settle, shortest):
+    """A stepped command falls into its steps, each without its settling time, short ones left out."""
+    levels = np.arange(len(lengths)) % 3 * 1.5
+    starts = np.concatenate(([0], np.cumsum(lengths))).tolist()
+    expected = [
+        slice(start + settle, stop)
+        for start, stop in pairwise(starts)
+        if stop - start > settle and stop - 1 - start - settle >= shortest
+    ]
+    assert steady(recording(u=np.repeat(levels, lengths)), "u", settle / 200, shortest / 200) == expected
+
+
+def test_steady_stretches_of_a_measured_command(recording):
+    """Noise of the sensor does not end a stretch; a slow ramp and a gap do."""
+    rng = np.random.default_rng(1)
+    u = np.concatenate([np.zeros(200), np.linspace(0, 2, 200), np.full(200, 2.0)]) + rng.normal(0, 0.005, 600)
+    u[500] = np.nan
+    made = recording(u=u, sensors={"u": Sensor(noise=0.01)})
+    edges = [(part.start, part.stop) for part in steady(made, "u", shortest=0.25)]
+    # the ramp rises by 0.01 per sample, the tolerance is 0.04: some samples of it belong to the stretches
+    assert len(edges) == 3
+    assert edges[0] == (0, pytest.approx(200, abs=12))
+    assert edges[1] == (pytest.approx(400, abs=12), 500)
+    assert edges[2] == (501, 600)
+
+
+def test_averages_of_good_samples_over_stretches(recording):
+    """Means over the good samples; too few of them give no mean."""
+    values = np.concatenate([np.full(100, 1.0), np.full(100, 3.0)])
+    values[:30], values[100:160] = np.nan, 900.0
+    made = recording(x=values, sensors={"x": Sensor(high=900.0)})
+    found = averages(made, ["x"], [slice(0, 100), slice(100, 200), slice(180, 200)])
+    assert found.mean["x"].tolist() == pytest.approx([1.0, np.nan, 3.0], nan_ok=True)
+    assert found.share["x"].tolist() == [0.7, 0.4, 1.0]
+    # the middle of samples 0 to 99 at 200 Hz; exact but for rounding
+    assert found.time[0] == pytest.approx(49.5 / 200)
+    with pytest.raises(ModelError, match="expected stretches to average over, found none"):
+        averages(made, ["x"], [])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9, -0.5])
+def test_standard_error_counts_correlated_samples_for_what_they_are_worth(memory):
+    """The stated error is the scatter of means over many runs of a first-order process."""
+    rng = np.random.default_rng(2)
+    pushes = rng.normal(size=(400, 1200))
+    x = scipy.signal.lfilter([1.0], [1.0, -memory], pushes, axis=1)[:, 200:]
+    stated = np.sqrt(np.mean([standard_error(run) ** 2 for run in x]))
+    # scatter of 400 means: 1 / sqrt(800) = 3.5 %; the sum over a finite run loses a few per cent: 12 %
+    assert stated == pytest.approx(x.mean(axis=1).std(), rel=0.12)
+
+
+def test_standard_error_of_a_reading_that_does_not_leave_its_step():
+    """A converter's step is not averaged away if the noise does not reach the next one."""
+    assert standard_error(np.full(100, 3.0), 0.1) == pytest.approx(0.1 / np.sqrt(12))
+    assert standard_error(np.full(100, 3.0)) == 0.0
+
+
+def test_parts_of_a_recording_keep_everything_else(recording):
+    """Splitting loses no sample and no instrument; a window is half open; what is added has its unit."""
+    sensor = Sensor(noise=1.0)
+    made = recording(x=np.arange(100.0), sensors={"x": sensor})
+    first, second = split(made, 0.2)
+    assert (len(first.time), second.time[0], second["x"][0]) == (40, 0.2, 40.0)
+    assert second.sensor("x") == sensor
+    assert second.conditions == made.conditions
+    assert window(made, 0.1, 0.11)["x"].tolist() == [20.0, 21.0]
+    assert take(made, made["x"] > 97)["x"].tolist() == [98.0, 99.0]
+    more = add(made, "v", np.zeros(100), "m/s")
+    assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
+    assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
+    with pytest.raises(ModelError, match=r"no samples from 3 s to 4 s, found 0 s to 0\.495 s"):
+        window(made, 3, 4)
+    with pytest.raises(ModelError, match=r"signal v has shape \(3,\), expected \(100,\)"):
+        add(made, "v", np.zeros(3), "m/s")

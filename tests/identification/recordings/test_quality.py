@@ -1,0 +1,202 @@
+"""Each fault that is planted is found, and where; nothing is found on a clean recording."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fmus.identification.recordings.flat import clipped, stuck
+from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.recording import Sensor
+
+RATE, SIZE = 200.0, 4000
+GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)
+METER = Sensor("turbine", noise=0.3, resolution=600 / 4096, low=-300.0, high=300.0, dead_zone=10.0)
+ENCODER = Sensor("encoder", resolution=2 * math.pi / 65536)
+SENSORS = {"pressure": GAUGE, "flow": METER, "angle": ENCODER}
+
+
+def rounded(values, resolution):
+    return np.round(values / resolution) * resolution
+
+
+@pytest.fixture
+def clean(recording):
+    """A machine that rests, moves and holds, by three instruments and a command that is known exactly."""
+    rng = np.random.default_rng(3)
+    t = np.arange(SIZE) / RATE
+    swing = np.where((t > 1) & (t < 16), np.sin(2 * np.pi * 0.2 * (t - 1)), 0.0)
+    pressure = rounded(150 + 80 * swing + rng.normal(0, 0.1, SIZE), GAUGE.resolution)
+    flow = rounded(120 * swing + rng.normal(0, 0.3, SIZE), METER.resolution)
+    flow[np.abs(flow) <= 10] = 0.0
+    angle = rounded(np.cumsum(swing) / RATE, ENCODER.resolution)
+    command = np.select([t < 1, t < 8, t < 12, t < 16], [0.0, 4.0, -4.0, 8.0], 0.0)
+    made = recording(sensors=SENSORS, pressure=pressure, flow=flow, angle=angle, command=command)
+    return replace(made, units={"pressure": "1", "flow": "1", "angle": "rad", "command": "V"})
+
+
+def plant(made, name, values, where):
+    changed = made[name].copy()
+    changed[where] = values
+    return replace(made, signals={**made.signals, name: changed})
+
+
+def test_nothing_is_found_on_a_clean_recording(clean):
+    """Rest, steps of a command, an encoder that stands and a meter at zero are no faults."""
+    found = examine(clean)
+    # the dead zone is not a fault, but what is not used is said
+    assert [text for text in found.remarks() if "dead zone" not in text] == []
+    assert found.clock.rate == pytest.approx(RATE, rel=1e-12)  # stamps are exact: rounding only
+    dead = next(signal.dead for signal in found.signals if signal.name == "flow")
+    assert dead.samples == np.sum(clean["flow"] == 0)
+    assert "dead zone of 10, not used" in " ".join(found.remarks())
+    assert len(found.table().splitlines()) == 2 + len(clean.signals)
+
+
+def said(made, name):
+    """The remarks on one signal (or "The clock"), without that on its dead zone."""
+    texts = [text for text in examine(made).remarks() if text.startswith(f"{name}:")]
+    return [text for text in texts if "dead zone" not in text]
+
+
+def test_gaps_are_found_with_time_and_length(clean):
+    """Samples without a value: how many, in how many parts, when, how long."""
+    made = plant(plant(clean, "pressure", np.nan, slice(1000, 1040)), "pressure", np.nan, [2000])
+    (text,) = said(made, "pressure")
+    assert text == "pressure: 41 samples (1 %; in 2 parts, first at 5 s, longest 0.2 s) without a sample."
+
+
+def test_clipping_at_the_end_of_the_range(clean):
+    """A sensor of less range than its signal: all samples at its end are found, and no others."""
+    top = 200.0
+    made = replace(clean, sensors={**clean.sensors, "pressure": replace(GAUGE, high=top)})
+    made = plant(made, "pressure", np.minimum(made["pressure"], top), slice(None))
+    assert np.array_equal(clipped(made["pressure"], made.sensor("pressure")), made["pressure"] == top)
+    (text,) = said(made, "pressure")
+    assert "clipped" in text
+
+
+def test_clipping_that_the_range_does_not_tell(clean):
+    """An amplifier that saturates below the range: its signal stays at its own extreme in spite of noise."""
+    made = plant(clean, "pressure", np.maximum(clean["pressure"], 100.0), slice(None))
+    found = clipped(made["pressure"], GAUGE)
+    assert np.array_equal(found, made["pressure"] == 100.0)
+    assert ["clipped" in text for text in said(made, "pressure")] == [True]
+
+
+def test_stuck_value(clean):
+    """A bus that repeats its last value for 0.3 s while the signal should show noise."""
+    made = plant(clean, "pressure", clean["pressure"][1500], slice(1500, 1560))
+    found = np.flatnonzero(stuck(made["pressure"], GAUGE))
+    # the sample before or after may happen to be equal, too
+    assert set(range(1500, 1560)) <= set(found) <= set(range(1490, 1570))
+    (text,) = said(made, "pressure")
+    assert "stuck at one value" in text
+    assert "first at 7.5 s" in text
+
+
+def test_noise_and_steps_other_than_told(clean):
+    """A sensor with three times its noise, one with fewer bits, one with more bits than told."""
+    rng = np.random.default_rng(4)
+    loud = plant(clean, "pressure", clean["pressure"] + rng.normal(0, 0.3, SIZE), slice(None))
+    (text,) = said(loud, "pressure")
+    assert "noise of 0.3" in text
+    assert "told 0.1" in text
+    coarse = plant(clean, "angle", rounded(clean["angle"], 4 * ENCODER.resolution), slice(None))
+    assert any("coarser than the resolution told" in text for text in said(coarse, "angle"))
+    told = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=4 * ENCODER.resolution)})
+    assert any("finer than the resolution told" in text for text in said(told, "angle"))
+    silent = replace(clean, sensors={})
+    assert any("without a resolution told" in text for text in said(silent, "angle"))
+
+
+def test_signal_that_does_not_move(clean):
+    """A cable that is not plugged in."""
+    assert said(plant(clean, "pressure", 0.5, slice(None)), "pressure")[-1].startswith(
+        "pressure: does not move"
+    )
+    assert said(plant(clean, "pressure", np.nan, slice(None)), "pressure") == [
+        "pressure: 4000 samples (all; first at 0 s, longest 20 s) without a sample."
+    ]
+
+
+def test_missing_samples_of_the_clock(clean):
+    """Samples that the logger lost: the count, and where the longest interval is."""
+    kept = np.ones(SIZE, dtype=bool)
+    kept[[500, 501, 502, 2500]] = False
+    signals = {name: values[kept] for name, values in clean.signals.items()}
+    (text,) = said(replace(clean, time=clean.time[kept], signals=signals), "The clock")
+    assert text == (
+        "The clock: 4 samples are missing; the longest interval is 20 ms at 2.495 s, the usual one 5 ms."
+    )
+
+
+def test_jitter_of_the_clock(clean):
+    """Stamps by a computer that is late now and then; the size is found."""
+    rng = np.random.default_rng(5)
+    made = replace(clean, time=clean.time + rng.normal(0, 0.0005, SIZE))
+    assert ["jitter" in text for text in said(made, "The clock")] == [True]
+    # standard deviation from 4000 samples: 1 / sqrt(8000) = 1.1 %, four times that
+    assert examine(made).clock.jitter == pytest.approx(0.0005, rel=0.045)
+
+
+def test_drift_of_the_clock(clean):
+    """A clock that gets 0.4 % slower from start to end."""
+    x = np.arange(SIZE) / SIZE
+    made = replace(clean, time=SIZE / RATE * (x + 0.002 * x**2))
+    (text,) = said(made, "The clock")
+    assert "changes by 0.4 %" in text
+    # the parabola 0.002 x^2 of 20 s is at most 0.002 / 4 / 2 * 20 s off the line through it
+    assert examine(made).clock.bow == pytest.approx(0.002 / 8 * 20, rel=0.01)
+
+
+def twice(made, rows):
+    """Rows that repeat the row before."""
+    signals = {name: values.copy() for name, values in made.signals.items()}
+    for values in signals.values():
+        values[rows] = values[np.array(rows) - 1]
+    return replace(made, signals=signals)
+
+
+def test_rows_written_twice(clean):
+    """A logger that polls too fast: more equal rows than two noisy signals have by chance."""
+    (text,) = said(twice(clean, np.arange(100, SIZE, 20)), "The clock")
+    assert "rows repeat the row before" in text
+    # a signal without steps is never equal by chance, so a single row is found
+    smooth = clean["pressure"] + np.random.default_rng(8).normal(0, 0.01, SIZE)
+    fine = replace(clean, signals={**clean.signals, "pressure": smooth}, sensors={})
+    assert said(fine, "The clock") == []
+    assert said(twice(fine, [1900]), "The clock") == [
+        "The clock: 1 rows repeat the row before, first at 9.5 s."
+    ]
+
+
+def test_stamps_that_follow_too_soon(clean):
+    """A stamp right after another one is one sample written twice."""
+    soon = clean.time.copy()
+    soon[[10, 20]] = soon[[9, 19]] + 0.0005
+    texts = said(replace(clean, time=soon), "The clock")
+    assert any("2 stamps follow within half a period" in text for text in texts)
+
+
+@pytest.mark.parametrize("sd", [0.02, 0.1, 1.0])
+def test_noise_is_estimated_behind_motion(sd):
+    """The noise of a signal that swings at 5 Hz is found from the data alone."""
+    rng = np.random.default_rng(6)
+    t = np.arange(SIZE) / RATE
+    values = 20 * np.sin(2 * np.pi * t) + np.sin(2 * np.pi * 5 * t) + rng.normal(0, sd, SIZE)
+    # a median of 4000 values of which about one in six is independent: 1.17 / sqrt(4000 / 6) = 4.5 %, twice
+    assert noise(values) == pytest.approx(sd, rel=0.09)
+
+
+def test_step_is_estimated_exactly_and_only_if_there_is_one():
+    """Values of a converter, written with four digits, give its step; others give 0."""
+    rng = np.random.default_rng(7)
+    values = 100 * np.sin(np.arange(SIZE) / 50) + rng.normal(0, 0.3, SIZE)
+    written = np.round(rounded(values, 600 / 4096), 4)
+    # rounding to 1e-4 over some thousand steps
+    assert step(written) == pytest.approx(600 / 4096, rel=1e-5)
+    assert step(values) == 0.0
+    assert step(np.repeat(np.arange(10.0), 400)) == 0.0

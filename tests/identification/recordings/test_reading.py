@@ -1,0 +1,146 @@
+"""A recording is read alike from every kind of file, in SI, with all that its meta file says."""
+
+import math
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.reading import read, read_folder, require
+
+
+def parquet(path, columns):
+    """As pandas writes it: a NaN becomes a null."""
+    pd.DataFrame(columns).to_parquet(path)
+
+
+def mat_5(path, columns):
+    """As MATLAB writes it up to version 7.2: vectors are columns of a matrix with one column."""
+    scipy.io.savemat(path, {name: values[:, None] for name, values in columns.items()})
+
+
+def mat_4(path, columns):
+    """As MATLAB 4 wrote it."""
+    scipy.io.savemat(path, columns, format="4")
+
+
+def mat_73(path, columns):
+    """As MATLAB writes version 7.3: HDF5 behind 512 bytes of its own, dimensions the other way round."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in columns.items():
+            file[name] = values[None, :]
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+
+
+def same(one, other):
+    """Whether two recordings hold the same; the file's name may differ."""
+    np.testing.assert_array_equal(one.time, other.time)
+    for name in one.signals:
+        np.testing.assert_array_equal(one[name], other[name])
+    assert list(one.signals) == list(other.signals)
+    fields = ("title", "procedure", "use", "conditions", "units", "sensors")
+    assert all(getattr(one, field) == getattr(other, field) for field in fields)
+
+
+def test_values_are_si_and_all_that_is_told_is_there(csv, columns):
+    """Milliseconds, volts of a transducer in bar and litres per minute become s, Pa and m3/s."""
+    found = read(csv)
+    # the same two or three multiplications in another order: a few rounding errors, here and below
+    np.testing.assert_allclose(found.time, columns["t"] / 1000 - 1.5, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(found["pressure_in"], (40 * columns["P1"] + 1) * 1e5, rtol=1e-14)
+    np.testing.assert_allclose(found["flow"], columns["Q"] / 6e4, rtol=1e-14)
+    assert math.isnan(found["pressure_in"][7])
+    assert found.units == {"command": "V", "pressure_in": "Pa", "flow": "m3/s"}
+    assert (found.procedure, found.use, found.word("edge")) == ("valve", "train", "P-A")
+    assert found.number("length") == pytest.approx(4 * 0.3048, rel=1e-14)
+    sensor = found.sensor("pressure_in")
+    assert (sensor.noise, sensor.resolution, sensor.low, sensor.high) == pytest.approx((1e4, 2e4, 1e5, 401e5))
+    assert found.sensor("flow").dead_zone == pytest.approx(10 / 6e4)
+    assert "command" not in found.sensors
+
+
+@pytest.mark.parametrize("write", [parquet, mat_5, mat_4, mat_73])
+def test_every_kind_of_file_gives_the_same_recording(csv, columns, write):
+    """CSV, Parquet and MATLAB files of the same columns are the same recording, bit by bit."""
+    expected = read(csv)
+    other = csv.with_suffix(".parquet" if write is parquet else ".mat")
+    write(other, columns)
+    same(read(other), expected)
+    csv.unlink()
+    same(read(csv.with_suffix(".toml")), expected)
+
+
+def test_columns_of_matlab_structs_and_matrices(csv, columns):
+    """A column may be a field of a struct or a column of a matrix, in both versions of MATLAB's files."""
+    expected = read(csv)
+    meta = csv.with_suffix(".toml")
+    text = meta.read_text(encoding="utf-8")
+    changes = {'"t"': '"run.clock.t"', '"U"': '"run.U"', '"P1"': '"data(:,2)"', '"Q"': '"data(:,1)"'}
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    meta.write_text(text, encoding="utf-8")
+    matrix = np.stack([columns["Q"], columns["P1"]], axis=1)
+    old, new = csv.with_name("old.mat"), csv.with_name("new.mat")
+    scipy.io.savemat(old, {"run": {"U": columns["U"], "clock": {"t": columns["t"]}}, "data": matrix})
+    with h5py.File(new, "w") as file:
+        file["run/U"], file["run/clock/t"], file["data"] = columns["U"][None], columns["t"][None], matrix.T
+    for path in (old, new):
+        path.with_suffix(".toml").write_text(text, encoding="utf-8")
+        same(read(path), replace(expected, title=path.stem))
+
+
+def test_logger_with_semicolons_and_commas(csv):
+    """Lines before the names, ";" and decimal "," give the same numbers as a plain CSV file."""
+    expected = read(csv)
+    plain = csv.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
+    csv.write_text(f"\ufeffLogger 7\n\n{plain}\n", encoding="utf-8")
+    meta = csv.with_suffix(".toml")
+    how = '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
+    meta.write_text(how + meta.read_text(encoding="utf-8"), encoding="utf-8")
+    same(read(csv), expected)
+
+
+def test_what_loggers_write_for_no_sample_is_a_gap(csv):
+    """nan, NA, null and blanks are gaps like an empty cell."""
+    for word in ("nan", "NA", "null", "  ", "N/A"):
+        lines = csv.read_text(encoding="utf-8").splitlines()
+        cells = lines[3].split(",")
+        cells[2] = word
+        lines[3] = ",".join(cells)
+        csv.write_text("\n".join(lines), encoding="utf-8")
+        assert np.flatnonzero(np.isnan(read(csv)["pressure_in"])).tolist() == [2, 7]
+
+
+def test_only_the_part_between_start_and_stop(csv):
+    """start and stop of [time] are in the recording's time, after unit and offset."""
+    meta = csv.with_suffix(".toml")
+    text = meta.read_text(encoding="utf-8")
+    meta.write_text(text.replace("[time]", "[time]\nstart = -1.45\nstop = -1.4"), encoding="utf-8")
+    # 0.05 s at 200 Hz, both ends
+    assert len(read(csv).time) == 11
+
+
+def test_folder_has_its_experiments_only(csv):
+    """A trace without [experiment] beside the recordings is left alone; the order is that of the names."""
+    text = csv.with_suffix(".toml").read_text(encoding="utf-8")
+    plain = text[text.index("[time]") :]
+    for name, meta in {"b": text.replace('"valve"', '"machine"'), "trace": plain}.items():
+        csv.with_name(f"{name}.csv").write_bytes(csv.read_bytes())
+        csv.with_name(f"{name}.toml").write_text(meta, encoding="utf-8")
+    found = read_folder(csv.parent)
+    assert [(one.source.name, one.procedure) for one in found] == [("a.csv", "valve"), ("b.csv", "machine")]
+    assert read(csv.with_name("trace.csv")).procedure == ""
+
+
+def test_required_signals_have_their_dimension(csv):
+    """A procedure that needs a pressure refuses a flow under that name, and a signal that is not there."""
+    found = read(csv)
+    require(found, {"pressure_in": "Pa", "flow": "m3/s"})
+    with pytest.raises(ModelError, match=r"a\.csv: signal flow is in m3/s, expected Pa"):
+        require(found, {"flow": "Pa"})
+    with pytest.raises(ModelError, match=r"a\.csv: signal pressure_out is missing.*has command, pressure_in"):
+        require(found, {"pressure_out": "Pa"})

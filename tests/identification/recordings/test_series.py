@@ -1,0 +1,67 @@
+"""A file of plain numbers becomes a recording without a meta file."""
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.reading import read_series
+
+VALUES = np.stack([np.linspace(-1, 1, 1024), np.sin(np.linspace(0, 20, 1024))], axis=1)
+
+
+@pytest.mark.parametrize("mark", [" ", "\t", ",", ";", "   "])
+def test_plain_text_is_read_whatever_separates_it(tmp_path, mark):
+    """Two columns of numbers without names, units or time become two signals over a clock of the rate."""
+    path = tmp_path / "actuator.dat"
+    np.savetxt(path, VALUES, fmt="%.17g", delimiter=mark)
+    found = read_series(path, {"command": 0, "pressure": 1}, rate=50.0, units={"pressure": "bar"})
+    np.testing.assert_array_equal(found["command"], VALUES[:, 0])
+    # one multiplication: one rounding
+    np.testing.assert_allclose(found["pressure"], 1e5 * VALUES[:, 1], rtol=1e-15)
+    np.testing.assert_array_equal(found.time, np.arange(1024) / 50)
+    assert found.units == {"command": "1", "pressure": "Pa"}
+    assert (found.procedure, found.title) == ("", "actuator")
+
+
+def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
+    """A date beside the numbers does not matter; a column with names is found by its name."""
+    path = tmp_path / "named.csv"
+    path.write_text("when,u\nMonday,1\nTuesday,2\n", encoding="utf-8")
+    np.testing.assert_array_equal(read_series(path, {"command": "u"})["command"], [1, 2])
+    np.testing.assert_array_equal(read_series(path, {"command": 1}, skip_lines=1)["command"], [1, 2])
+
+
+def test_matlab_variables_by_name(tmp_path):
+    """The same data set as a MATLAB file of either kind."""
+    old, new = tmp_path / "old.mat", tmp_path / "new.mat"
+    scipy.io.savemat(old, {"u": VALUES[:, :1], "data": VALUES})
+    with h5py.File(new, "w") as file:
+        file["u"], file["data"] = VALUES[:, :1].T, VALUES.T
+    for path in (old, new):
+        found = read_series(path, {"command": "u", "pressure": "data(:,2)"})
+        np.testing.assert_array_equal(found["command"], VALUES[:, 0])
+        np.testing.assert_array_equal(found["pressure"], VALUES[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "message"),
+    [
+        ({"u": 2}, {}, "column '2' expected, found 0, 1"),
+        ({"u": 0}, {"rate": 0}, "rate above 0, found 1 columns and a rate of 0 Hz"),
+        ({"u": 0}, {"units": {"v": "bar"}}, "found a unit of v"),
+        ({"u": 0}, {"units": {"u": "bat"}}, 'u: unit "bat"'),
+        ({"u": 0, "v": "p"}, {}, "expected the names of columns, found place 0"),
+        ({"u": "x"}, {}, "column 'x' expected, found 1, 2"),
+        ({"u": 1}, {}, "line 3: column '1': expected a number, found 'x'"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
+    """One line says what is wrong with the file or the call."""
+    path = tmp_path / "plain.txt"
+    path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        read_series(path, columns, **options)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
