@@ -1,0 +1,106 @@
+"""The machine with identified numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
+from fmus.poses import NOMINAL, POSES
+from fmus.scenarios import Move
+
+ROOT = Path(__file__).parents[3]
+POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
+STOP = 4.0  # s
+SHOWN = ("manipulator.boom_angle", "swing.swing_pressure_a", "boom_stick.stick_rod_pressure")
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """The first seconds of the reference trace, which another program run wrote."""
+    table = pd.read_csv(ROOT / "data" / "reference" / "work_cycle.csv")
+    return table[table["time"] <= STOP]
+
+
+def test_the_numbers_of_the_files_give_the_reference_trace(reference):
+    """Nothing identified: the prediction is the trace of the machine."""
+    time = reference["time"].to_numpy()
+    commands = {name: reference[signal].to_numpy() for name, signal in COMMANDS.items()}
+    found = predict(Drive(time, commands, POSE), {})
+    for name in SHOWN:
+        wanted = reference[name].to_numpy()
+        # integrator error: the trace was made at 1e-11, the prediction at 1e-8 per step
+        np.testing.assert_allclose(found[name], wanted, atol=1e-5 * np.ptp(wanted))
+
+
+def a_drive(stop: float = 1.5) -> Drive:
+    time = np.arange(0.0, stop, 0.01)
+    move = Move("boom", 0.2, 3.0, 0.2, 0.5, 0.2).sample(time)
+    still = np.zeros_like(time)
+    return Drive(time, {"swing_command": still, "boom_command": move, "stick_command": still}, POSE)
+
+
+def test_a_number_of_one_part_counts_more_than_that_of_all():
+    """`valve_area` is that of all valves, `boom_stick.valve_area` that of two."""
+    small = predict(a_drive(), {"valve_area": 2e-5})
+    mixed = predict(a_drive(), {"valve_area": 4e-5, "boom_stick.valve_area": 2e-5})
+    name = "manipulator.boom_angle"
+    assert np.ptp(predict(a_drive(), {})[name]) > 1.5 * np.ptp(small[name])
+    # same numerics: the swing stands still, so its valve does not matter
+    np.testing.assert_allclose(mixed[name], small[name], atol=1e-6)
+
+
+def test_an_unknown_number_is_refused():
+    """A misspelt parameter is not lost."""
+    with pytest.raises(ModelError, match="valve_aera is given, expected a parameter of the machine"):
+        predict(a_drive(), {"valve_aera": 1e-5})
+
+
+def test_a_variant_does_not_need_all_numbers():
+    """Numbers of the usual part that its variant does not have are left out."""
+    found = predict(a_drive(), {"boom_stick.boom_hose_inertance": 1e7}, {"boom_stick": "detailed"})
+    assert np.isfinite(found["manipulator.boom_angle"]).all()
+
+
+def test_a_recording_drives_the_machine():
+    """Commands, pose and supply pressure come from the recording, its noise is averaged."""
+    time = np.arange(0.0, 2.0, 0.005)
+    rng = np.random.default_rng(0)
+    angles = {f"manipulator.{j}_angle": a + 1e-4 * rng.standard_normal(time.size) for j, a in POSE.items()}
+    commands = {signal: np.where(time > 1.0, 2.0, 0.0) for signal in COMMANDS.values()}
+    supply = {"swing.supply_pressure": 2e7 + 1e4 * rng.standard_normal(time.size)}
+    signals = {**angles, **commands, **supply}
+    recording = Recording(Path("x.csv"), "x", "machine", "test", {}, time, signals, {})
+    found = drive(recording)
+    # measurement noise: mean of 100 samples, five standard deviations
+    assert found.pose == pytest.approx(POSE, abs=5e-5)
+    assert found.supply_pressure == pytest.approx(2e7, abs=5e3)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))
+@settings(deadline=None, max_examples=60)
+def test_straight_lines_stay_within_the_tolerance(values, tolerance):
+    """No sample moves by more than the tolerance, ends not at all."""
+    samples = np.array(values)[:, None]
+    time = np.arange(len(values)) * 0.005
+    found = straight(time, samples, tolerance)
+    # exact identity: rounding only
+    assert np.abs(found - samples).max() <= tolerance + 1e-12
+    np.testing.assert_array_equal(found[[0, -1]], samples[[0, -1]])
+
+
+def test_rounding_makes_no_corners():
+    """A ramp written with six digits becomes one straight line again."""
+    time = np.arange(0.0, 4.0, 0.005)
+    move = Move("boom", 0.5, 3.3, 0.7, 1.1, 0.6).sample(time)
+    found = straight(time, np.round(move, 5)[:, None])[:, 0]
+    bends = np.abs(np.diff(found, 2)) > 1e-9
+    assert bends.sum() <= 8  # four corners, each between two samples at most
+    assert np.abs(found - move).max() < STRAIGHT
