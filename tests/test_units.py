@@ -3,9 +3,11 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fmus.contract import ModelError
-from fmus.units import DISPLAY, display, parse, per_second
+from fmus.units import DISPLAY, display, in_si, parse, per_second, spelled
 
 
 @pytest.mark.parametrize(
@@ -64,3 +66,64 @@ def test_wrong_unit_is_refused_by_name(unit, word):
     """A unit outside the grammar is an error that shows it."""
     with pytest.raises(ModelError, match=word):
         parse(unit)
+
+
+# Unit of a logger, a value in it, the value in SI, the SI unit: by definition or from tables of conversion.
+LOGGED = [
+    ("psi", 3000.0, 20.6842719e6, "Pa"),
+    ("gpm", 1.0, 6.30901964e-5, "m3/s"),
+    ("gal", 1.0, 3.785411784e-3, "m3"),
+    ("lpm", 60.0, 1e-3, "m3/s"),
+    ("mL/min", 6e7, 1.0, "m3/s"),
+    ("l/min/bar", 6e9, 1.0, "m3/(s.Pa)"),
+    ("rpm", 60.0, 2 * math.pi, "rad/s"),
+    ("cm3/rev", 2e6 * math.pi, 1.0, "m3/rad"),
+    ("kN.m", 31.0, 31e3, "N.m"),
+    ("lbf", 1.0, 4.4482216152605, "N"),
+    ("hp", 152.0, 113.3463805e3, "W"),
+    ("ft", 1.0, 0.3048, "m"),
+    ("in", 1.0, 0.0254, "m"),
+    ("lb", 1.0, 0.45359237, "kg"),
+    ("degC", 40.0, 313.15, "K"),
+    ("degF", 212.0, 373.15, "K"),
+    ("°/s²", 180.0, math.pi, "rad/s2"),
+    ("%", 50.0, 0.5, "1"),
+    ("-", 3.0, 3.0, "1"),
+    ("m³/(s·Pa)", 1.0, 1.0, "m3/(s.Pa)"),
+    ("N*m*s/rad", 1.0, 1.0, "N.m.s/rad"),
+]
+
+
+@pytest.mark.parametrize(("unit", "value", "si", "name"), LOGGED)
+def test_units_of_loggers_become_si(unit, value, si, name):
+    """A value in a unit of a logger comes out right in the SI unit of the same quantity."""
+    found = parse(spelled(unit))
+    assert in_si(spelled(unit)) == name
+    # the digits printed in LOGGED
+    assert found.factor * value + found.offset == pytest.approx(si, rel=1e-8)
+    assert (parse(name).factor, parse(name).offset) == (1.0, 0.0)
+
+
+PARTS = st.tuples(
+    st.sampled_from(
+        ["bar", "kN", "mm", "L", "min", "deg", "rev", "psi", "gpm", "A", "K", "g", "J", "%", "ms"]
+    ),
+    st.integers(-3, 3).filter(bool),
+)
+
+
+@given(value=st.floats(-1e3, 1e3), parts=st.lists(PARTS, min_size=1, max_size=4))
+def test_any_product_goes_to_si_and_back(value, parts):
+    """The SI unit has the same dimension and factor 1; the value comes back."""
+    text = ".".join(f"{symbol}{power}" for symbol, power in parts)
+    unit, si = parse(text), parse(in_si(text))
+    assert si.exponents == unit.exponents
+    assert si.factor == 1.0
+    # two roundings
+    assert unit.factor * value / unit.factor == pytest.approx(value, rel=1e-15)
+
+
+def test_temperature_with_a_zero_of_its_own_is_no_factor():
+    """20 degC times a heat capacity means nothing, so it is refused."""
+    with pytest.raises(ModelError, match='symbol "degC" is unknown'):
+        parse("J/degC")

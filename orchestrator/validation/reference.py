@@ -24,8 +24,16 @@ from orchestrator.validation.units import linear, parse
 KINDS = ("simulation", "measurement", "published")
 _NUMBER = (int, float)
 
-# The tables and keys of the TOML file, with the types of their values.
-_TABLES = {"reference": dict, "file": dict, "time": dict, "tolerances": dict, "signals": dict}
+# The tables and keys of the TOML file, with the types of their values. [experiment] and the instrument of a
+# signal belong to a recording for identification (docs/recordings.md); a comparison does not use them.
+_TABLES = {
+    "reference": dict,
+    "file": dict,
+    "time": dict,
+    "tolerances": dict,
+    "signals": dict,
+    "experiment": dict,
+}
 _ABOUT = {
     "title": str,
     "kind": str,
@@ -49,6 +57,11 @@ _SIGNAL = {
     "offset": _NUMBER,
     "range": _NUMBER,
     "tolerance": (dict, str),
+    "sensor": str,
+    "noise": _NUMBER,
+    "resolution": _NUMBER,
+    "span": list,
+    "dead_zone": _NUMBER,
 }
 # A computed trace must be reproducible, so its file must tell all of this.
 _NEEDED = {

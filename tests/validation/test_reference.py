@@ -48,6 +48,22 @@ def test_a_users_own_recording(tmp_path: Path) -> None:
     assert found.signals["m.angle"].tolerance is None
 
 
+def test_a_recording_for_identification_is_read(edited: Edit) -> None:
+    """The experiment and an instrument are allowed and change nothing; a misspelt key is refused."""
+    instrument = 'sensor = "encoder"\nnoise = 0.1\nresolution = 0.01\nspan = [0.0, 360.0]\ndead_zone = 0.0\n'
+    before = read_reference(edited('label = "Shaft', 'label = "Shaft'))
+    edited(
+        "[tolerances]",
+        '[experiment]\nprocedure = "valve"\nlength = { value = 4.0, unit = "m" }\n[tolerances]',
+    )
+    found = read_reference(edited('label = "Shaft', f'{instrument}label = "Shaft'))
+    assert found.about == before.about
+    for name, signal in found.signals.items():
+        np.testing.assert_array_equal(signal.values, before.signals[name].values)
+    with pytest.raises(Problem, match="unknown key 'deadzone'"):
+        read_reference(edited("dead_zone", "deadzone"))
+
+
 def test_a_signals_own_limit_beats_its_groups(edited: Edit) -> None:
     """A limit in the signal's table wins, and "none" takes the judgement away."""
     path = edited('label = "Shaft <angle>"', 'tolerance = { metric = "fit", limit = 90 }')
