@@ -79,7 +79,8 @@ def plain_ticks(axis: Axis) -> None:
 
 def pretty(unit: str) -> str:
     """A unit as print has it: a dot in the middle, powers raised."""
-    return re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.)", lambda m: raised(m[1]), unit).replace(".", "·")
+    powers = re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.\d)", lambda m: raised(m[1]), unit)
+    return re.sub(r"\.(?!\d)", "·", powers)
 
 
 def raised(digits: str) -> str:

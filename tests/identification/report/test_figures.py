@@ -1,0 +1,208 @@
+"""Figures of findings and traces."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from identification.report.samples import finding, panel, residual
+from matplotlib.image import imread
+
+from fmus.identification.finding import Curve, Panel
+from fmus.identification.report import captions, figures, matrix, style, traces
+from fmus.identification.report.traces import Line, Row
+
+TIME = np.arange(0.0, 5.0, 0.005)
+
+
+def drawn(*panels, **more):
+    """The axes of a figure with these panels, residuals among them."""
+    return figures.draw(finding(panels=panels, **more), ["simulation"])
+
+
+def test_a_residual_lies_below_its_panel_over_the_same_axis():
+    """Panels over the same quantity share their x axis, only the last one tells it."""
+    top, below = drawn(panel(), residual()).axes
+    top.set_xlim(1, 2)
+    assert below.get_xlim() == (1, 2)
+    assert (top.get_xlabel(), below.get_xlabel()) == ("", "flow [L/min]")
+    assert top.get_position().y0 > below.get_position().y1
+
+
+def test_values_are_shown_in_the_units_of_the_panel():
+    """SI inside, L/min and bar on the axes."""
+    axes = drawn(panel()).axes[0]
+    fit = next(line for line in axes.lines if line.get_label() == "eq. (1)")
+    # exact identity: rounding only
+    np.testing.assert_allclose(fit.get_xdata(), np.linspace(12, 120, 30))
+    np.testing.assert_allclose(fit.get_ydata()[-1], 4.0)
+    assert axes.get_ylabel() == "pressure drop [bar]"
+
+
+def test_kinds_of_curves_differ_without_colour():
+    """Measured, masked, fitted, compared and corrected values differ in mark, line or filling."""
+    axes = drawn(panel()).axes[0]
+    labels = ("measured", "masked: dead zone", "eq. (1)", "eq. (10)", "corrected")
+    handles, names = axes.get_legend_handles_labels()
+    seen = set()
+    for label in labels:
+        handle = handles[names.index(label)]
+        line = handle[0] if isinstance(handle, tuple) else handle
+        hollow = line.get_markerfacecolor() == "none"
+        # the pattern of a line is its linestyle with its dashes
+        seen.add((line.get_marker(), line.get_linestyle(), str(line._dash_pattern), hollow))
+    assert len(seen) == len(labels)
+
+
+def test_measured_and_fitted_lines_differ_without_colour():
+    """Two lines: the measurement broad and solid, the fit thin and dotted."""
+    curves = (Curve("m", TIME, np.sin(TIME), line=True), Curve("f", TIME, np.cos(TIME), "fit", line=True))
+    measured, fit = drawn(Panel("time", "x", curves)).axes[0].lines
+    assert measured.get_linewidth() > 1.5 * fit.get_linewidth()
+    assert (measured.get_linestyle(), fit.get_linestyle()) == ("-", "--")
+
+
+def test_other_quantities_stand_beside_each_other():
+    """A panel over another quantity gets a column of its own."""
+    other = replace(panel(), x_label="time")
+    left, _, right = drawn(panel(), residual(), other).axes
+    assert right.get_position().x0 > left.get_position().x1
+
+
+def test_many_panels_over_one_quantity_stand_in_two_columns():
+    """Three panels and a residual: two columns, one x axis."""
+    axes = drawn(panel(), panel(), panel(), residual()).axes
+    assert len({round(a.get_position().x0, 2) for a in axes}) == 2
+    axes[0].set_xlim(3, 4)
+    assert {a.get_xlim() for a in axes} == {(3, 4)}
+
+
+def test_a_residual_is_symmetrical_about_zero():
+    """Zero lies in the middle."""
+    low, high = drawn(panel(), residual()).axes[1].get_ylim()
+    # exact identity: rounding only
+    assert low == pytest.approx(-high)
+
+
+def test_a_large_cloud_keeps_the_page_small():
+    """Fifty thousand points are a picture inside the SVG."""
+    many = np.random.default_rng(0).standard_normal((2, 50_000))
+    cloud = Panel("x", "y", (Curve("measured", *many),))
+    assert len(style.svg(drawn(cloud))) < style.SVG_LIMIT
+
+
+def test_figures_are_reproducible_and_crisp():
+    """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
+    one, other = (style.svg(figures.draw(finding())) for _ in range(2))
+    assert one == other
+    assert imread(io.BytesIO(style.png(figures.draw(finding())))).shape[1] > 1000
+
+
+def test_nothing_is_cut_off():
+    """All labels lie inside the figure."""
+    figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
+    style.png(figure)
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    for axes in figure.axes:
+        box = axes.get_tightbbox(renderer).transformed(figure.transFigure.inverted())
+        assert box.x0 > -1e-3
+        assert box.x1 < 1 + 1e-3
+        assert box.y0 > -1e-3
+        assert box.y1 < 1 + 1e-3
+
+
+def test_a_picture_of_simulated_data_says_so():
+    """Inside the picture and in its caption, with the paper's figure."""
+    assert "not FERIC data" in style.svg(drawn(panel()))
+    told = captions.caption(finding(), ["simulation", "simulation"])
+    assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
+    assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
+    assert "Fig. 6 of the paper" in told
+
+
+def test_a_picture_of_measured_data_says_so():
+    """Measured data are not called simulated."""
+    told = captions.caption(finding(figure=0), ["measurement"])
+    assert "imulated" not in told
+    assert "Fig." not in told
+    assert "Measured data." in told
+
+
+@given(arrays(float, st.integers(1, 5000), elements=st.floats(-1e6, 1e6) | st.just(np.nan)))
+def test_no_peak_is_lost(values):
+    """Thinning keeps the largest and the smallest sample, the ends, and the order."""
+    time = np.arange(values.size, dtype=float)
+    x, y = style.decimate(time, values, 100)
+    assert len(x) <= 202
+    assert (np.diff(x) > 0).all()
+    assert (x[0], x[-1]) == (time[0], time[-1])
+    if np.isfinite(values).any():
+        assert (np.nanmin(y), np.nanmax(y)) == (np.nanmin(values), np.nanmax(values))
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("Pa.s2/m6", "Pa·s²/m⁶"), ("m3/(s.Pa^0.5)", "m³/(s·Pa^0.5)"), ("L/min", "L/min"), ("s-1", "s⁻¹")],
+)
+def test_units_are_printed(unit, shown):
+    """Powers are raised; a power that is not a whole number stays."""
+    assert style.pretty(unit) == shown
+
+
+def line(**more):
+    """A pressure with its prediction, 1 % of its range off."""
+    measured = 1e7 + 1e6 * np.sin(TIME)
+    given_ = {
+        "signal": "p",
+        "unit": "Pa",
+        "measured": measured,
+        "predicted": measured + 2e4 * np.cos(9 * TIME),
+    }
+    return Line(**{**given_, **more})
+
+
+def test_traces_have_their_residual_below():
+    """A predicted signal has a strip with predicted - measured in its unit; a command has none."""
+    panels = [Row("command", (line(predicted=None, unit="V"),)), Row("pressure", (line(),))]
+    figure = traces.draw("Swing", TIME, panels, number=10, kinds=["simulation"])
+    command, pressure, strip = figure.axes
+    assert command.get_ylabel() == "command\n[V]"
+    assert pressure.get_ylabel() == "pressure\n[bar]"
+    error = strip.lines[-1].get_ydata()
+    # exact identity of the extremes: 2e4 Pa are 0.2 bar; thinning keeps them
+    assert np.max(np.abs(error)) == pytest.approx(0.2, rel=1e-3)
+    measured, predicted = pressure.lines
+    assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
+    assert "cf. Fig. 10" in style.svg(figure)
+
+
+def test_the_error_is_over_the_range():
+    """NRMSE is the root mean square residual over the range of what was measured, gaps left out."""
+    measured = np.array([0.0, 1.0, 2.0, np.nan, 4.0])
+    # exact identity: every residual is 0.4, the range is 4
+    assert line(measured=measured, predicted=measured + 0.4).nrmse == pytest.approx(0.1)
+    assert line(measured=np.ones(5), predicted=np.zeros(5)).nrmse is None
+    assert line(predicted=None).nrmse is None
+
+
+def test_rows_show_what_was_measured():
+    """A joint without a flow meter has no row for flow."""
+    names = [n for signals in traces.SIGNALS["stick"].values() for n in signals]
+    measured = {n: TIME for n in names if "flow" not in n}
+    found = traces.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
+    assert [row.label for row in found] == ["command", "angle", "speed", "pressure"]
+
+
+def test_correlations_stand_below_the_diagonal():
+    """Each pair is told once, with its number if it is large."""
+    names = ["a", "b", "c"]
+    figure = matrix.draw(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
+    axes = figure.axes[0]
+    assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["b", "c"]

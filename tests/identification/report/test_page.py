@@ -1,0 +1,147 @@
+"""The page and its numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from identification.report.samples import AREA, finding, page
+from lxml import html
+
+from fmus.identification.finding import Estimate
+from fmus.identification.report import words
+from fmus.identification.report.content import Picture
+from fmus.identification.report.figures import draw
+from fmus.identification.report.page import render, write_page
+
+
+@pytest.fixture(scope="module")
+def text():
+    """A page with everything on it."""
+    return render(page(pictures=(Picture("Swing", draw(finding()), "A caption."),)))
+
+
+def test_the_page_needs_no_network(text):
+    """No style, script, font or picture from elsewhere."""
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*\"", text)
+    assert "http" not in re.sub(r"https?://www\.w3\.org/\S*", "", text)
+    assert "<script" not in text
+
+
+def test_the_page_tells_everything(text):
+    """Sections, parameters, remarks, refinement, residual, quality, commands."""
+    tree = html.fromstring(text)
+    sections = {s.get("id") for s in tree.iter("section")}
+    expected = {"parameters", "hose_resistance", "refinement", "residual", "trace-1", "data", "next"}
+    assert sections == expected
+    shown = tree.text_content()
+    for told in (
+        "Simulated data (virtual test rig), not FERIC data",
+        "40.10",  # valve area in mm2, interval 39.90 to 40.30
+        "39.90 to 40.30",
+        "+0.25 %",
+        "1 of 30 steps is masked.",
+        "head_mass: the data leave it open by 80 %.",
+        "not converged",
+        "123",
+        "0.61 %",
+        "swinging head",
+        "quiet_one",
+        "1 sample clipped.",
+        "harvester build --parameters parameters.toml",
+    ):
+        assert told in shown, told
+
+
+def test_links_of_the_page_lead_somewhere(text):
+    """Every entry of the contents has its section, every id is there once."""
+    tree = html.fromstring(text)
+    ids = [e.get("id") for e in tree.iter() if e.get("id")]
+    assert len(ids) == len(set(ids))
+    for a in tree.iter("a"):
+        assert a.get("href")[1:] in ids
+
+
+def test_texts_are_escaped(text):
+    """A remark is text, not markup."""
+    assert "A &lt;b&gt;remark&lt;/b&gt; &amp; more." in text
+    assert "Area of &lt;all&gt; edges" in text
+
+
+def test_figures_follow_the_theme(text):
+    """Colours of the figures are variables of the page, so that a dark page has light lines."""
+    assert "var(--fig-ink, #1c2024)" in text
+    assert re.search(r"color: #1c2024|stroke: #1c2024", text) is None
+
+
+def test_a_page_without_refinement():
+    """Only procedures: what was not done is not shown."""
+    found = render(page(refinement=None, explanation=None, qualities=(), commands={}))
+    sections = {s.get("id") for s in html.fromstring(found).iter("section")}
+    assert sections == {"parameters", "hose_resistance"}
+
+
+def test_numbers_are_written_in_si(tmp_path):
+    """The JSON holds what the page shows, in SI units, and nothing that JSON does not know."""
+    shown = page(explanation=None, findings=(finding(estimates=(), others=(AREA,)),))
+    written, data = write_page(tmp_path / "new", shown)
+    assert (written.name, data.name) == ("identification.html", "identification.json")
+    found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    estimate = found["parameters"][0]["estimate"]
+    assert (estimate["value"], estimate["unit"], estimate["low"]) == (4.01e-5, "m2", 3.99e-5)
+    assert found["refinement"]["correlation"][0][1] == 0.9
+    assert found["findings"][0]["others"][0]["name"] == "valve_area"
+    assert "panels" not in found["findings"][0]
+    assert found["explanation"] is None
+
+
+def test_what_is_not_finite_is_null(tmp_path):
+    """An open interval is null, not Infinity, which is no JSON."""
+    endless = Estimate("a", 1.0, "1", np.inf, -np.inf, np.inf, "")
+    _, data = write_page(tmp_path, page(findings=(finding(estimates=(endless,)),)))
+    found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert found["findings"][0]["estimates"][0]["high"] is None
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [
+        (0.0, 3, "0"),
+        (12.345, 3, "12.3"),
+        (9.996, 3, "10.0"),
+        (-1234.5, 2, "\N{MINUS SIGN}1200"),
+        (1.5e-7, 2, "1.5·10⁻⁷"),
+        (3.127e11, 3, "3.13·10¹¹"),
+        (None, 3, "\N{EN DASH}"),
+        (float("nan"), 3, "\N{EN DASH}"),
+    ],
+)
+def test_numbers_have_few_digits(value, digits, shown):
+    """Significant digits, no exponent of a program."""
+    assert words.number(value, digits) == shown
+
+
+@given(st.floats(1e-12, 1e12), st.floats(1e-6, 0.3))
+def test_a_value_has_the_digits_of_its_interval(value, share):
+    """Value and interval are rounded by less than a tenth of the interval."""
+    half = value * share
+    estimate = Estimate("a", value, "1", half / 2, value - half, value + half, "")
+    told = words.value(estimate).replace("·10", "e")
+    told = told.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
+    # the last of two digits of the half width, and at most seven digits at all
+    assert abs(float(told) - value) <= max(0.1 * half, 1e-6 * value)
+
+
+def test_units_of_parameters_are_shown_as_readers_know_them():
+    """Values in SI become those of the display unit, with the unit in print."""
+    assert words.value(AREA) == "40.10"
+    assert words.unit("m2") == "mm²"
+    assert words.unit("1") == ""
+    assert words.spread(AREA) == "± 0.50 %"
+    assert words.change(1.1, 1.0) == "+10 %"
+    assert words.change(1.1, None) == words.NONE
+    assert words.chance(1e-9) == "< 0.001"
