@@ -25,20 +25,15 @@ SAME = 8.0  # standard deviations of the flow between samples of one step: noise
 class HoseFit:
     """Fits of eq. (1), of eq. (10) and of the laminar and turbulent drop together.
 
+    mixed            only if neither law explains the data and this one does better
     reference_flow   [m3/s] rms of the flows with the weights that they have in C_R of eq. (1)
     """
 
     square: Regression
     power: Regression
-    mixed: Regression
+    mixed: Regression | None
     transition_flow: float
     reference_flow: float
-
-    @property
-    def mixed_is_best(self) -> bool:
-        """True if a laminar part explains what neither law does."""
-        other = min(self.square.aic, self.power.aic)
-        return self.square.misfit and self.power.misfit and self.mixed.aic < other
 
 
 def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
@@ -47,8 +42,8 @@ def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
 
 
 def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """Q sqrt(R^2 + (C_R Q)^2): laminar below Q = R/C_R, as `fmus.components.line`."""
-    return flow * np.hypot(v["laminar"], v["resistance"] * flow)
+    """Q sqrt(R^2 + (C_R Q)^2): laminar below Q = R/C_R, as `fmus.components.line`; R^2 may come out negative."""
+    return flow * np.sqrt(np.maximum(v["laminar_square"] + (v["resistance"] * flow) ** 2, 0.0))
 
 
 def square_drop(flow: Array, v: Mapping[str, float], transition_flow: float) -> Array:
@@ -82,18 +77,22 @@ def fit_laws(given: StepMeans, transition_flow: float) -> HoseFit:
         return square_drop(flow, v, transition_flow)
 
     found = _fit(given, square, {"resistance": Guess(start)})
+    power = _fit(given, power_drop, {"factor": Guess(start * largest**0.25)})
     weights = given.flow**4 / _variance(given, square, found.as_dict())
     return HoseFit(
         square=found,
-        power=_fit(given, power_drop, {"factor": Guess(start * largest**0.25)}),
-        mixed=_fit(
-            given,
-            mixed_drop,
-            {"resistance": Guess(start), "laminar": Guess(start * largest / 10, low=0.0)},
-        ),
+        power=power,
+        mixed=_mixed(given, start, largest) if found.misfit and power.misfit else None,
         transition_flow=transition_flow,
         reference_flow=float(np.sqrt(weights @ given.flow**2 / weights.sum())),
     )
+
+
+def _mixed(given: StepMeans, resistance: float, flow: float) -> Regression | None:
+    """The fit with a laminar part, if there is one."""
+    start = {"resistance": Guess(resistance), "laminar_square": Guess((resistance * flow / 10) ** 2)}
+    found = _fit(given, mixed_drop, start)
+    return found if found["laminar_square"] > 2 * found.sd("laminar_square") else None
 
 
 def _variance(given: StepMeans, law: Drop, v: Mapping[str, float]) -> Array:

@@ -19,14 +19,15 @@ def panels(every: StepMeans, laws: HoseFit) -> tuple[Panel, ...]:
     good = every.measured
     dead = every.where(every.dead)
     fine = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
-    square, power, mixed = _laws(laws, fine)
+    square, power = _laws(laws, fine)
     drop: tuple[Curve, ...] = (
         Curve("measured", good.flow, good.drop, error=good.drop_error),
         Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
         Curve("C_R Q|Q|, eq. (1)", fine, square, "fit", line=True),
         Curve("k Q^1.75, eq. (10)", fine, power, "compared", line=True),
     )
-    if laws.mixed_is_best:
+    if laws.mixed is not None:
+        mixed = mixed_drop(fine, laws.mixed.as_dict())
         drop += (Curve("with laminar part", fine, mixed, "compared", line=True),)
     return (
         Panel(FLOW, "pressure drop", drop, "Drop along the hose", LITRES, BAR),
@@ -35,21 +36,21 @@ def panels(every: StepMeans, laws: HoseFit) -> tuple[Panel, ...]:
     )
 
 
-def _laws(laws: HoseFit, flow: Array) -> tuple[Array, Array, Array]:
+def _laws(laws: HoseFit, flow: Array) -> tuple[Array, Array]:
     return (
         square_drop(flow, laws.square.as_dict(), laws.transition_flow),
         power_drop(flow, laws.power.as_dict()),
-        mixed_drop(flow, laws.mixed.as_dict()),
     )
 
 
 def _residual(good: StepMeans, laws: HoseFit) -> Panel:
-    square, power, mixed = _laws(laws, good.flow)
+    square, power = _laws(laws, good.flow)
     curves: tuple[Curve, ...] = (
         Curve("eq. (1)", good.flow, good.drop - square, "fit", error=good.drop_error),
         Curve("eq. (10)", good.flow, good.drop - power, "compared"),
     )
-    if laws.mixed_is_best:
+    if laws.mixed is not None:
+        mixed = mixed_drop(good.flow, laws.mixed.as_dict())
         curves += (Curve("with laminar part", good.flow, good.drop - mixed, "compared"),)
     return Panel(FLOW, "drop, measured - fitted", curves, "Residual", LITRES, BAR)
 

@@ -12,6 +12,7 @@ Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -75,12 +76,16 @@ def _others(laws: HoseFit) -> list[Estimate]:
     for litres in FLOWS:
         at = partial(_at_flow, litres * LITRES)
         found.append(laws.power.derived(f"C_R({litres:g} L/min)", UNIT, "k Q^-0.25, eq. (10)", at))
-    if laws.mixed_is_best:
+    if laws.mixed is not None:
         found += [
             laws.mixed.estimate("C_R beside laminar part", UNIT, "Q sqrt(R^2 + (C_R Q)^2)", "resistance"),
-            laws.mixed.estimate("R, laminar part", "Pa.s/m3", "Q sqrt(R^2 + (C_R Q)^2)", "laminar"),
+            laws.mixed.derived("R, laminar part", "Pa.s/m3", "Q sqrt(R^2 + (C_R Q)^2)", _laminar),
         ]
     return found
+
+
+def _laminar(values: Mapping[str, float]) -> float:
+    return math.sqrt(values["laminar_square"])
 
 
 def _at_flow(flow: float, values: Mapping[str, float]) -> float:
@@ -103,7 +108,7 @@ def _remarks(every: StepMeans, laws: HoseFit) -> tuple[str, ...]:
             f"{dead} of {every.flow.size} steps are masked: their flow is in the dead zone of the meter, the "
             "flat region at the beginning of Fig. 6.",
         )
-    if laws.mixed_is_best:
+    if laws.mixed is not None:
         found.append(
             f"The small flows show a laminar part: with Q sqrt(R^2 + (C_R Q)^2) chi-square is "
             f"{laws.mixed.chi_square:.4g}. The lumped hose has no such term, so C_R takes its share of it."

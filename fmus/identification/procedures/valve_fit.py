@@ -61,7 +61,7 @@ def _fit(given: Points, constants: Constants, rounding: float, free: bool, prior
 
     def residual(v: Mapping[str, float]) -> Array:
         law = Law(v["area"], v["dead_band"], v.get("rounding", rounding))
-        modelled, slope = flow(given.command, given.drop, law, constants)
+        modelled, slope = flow(given.command, given.drop, given.whole, law, constants)
         weighted: Array = (given.flow - modelled) / np.hypot(given.flow_error, slope * given.drop_error)
         if prior and not free:
             return np.append(weighted, (v["rounding"] - rounding) / prior)

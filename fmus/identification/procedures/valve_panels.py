@@ -72,7 +72,7 @@ def _compared(good: Points, fine: Array, law: Law, constants: Constants) -> Pane
 def _residual(every: Points, law: Law, constants: Constants) -> Panel:
     def of(edge: str) -> Curve:
         one = every.of(edge).measured
-        modelled, slope = flow(one.command, one.drop, law, constants)
+        modelled, slope = flow(one.command, one.drop, one.whole, law, constants)
         error = np.hypot(one.flow_error, slope * one.drop_error)
         return Curve(edge, one.command, one.flow - modelled, error=error)
 

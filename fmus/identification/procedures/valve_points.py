@@ -22,6 +22,7 @@ class Points:
 
     command      magnitude [V]
     drop, flow   means [Pa], [m3/s] with their standard errors; both positive where the edge is open
+    whole        drop from supply to tank [Pa]: the largest one over the edge, when it is nearly closed
     dead         the flow meter reads nothing useful
     good         measured: neither dead nor clipped
     edge         "P-A", ... of each
@@ -32,6 +33,7 @@ class Points:
     drop_error: Array
     flow: Array
     flow_error: Array
+    whole: Array
     dead: Mask
     good: Mask
     edge: NDArray[np.str_]
@@ -83,6 +85,7 @@ def _of_one(recording: Recording) -> Points:
         drop_error=found.drop_error,
         flow=sign * found.flow,
         flow_error=found.flow_error,
+        whole=np.full(len(parts), np.nanmax(np.abs(found.drop))),
         dead=found.dead,
         good=found.good & (sign * found.flow > 0),
         edge=np.full(len(parts), recording.word("edge")),

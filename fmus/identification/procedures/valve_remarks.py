@@ -30,8 +30,8 @@ def _masked(every: Points) -> list[str]:
     found = []
     if dead.command.size:
         found.append(
-            f"{len(dead.command)} of {len(every.command)} steps, up to {dead.command.max():.3g} V, are masked: "
-            "the flow is in the dead zone of the meter. This is the flat region of Fig. 5; there the curve "
+            f"{dead.command.size} of {every.command.size} steps, up to {dead.command.max():.3g} V, are "
+            "masked: the flow is in the dead zone of the meter, the flat region of Fig. 5. There the curve "
             "is the opening law, extended."
         )
     if rest.command.size:
