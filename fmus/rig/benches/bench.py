@@ -52,6 +52,14 @@ def detailed_swing() -> DetailedSwing:
     return DetailedSwing(**values(swing.VARIANTS["detailed"]).p)
 
 
+def start_flow(leakage: Scalar) -> Scalar:
+    """Flow [m3/s] out of a shut port that stands at `RETURN`: what leaks from the supply.
+
+    leakage   of an edge [m3/(s.Pa)]; the edge to the tank has the return line on both sides
+    """
+    return leakage * (SUPPLY - RETURN)
+
+
 def throttle(drop: Scalar, resistance: float, transition_flow: Scalar) -> Scalar:
     """Flow [m3/s] through a throttle C_R [Pa.s2/m6] from the pressure drop, eq. (1)."""
     y = drop / resistance

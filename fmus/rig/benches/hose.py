@@ -13,7 +13,7 @@ from __future__ import annotations
 from fmus.boom_stick import detailed as boom_stick_detailed
 from fmus.components import chamber, hose, line
 from fmus.components.spool_valve import turbulent_drop
-from fmus.rig.benches.bench import RETURN, Array, Named, detailed, lumped, run, throttle
+from fmus.rig.benches.bench import RETURN, Array, Named, detailed, lumped, run, start_flow, throttle
 from fmus.rig.benches.spool import bench_valve
 
 
@@ -61,5 +61,6 @@ def _detailed(resistance: float, time: Array, command: Array) -> dict[str, Array
         seen = {"pressure_in": inlet, "pressure_out": outlet}
         return rates, seen | {"flow_in": state.flows[0], "flow_out": state.flows[-1]}
 
-    still = {name: (0.0, 1e-3) for name in names.flows} | {name: (RETURN, 1e7) for name in names.pressures}
+    still = dict.fromkeys(names.flows, (start_flow(p.valve_leakage), 1e-3))
+    still |= dict.fromkeys(names.pressures, (RETURN, 1e7))
     return run(still | spool.states, equations, time, {"command": command})

@@ -11,7 +11,7 @@ openings the edge takes nearly the whole 20 MPa, so its drop is well measured ev
 from __future__ import annotations
 
 from fmus.components import chamber, hose
-from fmus.rig.benches.bench import RETURN, SUPPLY, Array, Named, detailed, lumped, run, throttle
+from fmus.rig.benches.bench import RETURN, SUPPLY, Array, Named, detailed, lumped, run, start_flow, throttle
 from fmus.rig.benches.spool import bench_valve
 
 EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # the sign of the command that opens each
@@ -42,5 +42,6 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         names = ("pressure_in", "pressure_out", "flow")
         return rates | spool.rates(x, u["command"]), dict(zip(names, seen, strict=True))
 
-    states = {"flow": (0.0, 1e-3), "block": (far, 1e7)}
+    leaks = start_flow(p.valve_leakage) * (1 if feeds else -1)
+    states = {"flow": (leaks, 1e-3), "block": (far, 1e7)}
     return run(states | spool.states, equations, time, {"command": command})
