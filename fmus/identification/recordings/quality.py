@@ -18,6 +18,7 @@ from fmus.units import display
 
 LOUD = 2.0  # times what is told, from which noise is more than told
 COARSE, FINE = 1.5, 0.67  # of the told step
+COUNTS = 1e-4  # of the range: finer steps, such as the digits of a file, need not be told
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ class SignalQuality:
     lowest: float
     highest: float
 
+    @property
+    def still(self) -> bool:
+        """Whether it has one value throughout."""
+        return self.lowest == self.highest
+
     def remarks(self) -> Iterator[str]:
         """Whole sentences on what is not as it should be."""
         if self.gaps:
@@ -71,11 +77,9 @@ class SignalQuality:
             )
         if self.stuck:
             yield f"{self.name}: {_words(self.stuck)} stuck at one value, which its noise would not allow."
-        if self.dead:
+        if self.dead and not self.still:
             zone = _shown(self.sensor.dead_zone, self.unit)
             yield f"{self.name}: {_words(self.dead)} in the sensor's dead zone of {zone}, not used."
-        if self.gaps.share < 1 and self.lowest == self.highest:
-            yield f"{self.name}: does not move, it is {_shown(self.lowest, self.unit)} throughout."
         yield from self._instrument()
 
     def _instrument(self) -> Iterator[str]:
@@ -89,7 +93,7 @@ class SignalQuality:
             yield f"{self.name}: steps of {step}, coarser than the resolution told, {wanted}."
         elif told.resolution > 0 and 0 < self.step < FINE * told.resolution:
             yield f"{self.name}: steps of {step}, finer than the resolution told, {wanted}."
-        elif told.resolution == 0 and self.step > max(told.noise, 2 * self.noise):
+        elif told.resolution == 0 and self.noise > 0 and self.step > COUNTS * (self.highest - self.lowest):
             yield f"{self.name}: steps of {step} without a resolution told."
 
 
@@ -103,7 +107,9 @@ class Quality:
 
     def remarks(self) -> list[str]:
         """Whole sentences, one for each thing that is not as it should be; none for a clean recording."""
-        return [*self.clock.remarks(), *(text for signal in self.signals for text in signal.remarks())]
+        found = [*self.clock.remarks(), *(text for signal in self.signals for text in signal.remarks())]
+        still = [f"{s.name} ({_shown(s.lowest, s.unit)})" for s in self.signals if s.still]
+        return [*found, f"One value throughout: {', '.join(still)}."] if still else found
 
     def table(self) -> str:
         """One line for each signal: shares of samples, steps and noise as seen (and as told)."""

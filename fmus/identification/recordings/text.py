@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Collection
 from io import StringIO
@@ -39,18 +40,17 @@ def read_text(
             f"{path}: expected a one-character delimiter and decimal . or ,, found {delimiter!r}, {decimal!r}"
         )
     text = _text(path)
-    cells = _cells(text, path, delimiter, skip_lines)
-    lines = np.arange(skip_lines + 1, skip_lines + 1 + len(cells))
-    header = [f"{i}" for i in range(cells.shape[1])]
+    frame = _cells(text, path, delimiter, skip_lines)
+    header = [f"{i}" for i in frame]
     if named:
-        header = [str(name).strip() for name in cells[0]] if len(cells) else []
-        cells, lines = cells[1:], lines[1:]
-    written = (cells != "").any(axis=1)
-    cells, lines = cells[written], lines[written]
+        header, frame = [str(name).strip() for name in frame.iloc[0]], frame.iloc[1:]
+    empty = frame[0] == ""
+    frame = frame[~empty | (frame != "").any(axis=1)]
     places = {name: place(name, header, path) for name in sorted(names)}
-    _whole_rows(text, cells, lines, delimiter, path)
+    lines = frame.index.to_numpy() + skip_lines + 1
+    _whole_rows(text, frame, lines, delimiter, path)
     columns = {
-        name: numbers(cells[:, i], lines, decimal, f"{path}: line {{}}: column {name!r}")
+        name: numbers(frame[i].to_numpy(object), lines, decimal, f"{path}: line {{}}: column {name!r}")
         for name, i in places.items()
     }
     return Table(columns, lines, "line")
@@ -71,10 +71,10 @@ def _text(path: Path) -> str:
         raise ModelError(f"{path}: expected a file of numbers, found {error.strerror}") from None
 
 
-def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> NDArray[Any]:
-    """Cells without the space around them, shape (lines, columns)."""
+def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> pd.DataFrame:
+    """Cells as text, one row for each line, blank ones included."""
     try:
-        frame = pd.read_csv(
+        return pd.read_csv(
             StringIO(text),
             sep=delimiter,
             header=None,
@@ -91,37 +91,40 @@ def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> NDArray[An
             raise ModelError(f"{path}: expected a text file of columns, found {first_line(error)}") from None
         wanted, line, saw = found.groups()
         raise ModelError(f"{path}: line {line}: expected {wanted} cells, found {saw}") from None
-    return np.array([[str(cell).strip() for cell in frame[i]] for i in frame], dtype=object).T
 
 
-def _whole_rows(text: str, cells: NDArray[Any], lines: NDArray[np.int64], delimiter: str, path: Path) -> None:
+def _whole_rows(text: str, frame: pd.DataFrame, lines: NDArray[np.int64], delimiter: str, path: Path) -> None:
     """A row that stops early, such as the last one of a logger that lost power, is an error, not a gap."""
-    if len(cells) < 2:
-        raise ModelError(f"{path}: expected two or more rows of numbers, found {len(cells)}")
+    rows, columns = frame.shape
+    if rows < 2:
+        raise ModelError(f"{path}: expected two or more rows of numbers, found {rows}")
     written = text.split("\n")
-    for line in lines[cells[:, -1] == ""]:
+    for line in lines[(frame[columns - 1] == "").to_numpy()]:
         row = written[line - 1]
         there = len(row.split()) if len(delimiter) > 1 else len(next(csv.reader([row], delimiter=delimiter)))
-        if there < cells.shape[1]:
-            raise ModelError(f"{path}: line {line}: expected {cells.shape[1]} cells, found {there}")
+        if there < columns:
+            raise ModelError(f"{path}: line {line}: expected {columns} cells, found {there}")
 
 
 def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: str) -> Array:
     """Text as numbers, gaps as NaN; `where` has a place for the row."""
-    text = np.where(np.isin(np.char.lower(cells.astype(str)), GAPS), "nan", cells)
-    if decimal == ",":
-        text = np.array([str(cell).replace(",", ".") for cell in text], dtype=object)
+    plain = [cell.replace(",", ".") for cell in cells] if decimal == "," else cells
     try:
-        values: Array = text.astype(np.float64)
+        return finite(np.array(plain, dtype=object).astype(np.float64), rows, where)
     except ValueError:
-        bad = next(k for k, cell in enumerate(text) if not _is_number(cell))
-        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {cells[bad]!r}") from None
-    return finite(values, rows, where)
+        # slower: there are gaps, or something that is no number
+        values = [_number(cell) for cell in plain]
+    if None in values:
+        bad = values.index(None)
+        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {cells[bad].strip()!r}")
+    return finite(np.array(values, dtype=np.float64), rows, where)
 
 
-def _is_number(cell: str) -> bool:
+def _number(cell: str) -> float | None:
+    """A number, NaN for a gap, None for what is neither."""
+    if cell.strip().lower() in GAPS:
+        return math.nan
     try:
-        float(cell)
+        return float(cell)
     except ValueError:
-        return False
-    return True
+        return None
