@@ -15,7 +15,7 @@ from fmus.identification.report import traces
 from fmus.identification.report.attribution import Explanation, explain
 from fmus.identification.report.captions import counterpart, origin, sentences
 from fmus.identification.report.content import Picture
-from fmus.identification.report.effects import EFFECTS, changes, slopes
+from fmus.identification.report.effects import changes, slopes
 from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
 
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
@@ -85,7 +85,7 @@ def attribute(
     given = given or drive(seen.recording)
     return explain(
         seen.residual(),
-        changes(given, numbers, EFFECTS),
+        changes(given, numbers),
         step=float(np.median(np.diff(given.time))),
         noise=seen.noise,
         absorbed=slopes(given, numbers, identified),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from fmus.contract import ModelError
 from fmus.identification.report.prediction import Array, Drive, Signals, predict
 
 # effect -> the variants that have it
@@ -22,22 +23,32 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
 STEP = 1e-3  # relative, of finite differences: errors of the solver are 1e5 times smaller
 
 
-def changes(
-    given: Drive, numbers: Mapping[str, float], names: Iterable[str] = EFFECTS
-) -> dict[str, dict[str, Array]]:
+def shown(given: Drive) -> dict[str, Mapping[str, str]]:
+    """The effects that a prediction can miss: where the supply pressure was measured, its cause is in it."""
+    measured = given.supply_pressure is not None
+    return {name: swap for name, swap in EFFECTS.items() if not (measured and "supply" in swap)}
+
+
+def changes(given: Drive, numbers: Mapping[str, float]) -> dict[str, dict[str, Array]]:
     """What each effect would change in every signal of the machine."""
     usual = predict(given, numbers)
-    return {name: _difference(predict(given, numbers, EFFECTS[name]), usual) for name in names}
+    return {name: _difference(predict(given, numbers, swap), usual) for name, swap in shown(given).items()}
 
 
 def slopes(given: Drive, numbers: Mapping[str, float], names: Iterable[str]) -> dict[str, dict[str, Array]]:
-    """What each parameter would change, by finite differences: one `STEP` of its value."""
+    """What each parameter would change, by finite differences: one `STEP` of its value.
+
+    A name without its part means the numbers of all parts that have it.
+    """
     usual = predict(given, numbers)
-    return {
-        name: _difference(predict(given, {**numbers, name: numbers[name] * (1 + STEP)}), usual)
-        for name in names
-        if numbers[name]
-    }
+    return {name: _difference(predict(given, _moved(numbers, name)), usual) for name in names}
+
+
+def _moved(numbers: Mapping[str, float], name: str) -> dict[str, float]:
+    own = [key for key in numbers if name in (key, key.partition(".")[2])]
+    if not own:
+        raise ModelError(f"{name}: expected its number among those of the machine")
+    return {key: value * (1 + STEP) if key in own else value for key, value in numbers.items()}
 
 
 def _difference(one: Signals, other: Signals) -> dict[str, Array]:

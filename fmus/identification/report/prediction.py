@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
+from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.recording import Recording
 from fmus.machine import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
@@ -18,6 +19,9 @@ Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
 COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
 JOINTS = ("swing", "boom", "stick")
+SUPPLY = "swing.supply_pressure"
+SMOOTH = 0.05  # s: over which its noise is averaged; the pumps are slower
+STEADY = 5e4  # Pa: a supply that is off by this moves flows by 0.1 %
 STRAIGHT = 1e-4  # V: a command that is off by this opens a valve by 0.001 %
 TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it to be this small
 
@@ -26,24 +30,35 @@ TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it
 class Drive:
     """What the machine is driven by: commands [V] (n,) over time (n,) [s], the pose [rad] it starts from.
 
-    supply_pressure   constant, or samples (n,), or None for that of the parameter file
+    supply_pressure   samples (n,) [Pa], or None for the constant one of the parameter file
     """
 
     time: Array
     commands: Mapping[str, Array]
     pose: Mapping[str, float]
-    supply_pressure: float | Array | None = None
+    supply_pressure: Array | None = None
 
 
 def drive(recording: Recording, rest: float = 0.5) -> Drive:
-    """Commands and pose of a recording of the machine, which stands still in its first `rest` seconds."""
+    """What a recording of the machine tells of its drive; it stands still in its first `rest` seconds."""
     still = recording.time <= recording.time[0] + rest
     pose = {j: float(np.nanmean(recording[f"manipulator.{j}_angle"][still])) for j in JOINTS}
     raw = np.column_stack([recording[signal] for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
-    pressure = recording.signals.get("swing.supply_pressure")
-    constant = None if pressure is None else float(np.nanmean(pressure[still]))
-    return Drive(recording.time, commands, pose, constant)
+    return Drive(recording.time, commands, pose, _supply(recording))
+
+
+def _supply(recording: Recording) -> Array | None:
+    """The measured supply pressure, without the noise of its sensor."""
+    if SUPPLY not in recording.signals:
+        return None
+    time, raw = recording.time, recording[SUPPLY]
+    known = np.isfinite(raw)
+    values = np.interp(time, time[known], raw[known])
+    smooth = filter_for(recording, SMOOTH).apply(values)
+    full = np.isfinite(smooth)
+    smooth = np.interp(time, time[full], smooth[full])
+    return straight(time, smooth[:, None], STEADY)[:, 0]
 
 
 def straight(time: Array, samples: Array, tolerance: float = STRAIGHT) -> Array:
@@ -80,7 +95,7 @@ def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, s
     u = np.tile(model.u, (given.time.size, 1))
     driven = {**given.commands}
     if given.supply_pressure is not None and "supply_pressure" in model.inputs:
-        driven["supply_pressure"] = np.broadcast_to(given.supply_pressure, given.time.shape)
+        driven["supply_pressure"] = given.supply_pressure
     for name, samples in driven.items():
         u[:, model.inputs.index(name)] = samples
     try:
