@@ -1,4 +1,4 @@
-"""Columns of a MATLAB file: vectors, fields of structs ("run.pressure"), columns of a matrix ("data(:,2)").
+"""Columns of a MATLAB file: vectors, fields of structs ("run.pressure"), columns of a matrix ("data(:,2)") or its rows.
 
 Versions 4 to 7.2 are read by scipy, version 7.3 is an HDF5 file and read by h5py.
 """
@@ -83,13 +83,16 @@ def _flat(prefix: str, struct: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _columns(name: str, array: NDArray[Any]) -> Iterator[tuple[str, Any]]:
-    """A vector by its name, a matrix by "name(:,1)", "name(:,2)", ..."""
+    """A vector by its name, a matrix by "name(:,1)", "name(:,2)", ...; a wide one by "name(1,:)", ..."""
     array = np.squeeze(array)
     if array.ndim < 2:
         yield name, np.atleast_1d(array)
     elif array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
         for i in range(array.shape[1]):
             yield f"{name}(:,{i + 1})", array[:, i]
+    elif array.ndim == 2 and array.shape[0] <= MOST_COLUMNS:  # one signal per row, as is usual for data sets
+        for i in range(array.shape[0]):
+            yield f"{name}({i + 1},:)", array[i]
 
 
 def _numbers(values: Any, path: Path, name: str) -> NDArray[np.float64]:
