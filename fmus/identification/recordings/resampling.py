@@ -14,7 +14,7 @@ from fmus.identification.recordings.recording import Array, Mask, Recording, Sen
 
 UNEVEN = 0.05  # of a period: how far a stamp may be off a uniform clock; more is jitter that derivatives see
 MISSED = 1.5  # periods from one sample to the next, from which on one is missing
-CUTOFF = 0.8  # of half the new rate: -6 dB of the filter before going down; -30 dB at half the new rate
+CUTOFF = 0.8  # of half the new rate: -6 dB of the filter before going down; -34 dB at half the new rate
 ORDER = 8
 
 
