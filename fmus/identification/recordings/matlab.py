@@ -1,4 +1,4 @@
-"""Columns of a MATLAB file: vectors, fields of structs ("run.pressure"), columns of a matrix ("data(:,2)") or its rows.
+"""Columns of a MATLAB file: vectors, fields of structs ("run.pressure"), of a matrix "data(:,2)".
 
 Versions 4 to 7.2 are read by scipy, version 7.3 is an HDF5 file and read by h5py.
 """
