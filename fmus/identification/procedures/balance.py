@@ -22,6 +22,7 @@ from fmus.identification.procedures.uncertainty import Fit
 
 Array = NDArray[np.float64]
 SETTLED = 2  # rounds: weights by residuals hardly move theta
+LACKS = 2.0  # standard deviation by residuals over that by noise, from which on noise does not explain them
 SINGULAR = 1e12  # condition of the scaled normal equations from which on they are not solved
 
 
@@ -46,9 +47,19 @@ class Solution:
     equations: tuple[Equation, ...]
 
     @property
+    def lacks(self) -> bool:
+        """Can the sensors' noise not explain the residuals? If no noise is told or seen, it cannot."""
+        return bool(np.any(np.diag(self.residual) > LACKS**2 * np.diag(self.noise)))
+
+    @property
+    def covariance(self) -> Array:
+        """By the noise of the sensors; by the residuals if noise cannot explain them."""
+        return self.residual if self.lacks else self.noise
+
+    @property
     def sd(self) -> Array:
-        """Standard deviations: the larger of what the sensors and what the residuals say."""
-        sd: Array = np.sqrt(np.maximum(np.diag(self.noise), np.diag(self.residual)))
+        """Standard deviations."""
+        sd: Array = np.sqrt(np.diag(self.covariance))
         return sd
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from fmus.identification.procedures.joint_damping import JointDamping
 
 SEEN = 4.0  # standard deviations from which on a dry friction is said to be seen
-LACKS = 2.0  # residual over sensor noise from which on the model is said to lack something
 MOST = 3  # parameters named
 
 
@@ -35,11 +34,11 @@ def _doubt(one: JointDamping) -> str:
     noise, residual = (math.sqrt(max(c[0, 0], 0.0)) for c in (one.solution.noise, one.solution.residual))
     text = (
         f"the noise of all sensors gives a standard deviation of {noise:.3g} {one.contact.unit}, the "
-        f"residuals with their autocorrelation {residual:.3g}; the larger one counts."
+        f"residuals with their autocorrelation {residual:.3g}."
     )
-    if residual > LACKS * noise > 0:
-        text += " Noise does not explain the residuals: the model lacks something; the interval covers it."
-    return text
+    if one.solution.lacks:
+        return f"{text} Noise does not explain them: the model lacks something, and the interval covers it."
+    return f"{text} Noise explains them; the interval is that of the noise."
 
 
 def _attenuated(one: JointDamping) -> str:
