@@ -36,13 +36,14 @@ def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
 def test_matlab_variables_by_name(tmp_path):
     """The same data set as a MATLAB file of either kind."""
     old, new = tmp_path / "old.mat", tmp_path / "new.mat"
-    scipy.io.savemat(old, {"u": VALUES[:, :1], "data": VALUES})
+    scipy.io.savemat(old, {"u": VALUES[:, :1], "data": VALUES, "wide": VALUES.T})
     with h5py.File(new, "w") as file:
-        file["u"], file["data"] = VALUES[:, :1].T, VALUES.T
+        file["u"], file["data"], file["wide"] = VALUES[:, :1].T, VALUES.T, VALUES
     for path in (old, new):
-        found = read_series(path, {"command": "u", "pressure": "data(:,2)"})
+        found = read_series(path, {"command": "u", "pressure": "data(:,2)", "row": "wide(2,:)"})
         np.testing.assert_array_equal(found["command"], VALUES[:, 0])
         np.testing.assert_array_equal(found["pressure"], VALUES[:, 1])
+        np.testing.assert_array_equal(found["row"], VALUES[:, 1])
 
 
 @pytest.mark.parametrize(
