@@ -1,0 +1,129 @@
+"""Leakage of the swing motor (section 4(d), eqs. (11), (12), Fig. 8): shaft locked, port pressures stepped.
+
+    drain_flow = (P_1 + P_2)/R_ex              flow_a = (P_1 - P_2)/R_in + P_1/R_ex
+
+with pressures above that of the tank. Both flows are linear in the conductances 1/R, which are found together
+by least squares over the means of the steps, weighted with their errors; those of the pressures count by the
+slope. Quadratic terms and zeros of the meters are tested, not used.
+
+Validity: laminar leakage, steady pressures, pressure sensors at the motor (the line between is told of).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fmus.identification.finding import Estimate, Finding
+from fmus.identification.procedures import leakage_points
+from fmus.identification.procedures.given import training, value
+from fmus.identification.procedures.leakage_panels import panels
+from fmus.identification.procedures.leakage_points import Points, points
+from fmus.identification.procedures.regression import Regression, linear, misfit_remark
+from fmus.identification.recordings.recording import Recording
+from fmus.parameters import Number
+
+Array = NDArray[np.float64]
+SIGNALS: Mapping[str, str] = leakage_points.SIGNALS
+UNIT = "Pa.s/m3"
+SURE = 1e-3  # probability by chance below which a term is said to be seen
+# what else could be in the flows: name -> (what it is, its power of pressure)
+TESTED = {
+    "square_in": "a quadratic part of the internal leakage",
+    "square_ex": "a quadratic part of the external leakage",
+    "zero_a": "a zero of the meter in line A",
+    "zero_drain": "a zero of the drain meter",
+}
+
+
+def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
+    """Internal and external leakage resistance."""
+    own = training(recordings, "motor_leakage")
+    steady = points(own)
+    fit = conductances(steady)
+    return Finding(
+        procedure="motor_leakage",
+        title="Leakage of the swing motor: flow over pressure",
+        figure=8,
+        estimates=tuple(_resistance(fit, which, len(steady.total)) for which in ("internal", "external")),
+        panels=panels(steady, fit["internal"], fit["external"], [r.title for r in own]),
+        remarks=(
+            f"{len(steady.total)} stretches with steady pressures in {len(own)} recordings are used.",
+            *misfit_remark(fit, "The linear law"),
+            *_tested(steady),
+            _line(fit, steady, value(known, "swing.line_resistance")),
+        ),
+        others=tuple(
+            fit.estimate(f"conductance, {which} leakage", "m3/(s.Pa)", "1/R", which)
+            for which in ("internal", "external")
+        ),
+    )
+
+
+def conductances(p: Points, tested: Sequence[str] = ()) -> Regression:
+    """Both equations over all points, flows in line A first; `tested` are names of TESTED."""
+    y = np.concatenate([p.flow_a, p.drain])
+    columns = _columns(p)
+    used = {n: columns[n] for n in ("internal", "external", *tested)}
+    meters = np.concatenate([p.flow_a_error, p.drain_error])
+    fit = linear(y, used, meters)
+    g_in, g_ex = fit["internal"], fit["external"]
+    by_a = np.concatenate([(g_in + g_ex) * p.pressure_a_error, g_ex * p.pressure_a_error])
+    by_b = np.concatenate([g_in * p.pressure_b_error, g_ex * p.pressure_b_error])
+    return linear(y, used, np.sqrt(meters**2 + by_a**2 + by_b**2))
+
+
+def _columns(p: Points) -> dict[str, Array]:
+    zero, one = np.zeros_like(p.total), np.ones_like(p.total)
+    d = p.difference
+    square_a, square_b = p.pressure_a * np.abs(p.pressure_a), p.pressure_b * np.abs(p.pressure_b)
+    return {
+        "internal": np.concatenate([d, zero]),
+        "external": np.concatenate([p.pressure_a, p.total]),
+        "square_in": np.concatenate([d * np.abs(d), zero]),
+        "square_ex": np.concatenate([square_a, square_a + square_b]),
+        "zero_a": np.concatenate([one, zero]),
+        "zero_drain": np.concatenate([zero, one]),
+    }
+
+
+def _resistance(fit: Regression, which: str, count: int) -> Estimate:
+    equation = {"internal": "(11)", "external": "(12)"}[which]
+    note = f"eq. {equation}, line through {count} steady points"
+    return fit.derived(f"{which}_leakage_resistance", UNIT, note, lambda g: 1 / g[which])
+
+
+def _tested(p: Points) -> tuple[str, ...]:
+    """A sentence on each term that can be seen, and one if none can."""
+    fit = conductances(p, list(TESTED))
+    columns, largest = _columns(p), max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
+    texts, seen = [], math.ulp(0.0)
+    for name, words in TESTED.items():
+        flow, sd = (x * float(np.abs(columns[name]).max()) for x in (fit[name], fit.sd(name)))
+        seen = max(seen, 2 * sd / largest)
+        if 2 * stats.norm.sf(abs(flow) / sd) < SURE:
+            texts.append(
+                f"The flows have {words}: {flow * 6e4:.2g} +- {sd * 6e4:.1g} L/min at most, which the "
+                "laminar law of eqs. (11), (12) does not have."
+            )
+    if texts:
+        return tuple(texts)
+    return (
+        f"The leakage is linear: no quadratic part and no zero of a meter is seen; {100 * seen:.2g} % of the "
+        "largest flow would be.",
+    )
+
+
+def _line(fit: Regression, p: Points, resistance: float) -> str:
+    """How much the line between sensor and motor matters."""
+    flow = np.abs(p.flow_a).max()
+    share = resistance * (fit["internal"] + fit["external"])
+    return (
+        f"The pressures are taken as those at the motor. If the sensors are at the far end of its lines, "
+        f"{resistance:.3g} Pa.s/m3, up to {resistance * flow:.2g} Pa lie between, {100 * share:.2g} % of the "
+        "pressure, which is negligible."
+    )
