@@ -14,11 +14,13 @@ from fmus.identification.procedures.step_means import SETTLE, SHORTEST, StepMean
 from fmus.identification.recordings.masks import steady
 from fmus.identification.recordings.noise import noise
 from fmus.identification.recordings.recording import Recording
+from fmus.identification.recordings.resampling import uniform_rate
 
 Array = NDArray[np.float64]
 Drop = Callable[[Array, Mapping[str, float]], Array]
 
-SAME = 8.0  # standard deviations of the flow between samples of one step: noise does not part it
+SAME = 8.0  # standard deviations of the flow from the mean of its step: noise does not part it
+LATE = 0.1  # s, cut off the end of a step: the flow shows the next one later than the pressures do
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
 
 
 def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """Q sqrt(R^2 + (C_R Q)^2): laminar below Q = R/C_R, as `fmus.components.line`; R^2 may come out negative."""
+    """Q sqrt(R^2 + (C_R Q)^2), laminar below Q = R/C_R as in `fmus.components.line`; R^2 may be negative."""
     return flow * np.sqrt(np.maximum(v["laminar_square"] + (v["resistance"] * flow) ** 2, 0.0))
 
 
@@ -60,7 +62,9 @@ def steps(recordings: Sequence[Recording]) -> StepMeans:
 def _of_one(recording: Recording) -> StepMeans:
     sensor = recording.sensor("flow")
     sd = sensor.sd or noise(recording["flow"], sensor)
-    return step_means(recording, steady(recording, "flow", SETTLE, SHORTEST, SAME * sd + sensor.resolution))
+    found = steady(recording, "flow", SETTLE, SHORTEST + LATE, SAME * sd + sensor.resolution)
+    late = round(LATE * uniform_rate(recording))
+    return step_means(recording, [slice(part.start, part.stop - late) for part in found])
 
 
 def fit_laws(given: StepMeans, transition_flow: float) -> HoseFit:

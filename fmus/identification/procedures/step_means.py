@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SETTLE = 0.5  # s, left out at the beginning of each step
-SHORTEST = 0.5  # s that must remain of it
+SHORTEST = 0.3  # s that must remain of it
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,174 @@
+"""Benches by hand: valve edges and a hose whose signals are written down, and instruments like the paper's.
+
+No solver and nothing of the rig: drops are chosen and flows follow, or flows are chosen and pressures follow.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import brentq
+
+from fmus.identification.recordings.recording import Recording, Sensor
+from fmus.parameters import Number
+
+BAR, LITRES = 1e5, 1e-3 / 60  # Pa, m3/s
+RATE = 200.0  # Hz
+PRESSURE = Sensor("transducer 0-400 bar, 12 bit", 0.1 * BAR, 400 * BAR / 4096, 0.0, 400 * BAR)
+FLOW = Sensor("turbine, 12 bit", 0.3 * LITRES, 600 * LITRES / 4096, -300 * LITRES, 300 * LITRES, 10 * LITRES)
+
+AREA, DEAD_BAND, ROUNDING, C_D, DENSITY = 4e-5, 0.6, 0.4, 0.62, 970.0
+LEAKAGE, TRANSITION, SUPPLY, TANK = 1.6e-14, 1e-5, 20.684e6, 0.5e6
+LENGTH, BORE, RESISTANCE, INERTANCE, CAPACITANCE = 4.0, 0.01905, 3.2e10, 1.361e7, 7.126e-13
+HOSE = {"length": LENGTH, "diameter": BORE, "density": DENSITY}
+
+KNOWN = {
+    name: Number(value, unit, "assumed", "of the test")
+    for name, value, unit in (
+        ("boom_stick.valve_discharge_coefficient", C_D, "1"),
+        ("boom_stick.valve_full_command", 10.0, "V"),
+        ("boom_stick.valve_command_rounding", ROUNDING, "V"),
+        ("boom_stick.valve_leakage", LEAKAGE, "m3/(s.Pa)"),
+        ("boom_stick.valve_transition_flow", TRANSITION, "m3/s"),
+        ("boom_stick.density", DENSITY, "kg/m3"),
+        ("boom_stick.bulk_modulus", 1.6e9, "Pa"),
+        ("boom_stick.stick_hose_resistance", RESISTANCE, "Pa.s2/m6"),
+        ("boom_stick.stick_hose_length", LENGTH, "m"),
+        ("boom_stick.stick_hose_bore", BORE, "m"),
+        ("boom_stick.boom_hose_length", 3.0, "m"),
+        ("boom_stick.boom_hose_bore", BORE, "m"),
+        ("swing.line_length", 1.0, "m"),
+        ("swing.line_bore", BORE, "m"),
+    )
+}
+
+
+def measured(sensor, true, random):
+    """Readings of an instrument: noise, steps of the converter, range, dead zone."""
+    noisy = true + random.normal(0.0, 1.0, true.size) * sensor.noise
+    steps = sensor.resolution * np.round(noisy / sensor.resolution)
+    return np.where(np.abs(true) < sensor.dead_zone, 0.0, np.clip(steps, sensor.low, sensor.high))
+
+
+def recording(procedure, conditions, signals, seed, flow=FLOW):
+    """A recording of true signals; a command is known exactly."""
+    random = np.random.default_rng(seed)
+    sensors = {
+        name: PRESSURE if name.startswith("pressure") else flow for name in signals if name != "command"
+    }
+    read = {n: measured(sensors[n], x, random) if n in sensors else x for n, x in signals.items()}
+    time = np.arange(len(next(iter(signals.values())))) / RATE
+    units = {"c": "V", "p": "Pa", "f": "m3/s"}
+    return Recording(
+        source=Path(f"{procedure}.csv"),
+        title=procedure,
+        procedure=procedure,
+        use="train",
+        conditions=conditions,
+        time=time,
+        signals=read,
+        units={name: units[name[0]] for name in signals},
+        sensors=sensors,
+    )
+
+
+def opening(command, dead_band=DEAD_BAND, rounding=ROUNDING):
+    """Share of the full area at a command [V]: zero, a rounded foot, a straight line to one at 10 V."""
+
+    def ramp(z):
+        s = np.clip(z / rounding, 0.0, 1.0)
+        return rounding * (s**3 - s**4 / 2) + np.maximum(z - rounding, 0.0)
+
+    return ramp(command - dead_band) / ramp(10.0 - dead_band)
+
+
+STEPS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
+
+
+def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
+    """One edge, each step held for 1.5 s; what is behind it takes 0.4 MPa per volt, so its drop is known."""
+    volts = np.array(steps)
+    gain = C_D * area * opening(volts) * np.sqrt(2 / DENSITY)
+    whole = SUPPLY - TANK
+    drop = whole - 4e5 * (volts - volts[0])
+    leak = LEAKAGE * drop - LEAKAGE * (whole - drop)  # of the open edge, less that of the closed one
+
+    def surplus(q, i):
+        return (q - leak[i]) * np.hypot(q, TRANSITION) - gain[i] ** 2 * drop[i]
+
+    q = np.array([brentq(surplus, 0.0, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
+    hold = round(1.5 * RATE)
+    q, drop = np.repeat(q, hold), np.repeat(drop, hold)
+    before = np.full_like(q, SUPPLY) if name[0] == "P" else TANK + drop
+    command = np.repeat(volts, hold) * (1 if name in ("P-A", "B-T") else -1)
+    signals = {"command": command, "pressure_in": before, "pressure_out": before - drop, "flow": q}
+    return recording("valve", {"edge": name}, signals, seed, flow)
+
+
+def edges(seed, **changes):
+    """The four edges; `changes` are areas by edge."""
+    names = ("P-A", "B-T", "P-B", "A-T")
+    return [edge(n, [seed, i], area=changes.get(n, AREA)) for i, n in enumerate(names)]
+
+
+FLOWS = tuple(np.linspace(5.0, 280.0, 24))  # L/min
+
+
+def steady_hose(seed, drop, flows=FLOWS):
+    """A hose at stepped flows [L/min], with a pressure drop that is a function of the flow [m3/s]."""
+    q = np.repeat(np.array(flows) * LITRES, round(1.5 * RATE))
+    inlet = 80 * BAR
+    signals = {"pressure_in": np.full_like(q, inlet), "pressure_out": inlet - drop(q), "flow": q}
+    return [recording("hose_resistance", HOSE, signals, seed)]
+
+
+def moving_hose(seed, share=0.0, groups=2, length=10.0):
+    """A hose with a flow and a pressure that are sums of sines; the other signals follow by its equations.
+
+    share   how far towards the outlet the flow of the inertia is, and towards the inlet the pressure of the
+            capacitance: 0 as the machine's model has it
+    """
+    return [_group([seed, i], i, share, length) for i in range(groups)]
+
+
+def _group(seed, number, share, length):
+    time = np.arange(round(length * RATE)) / RATE
+    tones = np.array([0.7, 1.9, 3.1, 4.3]) * (1 + 0.1 * number)  # Hz
+    phase = np.arange(4) * (1 + number)
+
+    def waves(mean, sizes):
+        angle = 2 * np.pi * tones * time[:, None] + phase
+        omega = 2 * np.pi * tones
+        value = mean + np.sin(angle) @ sizes
+        return value, np.cos(angle) @ (sizes * omega)
+
+    # the flow Q of the inertia and the pressure P of the capacitance are chosen, with their derivatives;
+    # Q_in, Q_out, P_in, P_out are the sums and differences of these and of what is stored between the ends
+    q, dq = waves(120 * LITRES, np.array([30.0, 20.0, 12.0, 10.0]) * LITRES)
+    p, dp = waves(120 * BAR, np.array([15.0, 15.0, 10.0, 10.0]) * BAR)
+    drop = INERTANCE * dq + RESISTANCE * q * np.hypot(q, TRANSITION)
+    stored = CAPACITANCE * dp
+    signals = {
+        "pressure_in": p + (1 - share) * drop,
+        "pressure_out": p - share * drop,
+        "flow_in": q + share * stored,
+        "flow_out": q - (1 - share) * stored,
+    }
+    return recording("hose_dynamics", HOSE, signals, seed)
+
+
+def held(truth, estimates):
+    """How many of some estimates' intervals hold the truth."""
+    return sum(e.low <= truth <= e.high for e in estimates)
+
+
+def expected(count, wrong=1e-3):
+    """Fewest and most of `count` 95 % intervals that hold the truth, with `wrong` left out on each side."""
+    return int(stats.binom.ppf(wrong, count, 0.95)), int(stats.binom.isf(wrong, count, 0.95))
+
+
+def squares(count, wrong=1e-3):
+    """Least and largest mean square of `count` standard normal numbers, likewise."""
+    return stats.chi2.ppf(wrong, count) / count, stats.chi2.isf(wrong, count) / count
