@@ -1,0 +1,59 @@
+"""Fits valve, chamber and bending arm to a file of valve command and pressure without units; see README.md.
+
+python examples/grey_box/run.py                            # crane.txt, which lies beside it
+python examples/grey_box/run.py actuator.mat "X(1,:)" y    # command and pressure by their names in the file
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+from fmus.components import chamber, orifice, spool_valve
+from fmus.contract import ModelError
+from fmus.identification.recordings.series import read_series
+from fmus.identification.recordings.signals import blank, good, split
+from fmus.identification.refinement.refine import refine
+from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
+
+HERE = Path(__file__).parent
+START = dict(area_up=0.3, full_up=0.5, area_down=0.3, full_down=0.5, dead_band=0.05, lag=3.0, supply=3.0)
+START |= dict(friction=1.0, stiffness=2.0, inertia=10.0)
+STATES = ["pressure", "spool", "force", "speed"]
+
+
+def rates(x, u, p):
+    """Times in samples, signals in their peaks, volumes in what raises the chamber by one peak."""
+    up = p.area_up * spool_valve.opening(x.spool, 0, p.full_up, 2 * p.dead_band)
+    down = p.area_down * spool_valve.opening(-x.spool, 0, p.full_down, 2 * p.dead_band)
+    flow = orifice.flow(up, p.supply - x.pressure, 2, 1, 0.01)
+    flow -= orifice.flow(down, p.supply + x.pressure, 2, 1, 0.01)
+    joint = (x.pressure - x.force) / p.friction  # speed at which the arm is driven
+    pressure = chamber.pressure_rate(x.pressure, flow - joint, 1)
+    force, speed = p.stiffness * (joint - x.speed), x.force / p.inertia  # the arm bends and swings
+    return dict(pressure=pressure, spool=(u.command - x.spool) / p.lag, force=force, speed=speed)
+
+
+def main(path=HERE / "crane.txt", command=0, pressure=1):
+    data = read_series(path, {"command": command, "pressure": pressure})
+    bad = ~good(data, "pressure")  # gaps, and where the sensor is at its end
+    data, peaks = in_peaks(blank(data, "pressure", bad))
+    model = unitless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
+    found = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
+    for e in found.estimates():
+        print(f"{e.name:10} {e.value:8.4f}, 95 %: {e.low:.4f} to {e.high:.4f}")
+    print(f"{bad.sum()} samples masked; search {found.reason}", *found.unidentified, sep="\n")
+    plt.figure(figsize=(12, 4))
+    plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
+    for half, t in (("fit", found.training[0]), ("held out", found.held_out[0])):
+        share, whole = t.nrmse()[0], abs(t.run.scale[0] * peaks["pressure"])
+        print(f"{half}: RMSE {share * whole:.3f} in the file's numbers, NRMSE {100 * share:.1f} % of range")
+        plt.plot(t.run.time, t.y * peaks["pressure"], label=half)
+    plt.legend()
+    plt.savefig(HERE / f"{data.source.stem}.png", dpi=80)
+
+
+try:
+    main(*sys.argv[1:])
+except ModelError as error:
+    sys.exit(f"error: {error}")
