@@ -38,7 +38,7 @@ def at_work(machine: str, moves: Sequence[Move], stop: float, pose: Pose) -> tup
     model, wires, ends = _joined(machine)
     time, commands = sample(moves, stop)
     inputs = np.tile(model.u, (time.size, 1))
-    inputs[:, [model.inputs.index(name) for name in COMMANDS]] = np.round(commands, 9)
+    inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
     p, angles = model.p.copy(), {joint: getattr(pose, joint) for joint in (*JOINTS, "swing")}
     for joint, angle in angles.items():
         p[model.parameters.index(f"manipulator.{parameter(joint)}")] = angle

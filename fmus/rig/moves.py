@@ -97,5 +97,5 @@ TRAIN_2: tuple[Move, ...] = (  # far and high, then near and low
     Move("boom", 25.6, -2.0, 0.4, 1.1, 0.6),
     Move("stick", 26.2, -2.4, 0.4, 0.8, 0.6),
 )
-TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -1.1, 0.5)))
+TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
 TRAINING_STOP = 30.0  # s each

@@ -13,7 +13,7 @@ from fmus.rig.instruments import Instrument
 from fmus.rig.recording import Condition, Experiment, record
 from fmus.tables import write_csv
 
-DIGITS = 9  # significant; every step of every converter comes back exactly
+DIGITS = 12  # significant; every step of every converter comes back exactly, a command to 1e-11 V
 DATE = "2026-11-20"  # of the last change of rig or model that changes recordings ...
 CHANGE = "first version"  # ... and why
 
