@@ -133,7 +133,7 @@ def _dry(
         columns.append(np.column_stack([-e.slope[0, 0][s.good], *filtered]))
     matrix = np.concatenate(columns)
     scale = np.linalg.norm(matrix, axis=0)
-    lags = {"maxlags": 8 * records[0].filters.loss}
+    lags = {"maxlags": 8 * records[0].filters.loss // records[0].filters.every}
     fit = sm.OLS(np.concatenate(y), matrix / scale).fit(cov_type="HAC", cov_kwds=lags)
     left = solution.values[0] + fit.params[0] / scale[0]
     return float(fit.params[1] / scale[1]), float(fit.bse[1] / scale[1]), float(left)

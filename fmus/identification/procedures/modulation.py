@@ -29,13 +29,15 @@ WINDOW = 0.3  # s, length of the bump
 
 @dataclass(frozen=True)
 class Filters:
-    """Kernels over one clock, each of odd length, in the order of convolution.
+    """Kernels, each of odd length, in the order of convolution.
 
-    smooth, rate   Savitzky-Golay value and derivative
-    bump, slope    phi dt, of sum one, and phi' dt, of first moment one
+    step           between two smoothed samples [s]: of those of the clock, each `every`-th is kept
+    smooth, rate   Savitzky-Golay value and derivative, over the clock
+    bump, slope    phi dt, of sum one, and phi' dt, of first moment one, over the smoothed samples
     """
 
     step: float
+    every: int
     smooth: Array
     rate: Array
     bump: Array
@@ -43,24 +45,37 @@ class Filters:
 
     @property
     def loss(self) -> int:
-        """Samples without a result at each end."""
-        return (self.smooth.size + self.bump.size) // 2 - 1
+        """Samples of the clock without a result at each end."""
+        return self.smooth.size // 2 + self.bump.size // 2 * self.every
 
     def gain(self, outer: Array) -> float:
         """Standard deviation of a speed, filtered by `outer`, over that of one sample of the angle [1/s]."""
-        return float(np.linalg.norm(np.convolve(self.rate, outer)))
+        return float(np.linalg.norm(np.convolve(self.rate, stuffed(outer, self.every))))
+
+    def smoothed(self, rows: Array) -> Array:
+        """Values of signals (k, n), where the kernel lies within them."""
+        return apply(self.smooth, rows)[:, :: self.every]
+
+    def slopes(self, rows: Array) -> Array:
+        """Their derivatives."""
+        return apply(self.rate, rows)[:, :: self.every]
+
+    def unsmoothed(self, values: Array, slopes: Array | None = None) -> Array:
+        """The transpose of both together: gradients by smoothed values to gradients by samples."""
+        back = transposed(self.smooth, stuffed(values, self.every))
+        return back if slopes is None else back + transposed(self.rate, stuffed(slopes, self.every))
 
 
-def filters(rate: float, smoothing: float = SMOOTHING, window: float = WINDOW) -> Filters:
+def filters(rate: float, smoothing: float = SMOOTHING, window: float = WINDOW, every: int = 1) -> Filters:
     """The kernels for `rate` samples per second; lengths [s], or what a slow clock allows."""
     inner = SavitzkyGolay(rate, max(smoothing, (ORDER + 2) / rate), ORDER)
-    step, half = 1 / rate, max(round(window * rate / 2), 2)
+    step, half = every / rate, max(round(window * rate / every / 2), 2)
     s = np.arange(-half, half + 1) / (half + 1)
     bump = (1 - s**2) ** 4  # three continuous derivatives: its sums are as good as integrals
     slope = -8 * s * (1 - s**2) ** 3
     moment = float(np.sum(slope * -np.arange(-half, half + 1))) * step
     smooth, slopes = (inner.weights[order][::-1] for order in (0, 1))
-    return Filters(step, smooth, slopes, bump / bump.sum(), slope / moment)
+    return Filters(step, every, smooth, slopes, bump / bump.sum(), slope / moment)
 
 
 def apply(kernel: Array, rows: Array) -> Array:
@@ -71,6 +86,13 @@ def apply(kernel: Array, rows: Array) -> Array:
 def transposed(kernel: Array, rows: Array) -> Array:
     """The transpose of `apply`."""
     return np.array([np.convolve(row, kernel[::-1], "full") for row in rows])
+
+
+def stuffed(rows: Array, every: int) -> Array:
+    """With zeros between the samples, the transpose of keeping each `every`-th of (n - 1) every + 1."""
+    found = np.zeros((*rows.shape[:-1], (rows.shape[-1] - 1) * every + 1))
+    found[..., ::every] = rows
+    return found
 
 
 def spread(bad: Mask, width: int) -> Mask:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import ModelError
 from fmus.identification.procedures import modulation
-from fmus.identification.procedures.modulation import Filters
+from fmus.identification.procedures.modulation import SMOOTHING, WINDOW, Filters
 from fmus.identification.procedures.motion import ALL_PRESSURES, ANGLES, PARAMETERS, PRESSURES, motion
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.noise import noise
@@ -54,9 +54,16 @@ class Samples:
         return slice(half, self.q.shape[1] - half)
 
 
-def samples(recording: Recording, joints: Sequence[str], p: Array, **lengths: float) -> Samples:
-    """A recording made ready for the balance of these joints; `lengths` [s] are those of `filters`."""
-    kernels = modulation.filters(uniform_rate(recording), **lengths)
+def samples(
+    recording: Recording,
+    joints: Sequence[str],
+    p: Array,
+    smoothing: float = SMOOTHING,
+    window: float = WINDOW,
+    every: int = 1,
+) -> Samples:
+    """A recording made ready for the balance of these joints; the rest as in `modulation.filters`."""
+    kernels = modulation.filters(uniform_rate(recording), smoothing, window, every)
     needed = [n for j in joints for n in PRESSURES[j]]
     if recording.time.size < 2 * kernels.loss + 10:
         raise ModelError(
@@ -65,22 +72,21 @@ def samples(recording: Recording, joints: Sequence[str], p: Array, **lengths: fl
         )
     zero = np.zeros(recording.time.size)
     raw = np.array([modulation.filled(recording[n]) for n in ANGLES])
-    q, w = modulation.apply(kernels.smooth, raw), modulation.apply(kernels.rate, raw)
+    q, w = kernels.smoothed(raw), kernels.slopes(raw)
     measured = [modulation.filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
-    smooth = modulation.apply(kernels.smooth, np.array(measured))
+    smooth = kernels.smoothed(np.array(measured))
     bad = ~good_all(recording, (*ANGLES, *needed))
     ends = _at_ends(q, p)
-    there = modulation.spread(bad, kernels.smooth.size + kernels.bump.size - 1)
-    inside = modulation.spread(ends, kernels.bump.size)
+    touched = ~modulation.spread(bad, kernels.smooth.size)[::every]
     half = kernels.smooth.size // 2
     return Samples(
-        time=recording.time[half : recording.time.size - half],
+        time=recording.time[half : recording.time.size - half : every],
         q=q,
         w=w,
         pressures=smooth,
         tank=tank_pressure(recording),
         filters=kernels,
-        good=there & inside,
+        good=modulation.spread(touched | ends, kernels.bump.size),
         angle_noise=np.array([noise_of(recording, n) for n in ANGLES]),
         pressure_noise=np.array([noise_of(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
         touched=int(ends.sum()),

@@ -64,8 +64,8 @@ def _backward(fit: Fit, s: Samples, influence: Array) -> tuple[Array, Array]:
     by_momentum[fit.rows] = -modulation.transposed(s.filters.slope, influence)
     gradients = motion(fit.theta).pull(*s.known, fit.p, by_force, by_momentum)
     q, w, pressures, parameters = (np.array(g.full()) for g in gradients)
-    angles = modulation.transposed(s.filters.smooth, q) + modulation.transposed(s.filters.rate, w)
-    return np.vstack([angles, modulation.transposed(s.filters.smooth, pressures)]), parameters.sum(axis=1)
+    by_sample = np.vstack([s.filters.unsmoothed(q, w), s.filters.unsmoothed(pressures)])
+    return by_sample, parameters.sum(axis=1)
 
 
 def by_residuals(fit: Fit, records: Sequence[Samples], equations: Sequence[Equation]) -> Array:
@@ -74,7 +74,8 @@ def by_residuals(fit: Fit, records: Sequence[Samples], equations: Sequence[Equat
     total = np.zeros((m, m))
     for s, e in zip(records, equations, strict=True):
         scores = np.einsum("mrt,r,rt->tm", e.slope, fit.weights, e.error)
-        total += S_hac_simple(scores, nlags=min(8 * s.filters.loss, scores.shape[0] - 1))
+        lags = 8 * s.filters.loss // s.filters.every
+        total += S_hac_simple(scores, nlags=min(lags, scores.shape[0] - 1))
     return fit.inverse @ total @ fit.inverse
 
 
