@@ -9,7 +9,7 @@ INSTALLED := .venv/installed
 TESTING := .venv/testing
 PEERS := .venv/peers
 
-.PHONY: demo test test-long lint bench bench-peers clean
+.PHONY: demo test test-long lint bench bench-sensitivities bench-peers clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -30,6 +30,9 @@ lint: $(TESTING)
 bench: $(INSTALLED)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
+
+bench-sensitivities: $(INSTALLED)
+	$(BIN)/python -m benchmarks.sensitivities
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
