@@ -1,0 +1,72 @@
+"""harvester rig: what it writes, and what it refuses in one line."""
+
+from __future__ import annotations
+
+import pytest
+
+from fmus.rig import command
+from fmus.rig.plans import experiment
+from orchestrator.__main__ import main
+
+SHORT = ("motor_leakage_1", "hose_dynamics_1")
+
+
+@pytest.fixture(autouse=True)
+def _few(monkeypatch):
+    """Only some experiments: all of them take seconds."""
+    monkeypatch.setattr(command, "each", lambda machine: (experiment(name, machine) for name in SHORT))
+
+
+def test_writes_recordings_and_a_readme(tmp_path, capsys):
+    """Each experiment in two files, told line by line; the README says that all is simulated."""
+    out = tmp_path / "new" / "rig"
+    assert main(["rig", "--out", str(out), "--machine", "lumped", "--seed", "7"]) == 0
+    files = {f"{name}.{ending}" for name in SHORT for ending in ("csv", "toml")}
+    assert {path.name for path in out.iterdir()} == files | {"README.md"}
+    text = (out / "README.md").read_text(encoding="utf-8")
+    assert "**Simulated.**" in text
+    assert "harvester rig --machine lumped --seed 7" in text
+    told = capsys.readouterr().out
+    assert all(name in told for name in SHORT)
+
+
+def test_writes_over_its_own_files_only(tmp_path, capsys):
+    """A folder of the rig is written again; a folder with anything else is left alone."""
+    assert main(["rig", "--out", str(tmp_path), "--machine", "lumped"]) == 0
+    before = (tmp_path / "motor_leakage_1.csv").read_bytes()
+    assert main(["rig", "--out", str(tmp_path), "--machine", "lumped", "--seed", "1"]) == 0
+    assert (tmp_path / "motor_leakage_1.csv").read_bytes() != before
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "my.csv").write_text("mine")
+    capsys.readouterr()
+    assert main(["rig", "--out", str(other)]) == 2
+    told = capsys.readouterr().err
+    assert "expected an empty folder or one of the rig, found my.csv in it" in told
+    assert [path.name for path in other.iterdir()] == ["my.csv"]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--machine", "fast"], "--machine fast: expected lumped or detailed"),
+        (["--seed=-1"], "--seed -1: expected 0 or more"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(options, told, tmp_path, capsys):
+    """And nothing is written."""
+    out = tmp_path / "rig"
+    assert main(["rig", "--out", str(out), *options]) == 2
+    message = capsys.readouterr().err
+    assert told in message
+    assert message.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_file_is_no_folder(tmp_path, capsys):
+    """A path that cannot be a folder."""
+    (tmp_path / "file").write_text("")
+    assert main(["rig", "--out", str(tmp_path / "file" / "rig")]) == 2
+    message = capsys.readouterr().err
+    assert "expected a folder" in message
+    assert message.count("\n") == 1

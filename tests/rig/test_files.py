@@ -1,0 +1,110 @@
+"""The files of a rig: the same seed gives the same bytes; everybody can read them; no truth in them."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmus.contract import quantities
+from fmus.identification.recordings.reading import read as read_recording
+from fmus.machine import FAMILIES
+from fmus.rig.plans import PLANS, experiment
+from fmus.rig.readme import readme
+from fmus.rig.recording import record
+from fmus.rig.writing import write
+from orchestrator.validation import read_reference
+
+# one of each procedure; those on the machine are the short ones
+NAMES = ("valve_bt", "hose_resistance", "hose_dynamics_4", "motor_leakage_2", "damping_boom_1")
+EACH = pytest.mark.parametrize("name", NAMES)
+
+
+@EACH
+def test_seeds(name, tmp_path):
+    """Equal seeds give equal bytes; another seed changes every reading's noise, and nothing else."""
+    e = experiment(name, "lumped")
+    for folder, seed in (("a", 4), ("b", 4), ("c", 5)):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder, e, seed)
+    a, b, c = ((tmp_path / folder / f"{name}.csv").read_bytes() for folder in "abc")
+    assert a == b
+    assert a != c
+    one, other = record(e, 4), record(e, 5)
+    for signal, instrument in e.instruments.items():
+        differ = np.mean(one[signal] != other[signal])
+        # two readings with the noise of a step or more are equal by chance in less than a third of the cases;
+        # a turbine in its dead zone reads zero whatever the seed
+        turning = np.mean(np.abs(e.signals[signal]) * 60e3 > instrument.dead_zone)
+        assert differ == 0 if instrument.noise == 0 else differ >= 0.6 * turning, signal
+
+
+def test_another_file_or_signal_changes_nothing():
+    """The noise of a signal depends on seed, file and signal alone."""
+    e = experiment("hose_resistance", "lumped")
+    fewer = replace(e, signals={"flow": e.signals["flow"]})
+    assert np.array_equal(record(fewer, 1)["flow"], record(e, 1)["flow"])
+    renamed = replace(e, name="another")
+    assert not np.array_equal(record(renamed, 1)["flow"], record(e, 1)["flow"])
+
+
+@EACH
+def test_the_table_holds_every_step(name, tmp_path):
+    """pandas reads the columns that the TOML tells, and each cell is the reading to the last step."""
+    e = experiment(name, "lumped")
+    csv, toml = write(tmp_path, e, 2)
+    table, told = pd.read_csv(csv), tomllib.loads(toml.read_text(encoding="utf-8"))
+    assert list(table) == ["time", *told["signals"]]
+    assert table["time"].to_numpy() == pytest.approx(e.time, abs=1e-12)  # twelve digits
+    assert np.diff(e.time) == pytest.approx(1 / 200, abs=1e-9)  # rounding
+    for signal, readings in record(e, 2).items():
+        cells, step = table[signal].to_numpy(), told["signals"][signal].get("resolution", 0.0)
+        assert np.abs(cells - readings).max() < 1e-9  # twelve digits of up to 400
+        if step:
+            assert np.array_equal(np.round(cells / step), np.round(readings / step))
+
+
+@EACH
+def test_both_readers_read_it(name, tmp_path):
+    """The orchestrator as a reference, the identification as a recording in SI units with its sensors."""
+    e = experiment(name, "lumped")
+    csv, _ = write(tmp_path, e, 0)
+    reference, recording = read_reference(csv), read_recording(csv)
+    assert reference.about["kind"] == "simulation"
+    assert set(reference.signals) == set(recording.signals) == set(e.signals)
+    assert (recording.procedure, recording.use) == (e.procedure, e.use)
+    for signal, true in e.signals.items():
+        sensor = recording.sensor(signal)
+        error = recording[signal] - true
+        good = np.abs(true) > sensor.dead_zone
+        # six standard deviations of noise and converter; exact but for rounding without an instrument
+        assert np.abs(error[good]).max(initial=0) <= 6 * sensor.sd + 1e-9 * np.abs(true).max()
+
+
+def test_the_files_of_all_experiments_are_told():
+    """Names and kinds of experiment are those of the shared format."""
+    kinds = {"valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine"}
+    assert {name.rsplit("_", 1)[0] for name in PLANS if name[-1].isdigit()} == {
+        *("hose_dynamics", "motor_leakage", "machine_train"),
+        *(f"damping_{joint}" for joint in ("swing", "boom", "stick")),
+    }
+    assert {experiment(name, "lumped").procedure for name in NAMES} == kinds - {"machine"}
+
+
+@pytest.mark.parametrize("machine", ["lumped", "detailed"])
+def test_no_truth_in_the_files(machine, tmp_path):
+    """No parameter's name or value that a procedure is to find stands beside the recordings."""
+    written = readme(machine, 0)
+    for name in NAMES[:4]:
+        _, toml = write(tmp_path, experiment(name, machine), 0)
+        written += toml.read_text(encoding="utf-8")
+    names = {n for family in FAMILIES.values() for sub in family.values() for n in quantities(sub.parameters)}
+    told = {"density", "viscosity"}  # of the oil, known before
+    assert not [n for n in names - told if n in written]
+    assert not [
+        value for value in ("3.2e10", "32000000000", "7.126e-13", "2.0e12", "1.1e12") if value in written
+    ]
+    assert "simulated" in written.lower()

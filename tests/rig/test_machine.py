@@ -1,0 +1,109 @@
+"""The experiments on the whole machine: what moves, and that nothing happens that the lumped model lacks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmus.rig.machine_plans import PLANS
+from fmus.rig.moves import TRAINING
+from fmus.rig.plans import experiment
+from fmus.scenarios import WORK_CYCLE
+
+TRACE = Path(__file__).parents[2] / "data/reference/work_cycle.csv"
+LITRES = 60e3  # L/min in 1 m3/s
+JOINTS = ("swing", "boom", "stick")
+TRAINED = [name for name in PLANS if name != "machine_test"]
+EACH = [
+    *(pytest.param(name, "lumped", id=f"lumped-{name}") for name in PLANS),
+    pytest.param("damping_boom_2", "detailed", id="detailed-damping_boom_2"),
+    *(
+        pytest.param(name, "detailed", id=f"detailed-{name}", marks=pytest.mark.long)
+        for name in PLANS
+        if name != "damping_boom_2"
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "machine"), EACH)
+def test_oil_does_not_tear_and_no_cylinder_hits_its_end(name, machine):
+    """No void, no end stop, no flow beyond the meters, pressures in the transducers' range."""
+    e = experiment(name, machine)
+    voids = [v.max() for n, v in e.unseen.items() if n.endswith("void_volume")]
+    stops = [np.abs(v).max() for n, v in e.unseen.items() if n.endswith("stop_force")]
+    assert len(voids) == 3
+    assert len(stops) == 2
+    assert max(voids) < 1e-7  # m3, from there on the models warn
+    assert max(stops) == 0  # exact: the stops' force is zero inside the stroke
+    for signal, values in e.signals.items():
+        if "flow" in signal:
+            assert np.abs(values).max() * LITRES < 299
+        if "pressure" in signal:
+            assert values.max() < 399e5
+            # recordings to be fitted stay five standard deviations of noise off the end of the range
+            assert values.min() > (0.5e5 if name != "machine_test" else -0.5e5)
+
+
+@pytest.mark.parametrize(("name", "machine"), EACH)
+def test_the_machine_rests_for_a_second(name, machine):
+    """Commands are zero and nothing moves beyond what the pressures need to settle."""
+    e = experiment(name, machine)
+    rest = e.time < 1.0
+    for signal, values in e.signals.items():
+        if "command" in signal:
+            assert not values[rest].any()
+        if "angle" in signal:
+            # settling and leakage: 0.02 degrees, four counts of the encoder
+            assert np.ptp(values[rest]) < np.radians(0.02), signal
+
+
+@pytest.mark.parametrize(("name", "machine"), [p for p in EACH if str(p.values[0]).startswith("damping")])
+def test_only_one_joint_moves(name, machine):
+    """It goes both ways, far and at several speeds; the others stay where they are."""
+    e = experiment(name, machine)
+    moving = e.conditions["joint"]
+    for joint in JOINTS:
+        angle, speed = e.signals[f"manipulator.{joint}_angle"], e.unseen[f"manipulator.{joint}_speed"]
+        if joint == moving:
+            assert np.ptp(angle) > np.radians(10)
+            assert speed.max() > 0.1  # rad/s
+            assert speed.min() < -0.1
+        else:
+            assert np.ptp(angle) < np.radians(1)  # the oil springs under the moving arm
+    assert 15 < e.time[-1] < 25
+
+
+def test_training_covers_what_is_held_out():
+    """60 s of training reach the angles and speeds of the test within a tenth of its range."""
+    test = experiment("machine_test", "lumped")
+    training = [experiment(f"machine_train_{n}", "lumped") for n in (1, 2)]
+    assert sum(e.time[-1] for e in training) == 60
+    assert test.use == "test"
+    assert {e.use for e in training} == {"train"}
+    for joint in ("boom", "stick"):
+        own = test.signals[f"manipulator.{joint}_angle"]
+        reached = np.concatenate([e.signals[f"manipulator.{joint}_angle"] for e in training])
+        assert reached.min() < own.min() + 0.1 * np.ptp(own)
+        assert reached.max() > own.max() - 0.1 * np.ptp(own)
+    for joint in JOINTS:
+        own = np.abs(test.unseen[f"manipulator.{joint}_speed"]).max()
+        assert max(np.abs(e.unseen[f"manipulator.{joint}_speed"]).max() for e in training) > 0.8 * own
+
+
+def test_the_held_out_cycle_is_not_trained():
+    """No stroke of the test stands in the training, at whatever time."""
+    shapes = [{(m.axis, m.command, m.rise, m.hold, m.fall) for m in moves} for moves, _ in TRAINING]
+    own = {(m.axis, m.command, m.rise, m.hold, m.fall) for m in WORK_CYCLE}
+    assert not own & set().union(*shapes)
+
+
+def test_the_lumped_test_is_the_reference_trace():
+    """The rig's true signals are those of data/reference, which an independent program confirms."""
+    e, trace = experiment("machine_test", "lumped"), pd.read_csv(TRACE)
+    for name in trace.columns.intersection(list(e.signals)):
+        wanted = trace[name].to_numpy()
+        # two solutions by CVODES with 1e-10 and 1e-11; nine digits in the file
+        assert np.abs(e.signals[name][::4] - wanted).max() < 1e-6 * np.ptp(wanted), name
