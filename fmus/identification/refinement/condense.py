@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fmus.identification.refinement.factor import Factors, triangular
+
 Array = NDArray[np.float64]
 
 
@@ -25,14 +27,17 @@ Array = NDArray[np.float64]
 class Local:
     """One linearised segment.
 
-    q, r    factors of the weighted Jacobian, shapes (m, k), (k, nx + np)
+    factors    of the weighted Jacobian, shape (m, nx + np)
     x_x, x_p   end state with respect to start state and parameters
     """
 
-    q: Array
-    r: Array
+    factors: Factors
     x_x: Array
     x_p: Array
+
+    def loose(self) -> Local:
+        """The same segment, after which the next one starts from somewhere else."""
+        return Local(self.factors, 0 * self.x_x, 0 * self.x_p)
 
 
 @dataclass(frozen=True)
@@ -58,16 +63,11 @@ class Condensed:
         return [rows @ full for rows in self.recursion]
 
 
-def triangular(rows: Array) -> Array:
-    """The triangular factor: the same least-squares problem in as few rows as possible."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 def recursion(locals_: Sequence[Local], defects: Sequence[Array], free: int) -> tuple[Array, ...]:
     """ds_i as a function of (ds_0, dz, 1), per segment."""
     nx = locals_[0].x_x.shape[0]
-    rows = np.hstack([np.eye(nx), np.zeros((nx, free + 1))])
-    found = [rows]
+    rows: Array = np.hstack([np.eye(nx), np.zeros((nx, free + 1))])
+    found: list[Array] = [rows]
     for local, defect in zip(locals_[:-1], defects, strict=True):
         rows = local.x_x @ rows
         rows[:, nx:-1] += local.x_p
@@ -79,8 +79,8 @@ def recursion(locals_: Sequence[Local], defects: Sequence[Array], free: int) -> 
 def spread(local: Local, rows: Array, projected: Array) -> Array:
     """A segment's rows [start | parameters | residual] of the condensed problem."""
     nx = rows.shape[0]
-    full: Array = local.r[:, :nx] @ rows
-    full[:, nx:-1] += local.r[:, nx:]
+    full: Array = local.factors.r[:, :nx] @ rows
+    full[:, nx:-1] += local.factors.r[:, nx:]
     full[:, -1] += projected
     return full
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ def first_state(run: Run, simulator: Simulator, p: Array, inputs: Array) -> Arra
 def first_states(run: Run, simulator: Simulator, p: Array, inputs: Array, edges: tuple[int, ...]) -> Array:
     """States at the start of each segment, shape (segments, nx)."""
     states = [first_state(run, simulator, p, inputs)]
-    for first, last in itertools.pairwise(edges):
+    for first, last in pairwise(edges[:-1]):
         window = slice(first, last + 1)
         try:
             end = simulator.segment(states[-1], p, run.time[window], inputs[window], False).x.copy()

@@ -14,7 +14,6 @@ Array = NDArray[np.float64]
 
 AT_REST = 1e-3  # nominal values: what a state that stands still may deviate from zero
 UNKNOWN = 1.0  # nominal values: a state that is measured, or that nobody knows
-PROXIMAL = 1.0  # of z: how far a step may go where the data say nothing
 
 
 @dataclass(frozen=True)

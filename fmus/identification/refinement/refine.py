@@ -8,20 +8,22 @@ end [Bock 1987]. A bad guess is then corrected by the data every few seconds ins
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.refinement.guess import first_state, first_states, input_matrix
+from fmus.identification.refinement.guess import first_state, input_matrix
 from fmus.identification.refinement.identifiable import unidentified
 from fmus.identification.refinement.loss import Loss
 from fmus.identification.refinement.model import Failed, Model
+from fmus.identification.refinement.parallel import parallel
 from fmus.identification.refinement.priors import Priors, priors
 from fmus.identification.refinement.problem import Problem, Run
 from fmus.identification.refinement.residuals import Traces, whiteness
 from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.shooting import Point, Shooting, cut, parallel
+from fmus.identification.refinement.shooting import Shooting, cut
 from fmus.identification.refinement.simulator import Simulator
 from fmus.identification.refinement.solver import Options, Progress, Solution, minimise
 from fmus.identification.refinement.statistics import statistics
@@ -29,6 +31,7 @@ from fmus.identification.refinement.statistics import statistics
 Array = NDArray[np.float64]
 
 SEGMENT = 2.0  # s
+HORIZON = 0.5  # s
 _AT_BOUND = 1e-9  # of z
 
 
@@ -37,6 +40,7 @@ def refine(
     simulator: Simulator | None = None,
     *,
     segment: float = SEGMENT,
+    horizon: float = HORIZON,
     threads: int = 2,
     loss: Loss = "linear",
     options: Options | None = None,
@@ -47,11 +51,13 @@ def refine(
 
     simulator   by default the compiled model with exact sensitivities; others are in `differences`
     segment     length of a segment [s], infinite for single shooting
+    horizon     before, the parameters are fitted to predictions over so many seconds from what is measured;
+                not if it is longer than a segment
     start       z to begin with, by default that of the problem
     """
     simulator = simulator or compiled(problem)
     shooting, solution, known = _searched(
-        problem, simulator, segment, threads, loss, options, start, progress
+        problem, simulator, segment, horizon, threads, loss, options, start, progress
     )
     z = solution.evaluated.point.z
     p = problem.values_of(z)
@@ -92,6 +98,7 @@ def _searched(
     problem: Problem,
     simulator: Simulator,
     segment: float,
+    horizon: float,
     threads: int,
     loss: Loss,
     options: Options | None,
@@ -101,21 +108,17 @@ def _searched(
     """Cut, guess a trajectory, search."""
     _check(problem, simulator)
     z = problem.search() if start is None else start
-    p = problem.values_of(z)
     whole = not simulator.states  # what cannot be set cannot be cut
-    inputs = [input_matrix(run, simulator) for run in problem.training]
-    edges = [cut(run.time, np.inf if whole else segment) for run in problem.training]
+    inputs = tuple(input_matrix(run, simulator) for run in problem.training)
+    edges = tuple(cut(run.time, np.inf if whole else segment) for run in problem.training)
+    shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
     try:
-        guess = parallel(
-            lambda k: (
-                first_states(problem.training[k], simulator, p, inputs[k], edges[k]) / simulator.nominal
-            ),
-            range(len(edges)),
-            threads,
-        )
-        known = priors(problem, simulator, [states[0] for states in guess])
-        shooting = Shooting(problem, simulator, tuple(inputs), tuple(edges), threads, loss)
-        solution = minimise(shooting, Point(z, tuple(guess)), known, options or Options(), progress)
+        known = priors(problem, simulator, [states[0] for states in shooting.guessed(z).starts])
+        if horizon < segment and not whole:
+            edges = tuple(cut(run.time, horizon) for run in problem.training)
+            near = replace(shooting, edges=edges, loose=True)
+            z = minimise(near, near.guessed(z), known, Options(), progress).evaluated.point.z
+        solution = minimise(shooting, shooting.guessed(z), known, options or Options(), progress)
     except Failed as failed:
         raise ModelError(
             f"{problem.sub.name}: cannot be simulated with the values to start from: {failed}"

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.refinement import loss as losses
 from fmus.identification.refinement.condense import Local
+from fmus.identification.refinement.factor import factors
+from fmus.identification.refinement.guess import first_states
 from fmus.identification.refinement.loss import Loss
+from fmus.identification.refinement.parallel import parallel
 from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.simulator import Simulator
 
 Array = NDArray[np.float64]
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -28,13 +27,6 @@ class Point:
 
     z: Array
     starts: tuple[Array, ...]
-
-    def moved(self, dz: Array, changes: Sequence[Sequence[Array]], length: float) -> Point:
-        """The point a fraction `length` of a step away."""
-        starts = [
-            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(self.starts, changes, strict=True)
-        ]
-        return Point(self.z + length * dz, tuple(starts))
 
 
 @dataclass(frozen=True)
@@ -57,13 +49,14 @@ class Segment:
     def projected(self, other: Segment) -> Array:
         """Q' r of this segment's linearisation, with the residuals of `other`."""
         assert self.local is not None
-        return self.local.q.T @ (self.factor * other.residual)
+        return self.local.factors.project(self.factor * other.residual)
 
 
 @dataclass(frozen=True)
 class Evaluated:
     """The segments of each run at a point."""
 
+    problem: Problem
     point: Point
     runs: tuple[tuple[Segment, ...], ...]
 
@@ -91,6 +84,7 @@ class Shooting:
 
     inputs   per run, shape (n, nu)
     edges    per run the indices of the samples at which segments begin, and the last one
+    loose    segments start from what is measured and need not meet: prediction over their length
     """
 
     problem: Problem
@@ -99,6 +93,28 @@ class Shooting:
     edges: tuple[tuple[int, ...], ...]
     threads: int
     loss: Loss
+    loose: bool = False
+
+    def guessed(self, z: Array) -> Point:
+        """A point with start states from the measurements, the others by simulation."""
+        p = self.problem.values_of(z)
+
+        def states(k: int) -> Array:
+            run = self.problem.training[k]
+            return (
+                first_states(run, self.simulator, p, self.inputs[k], self.edges[k]) / self.simulator.nominal
+            )
+
+        return Point(z, tuple(parallel(states, range(len(self.edges)), self.threads)))
+
+    def moved(self, point: Point, dz: Array, changes: Sequence[Sequence[Array]], length: float) -> Point:
+        """The point a fraction `length` of a step away."""
+        if self.loose:
+            return self.guessed(point.z + length * dz)
+        starts = [
+            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(point.starts, changes, strict=True)
+        ]
+        return Point(point.z + length * dz, tuple(starts))
 
     def evaluate(self, point: Point, scales: Scales, sensitivities: bool = True) -> Evaluated:
         """Integrate all segments; raises what the simulator raises."""
@@ -110,7 +126,9 @@ class Shooting:
 
         places = [(k, i) for k, cuts in enumerate(self.edges) for i in range(len(cuts) - 1)]
         found = iter(parallel(job, places, self.threads))
-        return Evaluated(point, tuple(tuple(next(found) for _ in cuts[1:]) for cuts in self.edges))
+        return Evaluated(
+            self.problem, point, tuple(tuple(next(found) for _ in cuts[1:]) for cuts in self.edges)
+        )
 
     def _segment(
         self, run: int, i: int, start: Array, p: Array, slopes: Array, scales: Scales, sensitivities: bool
@@ -130,8 +148,10 @@ class Shooting:
         local = None
         if sensitivities:
             rows = np.hstack([piece.y_x[:own][use] * nominal, piece.y_p[:own][use] * slopes])
-            q, r = np.linalg.qr(rows * (w * factor)[:, None])
-            local = Local(q, r, piece.x_x * nominal / nominal[:, None], piece.x_p * slopes / nominal[:, None])
+            found = factors(rows * (w * factor)[:, None])
+            local = Local(
+                found, piece.x_x * nominal / nominal[:, None], piece.x_p * slopes / nominal[:, None]
+            )
         return Segment(residual, column, factor, piece.x / nominal, local)
 
 
@@ -166,17 +186,6 @@ class Scales:
         """Largest relative difference."""
         mine, others = (np.concatenate([np.hypot(1.0, s.floor), s.tuning]) for s in (self, other))
         return float(np.max(np.abs(others / mine - 1)))
-
-
-def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) -> list[Result]:
-    """Results in the order of the places; an interrupt does not wait for what has not begun."""
-    if threads == 1 or len(places) == 1:
-        return [job(place) for place in places]
-    pool = ThreadPoolExecutor(threads)
-    try:
-        return list(pool.map(job, places))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

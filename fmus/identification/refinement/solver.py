@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from fmus.identification.refinement.condense import Condensed
-from fmus.identification.refinement.model import Failed
 from fmus.identification.refinement.priors import Priors
 from fmus.identification.refinement.shooting import Evaluated, Point, Scales, Shooting
-from fmus.identification.refinement.step import condensed, search, solve
+from fmus.identification.refinement.step import Linear, Trust, decrement, linear, search
 
 CLOSED = 1e-4  # nominal values: gaps between segments that do not count
+LOOSE = 3.0  # standard deviations by which loose segments may change at the end
 SETTLED = 0.05  # relative change of the scales that does not count
 
 
@@ -20,16 +19,16 @@ class Progress:
     """One iteration.
 
     residual    root mean square of the residuals, 1 if the sensors explain them
-    predicted   by how much the step would change all residuals, in standard deviations
+    predicted   by how much the best step would change all residuals, in standard deviations
     gap         largest one between segments, in nominal values
-    length      fraction of the step before that was gone
+    trust       change of z, and fraction of a step, that the linearisation is trusted for
     """
 
     iteration: int
     residual: float
     predicted: float
     gap: float
-    length: float
+    trust: Trust
     parameters: Mapping[str, float]
 
 
@@ -42,7 +41,7 @@ class Options:
     model_error   let the model have an error of its own per output, estimated from the residuals
     """
 
-    iterations: int = 40
+    iterations: int = 60
     tolerance: float = 0.02
     model_error: bool = False
 
@@ -52,7 +51,7 @@ class Solution:
     """Where the search ended: the last point, its linearisation, why."""
 
     evaluated: Evaluated
-    runs: tuple[Condensed, ...]
+    linear: Linear
     scales: Scales
     history: tuple[Progress, ...]
     converged: bool
@@ -66,38 +65,49 @@ def minimise(
     options: Options,
     progress: Callable[[Progress], None] | None = None,
 ) -> Solution:
-    """Search from a point. An interrupt, or a step that leads nowhere, keeps the best point so far."""
+    """Search from a point. An interrupt, or a step that leads nowhere, keeps the best point so far.
+
+    Far from the optimum every output is weighted by its residuals, as if the model had an error of that
+    size: no sensor outweighs the others by being precise, and what shows only in details has to wait.
+    """
     problem = shooting.problem
+    far, trust, reason = True, Trust(), f"{options.iterations} iterations"
     scales = Scales.sensors(len(problem.outputs))
+    scales = scales.seen(shooting.evaluate(point, scales, False), True)
     now = shooting.evaluate(point, scales)
+    at = linear(now, now, priors, shooting.loose)
     history: list[Progress] = []
-    length, reason, settled = 1.0, f"{options.iterations} iterations", False
-    runs = condensed(now, now, priors)
     try:
         for iteration in range(options.iterations):
-            step = solve(runs, now.point.z, priors, problem.bounds())
-            residual = now.residuals()[0]
-            parameters = dict(zip(problem.names, problem.values_of(now.point.z).tolist(), strict=True))
-            size = float((residual @ residual / residual.size) ** 0.5)
-            history.append(Progress(iteration, size, step.predicted, now.gap(), length, parameters))
+            left = decrement(at, now.point.z, problem.bounds())
+            history.append(_progress(iteration, now, left, trust))
             if progress:
                 progress(history[-1])
-            if settled and step.predicted < options.tolerance and now.gap() < CLOSED:
+            if shooting.loose and left < LOOSE:
                 reason = ""
                 break
-            wanted = scales.seen(now, options.model_error)
-            settled = (not options.model_error and shooting.loss == "linear") or (
-                wanted.change(scales) < SETTLED
-            )
-            found = search(shooting, now, step, priors, wanted, min(1.0, 4 * length))
-            if found.evaluated is None:
-                reason = "no part of the step leads closer"
+            closed = left < options.tolerance and now.gap() < CLOSED
+            wanted = scales.seen(now, options.model_error or far)
+            settled = wanted.change(scales) < SETTLED
+            if closed and settled and (options.model_error or not far):
+                reason = ""
                 break
-            now, length, scales = found.evaluated, found.length, wanted
-            runs = condensed(now, now, priors)
+            if far and settled and left < 1:
+                far = options.model_error
+                wanted = scales.seen(now, options.model_error)
+            found, trust = search(shooting, now, at, priors, wanted, trust)
+            if found is None:
+                reason = "no step leads closer"
+                break
+            now, scales = found, wanted
+            at = linear(now, now, priors, shooting.loose)
     except KeyboardInterrupt:
         reason = "interrupted"
-    return Solution(now, runs, scales, tuple(history), not reason, reason or "converged")
+    return Solution(now, at, scales, tuple(history), not reason, reason or "converged")
 
 
-__all__ = ["Failed", "Options", "Progress", "Solution", "minimise"]
+def _progress(iteration: int, now: Evaluated, left: float, trust: Trust) -> Progress:
+    residual, problem = now.residuals()[0], now.problem
+    parameters = dict(zip(problem.names, problem.values_of(now.point.z).tolist(), strict=True))
+    size = float((residual @ residual / max(1, residual.size)) ** 0.5)
+    return Progress(iteration, size, left, now.gap(), trust, parameters)

@@ -63,9 +63,9 @@ def statistics(solution: Solution, priors: Priors) -> Statistics:
     free = len(priors.z)
     segments = [s for run in solution.evaluated.runs for s in run]
     weighted = np.concatenate([s.residual * s.factor for s in segments])
-    freedom = weighted.size - free - sum(len(run.top) for run in solution.runs)
+    freedom = weighted.size - free - sum(len(run.top) for run in solution.linear.runs)
     variance = float(weighted @ weighted) / max(1, freedom)
-    data = np.vstack([run.bottom[:, :-1] for run in solution.runs])
+    data = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
     known = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
     information = data.T @ data
     lengths = np.linalg.norm(data, axis=0)
@@ -103,8 +103,8 @@ def influences(solution: Solution, priors: Priors) -> list[Array]:
     found: list[Array] = []
     free = len(priors.z)
     known = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
-    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in solution.runs]
-    for k, (run, segments) in enumerate(zip(solution.runs, solution.evaluated.runs, strict=True)):
+    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in solution.linear.runs]
+    for k, (run, segments) in enumerate(zip(solution.linear.runs, solution.evaluated.runs, strict=True)):
         nx = len(run.top)
         others = sum((b for j, b in enumerate(bottoms) if j != k), known)
         whole = np.zeros((nx + free, nx + free))

@@ -1,9 +1,9 @@
-"""One Gauss-Newton step over all unknowns, and how much of it to go.
+"""One step over all unknowns: Gauss-Newton under bounds, as long as the linearisation can be trusted.
 
-The step solves the linearised problem under the parameters' bounds. Its length follows the natural level
-test: with the Jacobian J of the old point, the simplified step J^+ F(new point) has to be shorter than the
-step J^+ F(old point). It does not depend on how residuals and gaps are weighted against each other
-[Deuflhard, Newton Methods for Nonlinear Problems, 2011, chapter 3; Bock 1987].
+A step is judged by its level: the squares of the residuals that are left once the gaps between segments
+are closed by the linearisation. Gaps thus count by what they do to the residuals, no penalty has to be
+chosen. Where the level does not fall as predicted, parameters are held back [Levenberg, Marquardt] and less
+of the step is gone; unlike shortening alone, that slows down only what the data hardly show.
 """
 
 from __future__ import annotations
@@ -15,87 +15,112 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from fmus.identification.refinement.condense import Condensed, condense, triangular
+from fmus.identification.refinement.condense import Condensed, condense
+from fmus.identification.refinement.factor import triangular
 from fmus.identification.refinement.model import Failed
-from fmus.identification.refinement.priors import PROXIMAL, Priors
+from fmus.identification.refinement.priors import Priors
 from fmus.identification.refinement.shooting import Evaluated, Scales, Shooting
 
 Array = NDArray[np.float64]
 
-LONGEST = 0.7  # of z in one step: a factor of two
-SHORTEST = 1 / 256  # fraction of a step at which the search gives up
+SMALLEST = 1e-5  # of z: when no change larger than that is trusted, the search gives up
+LARGEST = 10.0  # of z: no more is ever asked for
+_STIFF = 1e6  # holds the start of a loose run where it is
+_ACCEPTED = 0.01  # share of the predicted fall of the level that a step has to bring
+_GOOD = 0.5  # share above which more is trusted the next time
 
 
 @dataclass(frozen=True)
 class Step:
-    """Changes of the parameters and, per run and segment, of the start states.
-
-    predicted   by how much the residuals change, in standard deviations
-    """
+    """Changes of the parameters and, per run and segment, of the start states."""
 
     dz: Array
     states: tuple[list[Array], ...]
-    predicted: float
-
-    def norm(self, other: Step | None = None, factor: float = 0.0) -> float:
-        """Length of this step minus `factor` times another one."""
-        dz = self.dz - (factor * other.dz if other else 0.0)
-        squares = float(dz @ dz)
-        for k, run in enumerate(self.states):
-            changes = np.array(run) - (factor * np.array(other.states[k]) if other else 0.0)
-            squares += float(np.sum(changes**2)) / (len(run) * len(self.states))
-        return math.sqrt(squares)
-
-
-def condensed(old: Evaluated, new: Evaluated, priors: Priors) -> tuple[Condensed, ...]:
-    """The runs condensed: linearisation of `old`, residuals and gaps of `new`."""
-    return tuple(
-        condense(
-            [s.local for s in segments if s.local is not None],
-            new.defects[k],
-            [s.projected(n) for s, n in zip(segments, new.runs[k], strict=True)],
-            priors.start_rows(k, new.point.starts[k][0]),
-        )
-        for k, segments in enumerate(old.runs)
-    )
-
-
-def solve(runs: tuple[Condensed, ...], z: Array, priors: Priors, bounds: tuple[Array, Array]) -> Step:
-    """The step at z: least squares under bounds, held back where the data say nothing."""
-    rows = np.vstack([*(run.bottom for run in runs), priors.parameter_rows(z)])
-    back = np.hstack([np.eye(len(z)) / PROXIMAL, np.zeros((len(z), 1))])
-    triangle = triangular(np.vstack([rows, back]))
-    low, high = (np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0))
-    dz = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
-    before, after = rows[:, -1], rows[:, :-1] @ dz + rows[:, -1]
-    gain = before @ before - after @ after + sum(float(run.top[:, -1] @ run.top[:, -1]) for run in runs)
-    return Step(dz, tuple(run.states(dz) for run in runs), math.sqrt(max(0.0, float(gain))))
 
 
 @dataclass(frozen=True)
-class Search:
-    """Where a step led, and which fraction of it was gone; nowhere if `evaluated` is None."""
+class Linear:
+    """The runs condensed around a point, with the rows of the priors.
 
-    evaluated: Evaluated | None
-    length: float
+    rest   squares of residuals that no change of the unknowns can reach
+    """
+
+    runs: tuple[Condensed, ...]
+    rows: Array
+    rest: float
+
+    def level(self, dz: Array | None = None, length: float = 1.0) -> float:
+        """Sum of squares with the gaps closed, after a fraction of a step."""
+        left = self.rows[:, -1] + (0.0 if dz is None else length * (self.rows[:, :-1] @ dz))
+        starts = sum(float(run.top[:, -1] @ run.top[:, -1]) for run in self.runs)
+        return float(left @ left) + self.rest + starts * (1.0 if dz is None else (1 - length) ** 2)
+
+    def step(self, z: Array, bounds: tuple[Array, Array], trust: float) -> Step:
+        """Least squares under bounds; `trust` [z] is how far parameters may easily go."""
+        back = np.hstack([np.eye(len(z)) / trust, np.zeros((len(z), 1))])
+        triangle = triangular(np.vstack([self.rows, back]))
+        low, high = np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0)
+        dz = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
+        return Step(dz, tuple(run.states(dz) for run in self.runs))
+
+
+def linear(old: Evaluated, new: Evaluated, priors: Priors, loose: bool) -> Linear:
+    """Linearisation and weights of `old`, residuals and gaps of `new`; loose segments have no gaps."""
+    runs, rest = [], 0.0
+    for k, segments in enumerate(old.runs):
+        projected = [s.projected(n) for s, n in zip(segments, new.runs[k], strict=True)]
+        whole = sum(
+            float(np.sum((s.factor * n.residual) ** 2)) for s, n in zip(segments, new.runs[k], strict=True)
+        )
+        rest += max(0.0, whole - sum(float(c @ c) for c in projected))
+        locals_ = [s.local for s in segments if s.local is not None]
+        known, defects = priors.start_rows(k, new.point.starts[k][0]), new.defects[k]
+        if loose:
+            locals_, defects = [a.loose() for a in locals_], [0 * d for d in defects]
+            known[:, : len(known)] *= _STIFF
+        runs.append(condense(locals_, defects, projected, known))
+    rows = np.vstack([*(run.bottom for run in runs), priors.parameter_rows(new.point.z)])
+    return Linear(tuple(runs), rows, rest)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How much of the linearisation to trust: change of z, fraction of a step."""
+
+    size: float = 1.0
+    length: float = 1.0
+
+    def less(self) -> Trust:
+        """After a step that did not do what it should."""
+        return Trust(self.size / 4, self.length / 2)
+
+    def more(self) -> Trust:
+        """After a good one."""
+        return Trust(min(LARGEST, 3 * self.size), min(1.0, 2 * self.length))
 
 
 def search(
-    shooting: Shooting, old: Evaluated, step: Step, priors: Priors, scales: Scales, first: float
-) -> Search:
-    """Go as much of the step as the natural level test allows, at first a fraction `first`."""
-    bounds = shooting.problem.bounds()
-    size = step.norm()
-    length = min(first, LONGEST / max(LONGEST, float(np.max(np.abs(step.dz), initial=0.0))))
-    while length >= SHORTEST:
+    shooting: Shooting, old: Evaluated, at: Linear, priors: Priors, scales: Scales, trust: Trust
+) -> tuple[Evaluated | None, Trust]:
+    """The next point, nothing if no step leads closer, and what to trust from there on."""
+    bounds, before = shooting.problem.bounds(), at.level()
+    while trust.size > SMALLEST:
+        step = at.step(old.point.z, bounds, trust.size)
+        predicted = before - at.level(step.dz, trust.length)
         try:
-            new = shooting.evaluate(old.point.moved(step.dz, step.states, length), scales)
+            new = shooting.evaluate(shooting.moved(old.point, step.dz, step.states, trust.length), scales)
         except Failed:
-            length /= 4
+            trust = trust.less()
             continue
-        simplified = solve(condensed(old, new, priors), new.point.z, priors, bounds)
-        if simplified.norm() <= (1 - length / 4) * size:
-            return Search(new, length)
-        bend = simplified.norm(step, 1 - length)
-        length = min(length / 2, size * length**2 / (2 * bend)) if bend > 0 else length / 2
-    return Search(None, 0.0)
+        gain = before - linear(old, new, priors, shooting.loose).level()
+        slack = 1e-9 * before  # rounding and the integrator's error
+        if gain > _ACCEPTED * predicted - slack:
+            return new, trust.more() if gain > _GOOD * predicted - slack else trust
+        trust = trust.less()
+    return None, trust
+
+
+def decrement(at: Linear, z: Array, bounds: tuple[Array, Array]) -> float:
+    """By how much the best step changes all residuals, in standard deviations."""
+    fall = at.level() - at.level(at.step(z, bounds, LARGEST).dz)
+    return math.sqrt(max(0.0, fall))
