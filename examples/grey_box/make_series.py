@@ -17,12 +17,12 @@ from fmus.components.smooth import direction
 from fmus.components.spool_valve import Valve, direct_ports
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1
-SUPPLY, TANK, DENSITY, BULK = 16e6, 0.2e6, 870.0, 2.5e8  # Pa, Pa, kg/m3, Pa with the hoses
-HEAD, ROD, LENGTH = 5e-3, 3.4e-3, 1.6  # areas of the piston [m2], both chambers together [m]
-PISTON, VISCOUS, DRY = 1.5e3, 9e4, 2.5e3  # moved with the piston [kg], friction [N.s/m] and [N]
+SUPPLY, TANK, DENSITY, BULK = 16e6, 0.2e6, 870.0, 4e8  # Pa, Pa, kg/m3, Pa with the hoses
+HEAD, ROD, LENGTH = 5e-3, 2.5e-3, 2.6  # areas of the piston [m2], both chambers together [m]
+PISTON, VISCOUS, DRY = 1.5e3, 9e4, 1.5e3  # moved with the piston [kg], friction [N.s/m] and [N]
 ARM, BENDING, INNER = 1.6e4, 1.1e6, 3e3  # mass of the arm [kg], its stiffness [N/m] and damping [N.s/m]
 SPOOL, RATIO = 22.0, 0.8  # natural frequency [rad/s] and damping ratio [1]
-VALVE = Valve(9e-6, 0.62, 0.4, 6.5, 0.4, 2e-13, 1e-6)
+VALVE = Valve(9e-6, 0.62, 0.8, 4.5, 0.4, 2e-13, 1e-6)
 FULL, SPAN = 10.0, 4.5e6  # V and Pa that the logger writes as 1
 NOISE, CODE = 0.004, 2 / 4096  # of the pressure, of what the logger writes
 MISSED = slice(330, 338)
@@ -32,7 +32,7 @@ def strokes(random):
     """Strokes of a lever [V], back towards the middle when the arm is far out, shape (SAMPLES,)."""
     time, level, far = [0.0, 0.6], [0.0, 0.0], 0.0
     while time[-1] < STEP * SAMPLES:
-        sign = -np.sign(far) if abs(far) > 8 else random.choice([-1, 1])
+        sign = -np.sign(far) if abs(far) > 6 else random.choice([-1, 1])
         volts, lengths = (
             sign * random.uniform(0.5, 9.5),
             random.uniform([0.3, 0.3, 0.3, 0.2], [0.9, 2, 0.8, 1.8]),

@@ -54,6 +54,6 @@ def main(path=HERE / "crane.txt", command=0, pressure=1):
 
 
 try:
-    main(*sys.argv[1:])
+    main(*(int(word) if word.isdigit() else word for word in sys.argv[1:]))
 except ModelError as error:
     sys.exit(f"error: {error}")
