@@ -68,10 +68,10 @@ def solve(records: Sequence[Samples], joints: Sequence[str], theta: tuple[str, .
     rows = [JOINTS.index(j) for j in joints]
     start = [equation(s, rows, theta, p) for s in records]
     weights = np.ones(1) if len(rows) == 1 else 1 / _mean_square(start)
-    normal, step = _step(start, weights, theta)
+    normal, step = normal_step(start, weights, theta)
     for _ in range(SETTLED if len(rows) > 1 else 0):
         weights = 1 / _mean_square([e.moved(step) for e in start])
-        normal, step = _step(start, weights, theta)
+        normal, step = normal_step(start, weights, theta)
     at = p.copy()
     at[[PARAMETERS.index(n) for n in theta]] += step
     equations = tuple(e.moved(step) for e in start)
@@ -90,7 +90,7 @@ def solve(records: Sequence[Samples], joints: Sequence[str], theta: tuple[str, .
     )
 
 
-def _step(equations: Sequence[Equation], weights: Array, theta: tuple[str, ...]) -> tuple[Array, Array]:
+def normal_step(equations: Sequence[Equation], weights: Array, theta: tuple[str, ...]) -> tuple[Array, Array]:
     """The normal equations' matrix and the step that they ask for."""
     normal = np.array(sum(np.einsum("mrt,r,krt->mk", e.slope, weights, e.slope) for e in equations))
     right = np.array(sum(np.einsum("mrt,r,rt->m", e.slope, weights, e.error) for e in equations))

@@ -53,9 +53,9 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Fi
 def _estimate(one: JointDamping) -> Estimate:
     note = "eq. (13) by impulses and momenta"
     sd = one.sd
-    if one.known_sd:
-        note += f"; sd {one.sd:.3g} by the recordings, {one.known_sd:.3g} by the known parameters"
-        sd = math.hypot(one.sd, one.known_sd)
+    if one.doubt.sd:
+        note += f"; sd {one.sd:.3g} by the recordings, {one.doubt.sd:.3g} by the known parameters"
+        sd = math.hypot(one.sd, one.doubt.sd)
     return _positive(symmetrical(one.contact.parameter, one.value, one.contact.unit, sd, note))
 
 

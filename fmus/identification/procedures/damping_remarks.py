@@ -9,12 +9,17 @@ import numpy as np
 from fmus.identification.procedures.joint_damping import JointDamping
 
 SEEN = 4.0  # standard deviations from which on a dry friction is said to be seen
-MOST = 3  # parameters named
 
 
 def remarks(one: JointDamping) -> list[str]:
     """For one joint; each begins with the parameter."""
-    texts = [_used(one), _doubt(one), _attenuated(one), _known(one), *_dry(one)]
+    texts = [
+        _used(one),
+        _doubt(one),
+        _attenuated(one),
+        one.doubt.remark(one.value, one.contact.unit),
+        *_dry(one),
+    ]
     return [f"{one.contact.parameter}: {text}" for text in texts]
 
 
@@ -48,18 +53,6 @@ def _attenuated(one: JointDamping) -> str:
         f"With a at every sample and a derivative over {first.window * 1e3:.3g} ms, (13) gives "
         f"{first.value:.4g} {one.contact.unit}, {first.corrected:.4g} with the noise taken off."
     )
-
-
-def _known(one: JointDamping) -> str:
-    most = sorted(one.moved, key=lambda n: -abs(one.moved[n]))[:MOST]
-    if one.known_sd:
-        names = ", ".join(f"{n} by {abs(one.moved[n]):.2g}" for n in most)
-        return (
-            f"the doubt about the known parameters moves it by {one.known_sd:.3g} {one.contact.unit} (one "
-            f"standard deviation; most of all {names}), which the interval includes."
-        )
-    names = ", ".join(f"{n} moves it by {100 * one.moved[n] / one.value:+.2g} %" for n in most)
-    return f"errors of what is taken as known go into it and are not in its interval: 1 % of {names}."
 
 
 def _dry(one: JointDamping) -> list[str]:

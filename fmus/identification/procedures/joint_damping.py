@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fmus.identification.procedures import modulation
 from fmus.identification.procedures.balance import Solution, solve
-from fmus.identification.procedures.motion import JOINTS, PARAMETERS
+from fmus.identification.procedures.doubt import Doubt, doubt
+from fmus.identification.procedures.motion import JOINTS
 from fmus.identification.procedures.paper_damping import Plain, least_squares, levers
 from fmus.identification.procedures.samples import Samples, numbers, samples
 from fmus.identification.recordings.recording import Recording
@@ -57,8 +58,7 @@ class JointDamping:
     """What one joint's recordings told.
 
     speed, resistance   x' and a of (13), filtered, shape (n,)
-    known_sd            standard deviation by those of the known parameters
-    moved               d B / d parameter times its sd, or times 1 % of it if there is none
+    doubt               by the known parameters
     dry                 dry friction beside B, its standard deviation, and the B that then is left
     """
 
@@ -68,8 +68,7 @@ class JointDamping:
     speed: Array
     resistance: Array
     plain: tuple[Plain, ...]
-    known_sd: float
-    moved: Mapping[str, float]
+    doubt: Doubt
     dry: tuple[float, float, float]
 
     @property
@@ -92,10 +91,6 @@ def joint_damping(
     solution = solve(records, [contact.joint], (contact.theta,), p)
     arms = [levers(contact.joint, s.q, p) for s in records]
     speed, resistance = _cloud(records, arms, solution)
-    told = {n: sd for n in PARAMETERS if (sd := known[n].sd) is not None}
-    spreads = told or {n: abs(known[n].value) / 100 for n in PARAMETERS}
-    slopes = dict(zip(PARAMETERS, solution.sensitivity[0], strict=True)) | {contact.theta: 0.0}
-    moved = {n: slopes[n] * spread for n, spread in spreads.items()}
     return JointDamping(
         contact=contact,
         records=records,
@@ -103,8 +98,7 @@ def joint_damping(
         speed=speed,
         resistance=resistance,
         plain=tuple(least_squares(recordings, contact.joint, contact.theta, p)),
-        known_sd=float(np.sqrt(sum(x**2 for x in moved.values()))) if told else 0.0,
-        moved=moved,
+        doubt=doubt(solution, 0, known),
         dry=_dry(JOINTS.index(contact.joint), records, arms, solution),
     )
 

@@ -44,7 +44,8 @@ class Motion:
 
     balance    -> h, f, each (3, n)
     slopes     -> dh/dtheta, df/dtheta, each (3 m, n), column by column
-    pull       (..., lambda, mu) -> gradient of lambda'f + mu'h with respect to q, q', pressures, parameters
+    gradients  -> entries of d(f, h)/d(q, q', pressures, parameters) that are not zero, (entries, n)
+    entries    their rows, 0 to 5, and columns
     sway       -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
     pistons    (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
     printed    (q, q', q'', ...) -> f - dh/dt, df_i/dq_i', x_i'/q_i', each (3, n); the first as (13) prints it
@@ -53,7 +54,8 @@ class Motion:
     theta: tuple[str, ...]
     balance: ca.Function
     slopes: ca.Function
-    pull: ca.Function
+    gradients: ca.Function
+    entries: tuple[tuple[int, int], ...]
     sway: ca.Function
     pistons: ca.Function
     printed: ca.Function
@@ -125,10 +127,10 @@ def motion(theta: tuple[str, ...]) -> Motion:
     e = _equations()
     unknown = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
     known = [e.q, e.w, e.pressures, e.tank, e.p]
-    multiplier, other, acceleration = ca.SX.sym("lambda", 3), ca.SX.sym("mu", 3), ca.SX.sym("a", 3)
+    acceleration = ca.SX.sym("a", 3)
     slopes = [ca.vec(ca.jacobian(t, unknown)) for t in (e.momentum, e.force)]
-    work = ca.dot(multiplier, e.force) + ca.dot(other, e.momentum)
-    pull = [ca.gradient(work, s) for s in (e.q, e.w, e.pressures, e.p)]
+    full = ca.jacobian(ca.vertcat(e.force, e.momentum), ca.vertcat(e.q, e.w, e.pressures, e.p))
+    entries = tuple(zip(full.sparsity().row(), full.sparsity().get_col(), strict=True))
     own, levers = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.lever)
     stacked = ca.vertcat(e.force, slopes[1], e.momentum, slopes[0])
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
@@ -136,7 +138,8 @@ def motion(theta: tuple[str, ...]) -> Motion:
         theta,
         ca.Function("balance", known, [e.momentum, e.force]),
         ca.Function("slopes", known, slopes),
-        ca.Function("pull", [*known, multiplier, other], pull),
+        ca.Function("gradients", known, [full.nz[:]]),
+        entries,
         ca.Function("sway", known, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
         ca.Function("pistons", [e.q, e.p], [e.position, e.lever]),
         ca.Function("printed", [e.q, e.w, acceleration, *known[2:]], [e.force - rate, own, levers]),

@@ -45,32 +45,40 @@ class Fit:
 
 def by_noise(fit: Fit, records: Sequence[Samples], equations: Sequence[Equation]) -> tuple[Array, Array]:
     """Covariance of theta by the noise of the sensors, and d theta / d parameter (m, parameters)."""
-    m = len(fit.theta)
+    m = len(fit.inverse)
     variance, slopes = np.zeros((m, m)), np.zeros((m, fit.p.size))
     for s, e in zip(records, equations, strict=True):
         influence = -np.einsum("mk,krt,r->mrt", fit.inverse, e.slope, fit.weights)
-        moved, by_parameter = zip(*(_backward(fit, s, one) for one in influence), strict=True)
-        noises = (*s.angle_noise, *s.pressure_noise)
-        for sd, by_sample in zip(noises, np.swapaxes(np.array(moved), 0, 1), strict=True):
-            variance += sd**2 * by_sample @ by_sample.T
-        slopes += np.array(by_parameter)
+        by_value, by_parameter = _backward(fit, s, influence)
+        slopes += by_parameter
+        for k, sd in enumerate((*s.angle_noise, *s.pressure_noise)):
+            speeds = by_value[k + 3] if k < 3 else None  # of an angle also the slope counts
+            moved = s.filters.unsmoothed(by_value[k if k < 3 else k + 3], speeds)
+            variance += sd**2 * moved @ moved.T
     return variance, slopes
 
 
 def _backward(fit: Fit, s: Samples, influence: Array) -> tuple[Array, Array]:
-    """From d theta / d e to d theta / d sample (sensors, n) and d theta / d parameter."""
-    by_force, by_momentum = np.zeros((2, *s.q.shape))
-    by_force[fit.rows] = modulation.transposed(s.filters.bump, influence)
-    by_momentum[fit.rows] = -modulation.transposed(s.filters.slope, influence)
-    gradients = motion(fit.theta).pull(*s.known, fit.p, by_force, by_momentum)
-    q, w, pressures, parameters = (np.array(g.full()) for g in gradients)
-    by_sample = np.vstack([s.filters.unsmoothed(q, w), s.filters.unsmoothed(pressures)])
-    return by_sample, parameters.sum(axis=1)
+    """d theta / d smoothed angle, speed, pressure (12, m, n) and d theta / d parameter (m, parameters)."""
+    m, n = len(influence), s.q.shape[1]
+    pull = np.zeros((6, m, n))  # by f, then by h
+    for row, one in zip(fit.rows, np.swapaxes(influence, 0, 1), strict=True):
+        pull[row] = modulation.transposed(s.filters.bump, one)
+        pull[3 + row] = -modulation.transposed(s.filters.slope, one)
+    signals = 6 + s.pressures.shape[0]
+    by_value, by_parameter = np.zeros((signals, m, n)), np.zeros((m, fit.p.size))
+    f = motion(())
+    for (row, column), entry in zip(f.entries, np.array(f.gradients(*s.known, fit.p).full()), strict=True):
+        if column < signals:
+            by_value[column] += pull[row] * entry
+        else:
+            by_parameter[:, column - signals] += pull[row] @ entry
+    return by_value, by_parameter
 
 
 def by_residuals(fit: Fit, records: Sequence[Samples], equations: Sequence[Equation]) -> Array:
     """Covariance of theta by the residuals, correlated up to four times the filters' length."""
-    m = len(fit.theta)
+    m = len(fit.inverse)
     total = np.zeros((m, m))
     for s, e in zip(records, equations, strict=True):
         scores = np.einsum("mrt,r,rt->tm", e.slope, fit.weights, e.error)
