@@ -36,11 +36,12 @@ def stop(moves: Sequence[Move]) -> float:
     return round(max(m.start + m.rise + m.hold + m.fall for m in moves), 3)
 
 
-# start poses of the damping runs and the way they begin: the joint that moves stays inside its stroke
+# start poses of the damping runs and the way they begin: inside the stroke of the joint that moves, and with
+# different levers dl/dq in the two runs, so that friction of piston and joint can be told apart
 DAMPING: Mapping[str, Sequence[tuple[Pose, int]]] = {
     "swing": ((Pose(0.2, -1.4), 1), (Pose(0.4, -1.9), -1)),
-    "boom": ((Pose(0.0, -1.4), 1), (Pose(0.2, -2.0), 1)),
-    "stick": ((Pose(0.4, -1.1), 1), (Pose(0.2, -1.5), -1)),
+    "boom": ((Pose(0.0, -1.4), 1), (Pose(0.5, -1.8), 1)),
+    "stick": ((Pose(0.4, -1.1), 1), (Pose(0.3, -2.0), -1)),
 }
 
 TRAIN_1: tuple[Move, ...] = (  # low and near, then high and far
