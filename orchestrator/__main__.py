@@ -300,6 +300,42 @@ def rig(
 
 
 @app.command()
+def identify(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Recordings: data files, each with a .toml that describes it."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the parameters go (.toml).")] = Path(
+        "parameters.toml"
+    ),
+    report: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where identification.html and .json go.")
+    ] = BUILD,
+    joint: Annotated[
+        bool, typer.Option("--joint/--no-joint", help="Refine all together, if the machine was recorded.")
+    ] = True,
+    inertia: Annotated[
+        bool, typer.Option("--inertia", help="Estimate inertial parameters from joint motion, too.")
+    ] = False,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="What the joint refinement may change; repeatable; default: what a work cycle shows.",
+        ),
+    ] = None,
+) -> None:
+    """Find the machine's parameters from recordings: the paper's procedures, then all together."""
+    from fmus.identification.command import run as identified
+    from fmus.identification.machine import FREE
+    from orchestrator.commands import commands
+
+    commands.folder(out.parent)
+    commands.folder(report)
+    identified(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE))
+
+
+@app.command()
 def check(
     fmu: Annotated[Path | None, typer.Argument(metavar="FILE", help="Any .fmu file.")] = None,
     for_: Annotated[

@@ -1,0 +1,106 @@
+"""The joint refinement of the machine: which parameters, which signals, what is known before."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from fmus.contract import ModelError, quantities
+from fmus.harvester import HARVESTER
+from fmus.identification.known import Known, lookup
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.refinement.data import Mapped
+from fmus.identification.refinement.names import parameters, signals
+from fmus.identification.refinement.problem import Free, Problem, free_parameters
+from fmus.parameters import Values, values
+
+# What a work cycle shows. Left out, because it hardly does or because something else stands for them:
+# inertances and resistances of the swing's lines (their time is below a millisecond), rounding and leakage of
+# the valve, inertances of the hoses, geometry, displacement of the motor (read off a type plate).
+FREE = (
+    "valve_area",
+    "valve_dead_band",
+    "line_capacitance",
+    "internal_leakage_resistance",
+    "external_leakage_resistance",
+    "boom_hose_capacitance",
+    "boom_hose_resistance",
+    "stick_hose_capacitance",
+    "stick_hose_resistance",
+    "column_inertia",
+    "boom_mass",
+    "stick_mass",
+    "stick_inertia",
+    "head_mass",
+    "swing_damping",
+    "boom_piston_damping",
+    "stick_piston_damping",
+)
+UNKNOWN = 0.3  # relative sd of a number that nobody measured: literature and free choices are that far apart
+SMOOTH = {"supply_pressure": 0.05}  # s: noise of the sensor is not to shake the model
+
+
+def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] = FREE) -> Problem:
+    """The machine against all its recordings; those with use "test" are held out.
+
+    names   free parameters, as parameters.toml calls them
+    """
+    own = {name: flat for flat, name in parameters().items()}
+    for name in names:
+        if name not in own:
+            raise ModelError(f"{name} is to be refined, expected one of {', '.join(sorted(own))}")
+    numbers = fixed(known)
+    free = [own[name] for name in names]
+    priors = {own[name]: _prior(known, name) for name in names}
+    mapped = Mapped(
+        HARVESTER,
+        outputs=_measured(recordings),
+        signals=signals(),
+        smooth=SMOOTH,
+        rest=[
+            n for n in quantities(HARVESTER.states) if n.endswith(("_speed", "_flow", "_flow_a", "_flow_b"))
+        ],
+        numbers=numbers,
+    )
+    runs = {use: [mapped.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
+    return Problem(
+        sub=HARVESTER,
+        outputs=tuple(mapped.outputs),
+        free=bounded(free_parameters(HARVESTER, free, priors, numbers)),
+        training=tuple(runs["train"]),
+        held_out=tuple(runs["test"]),
+        fixed=numbers,
+    )
+
+
+def fixed(known: Known) -> Values:
+    """The numbers of the one block."""
+    usual = values(HARVESTER)
+    return Values({flat: lookup(name, known).value for flat, name in parameters().items()}, usual.u, usual.x)
+
+
+def bounded(free: Collection[Free]) -> tuple[Free, ...]:
+    """A factor of ten around the value on a logarithmic scale is all that a search may try."""
+    return tuple(
+        replace(f, low=max(f.low, f.value / 10), high=min(f.high, f.value * 10)) if f.log else f for f in free
+    )
+
+
+def _prior(known: Known, name: str) -> tuple[float, float | None]:
+    """Value and its standard deviation: of a measurement before, else as wide as free choices are."""
+    number = lookup(name, known)
+    return number.value, number.sd if number.sd else UNKNOWN * abs(number.value) or None
+
+
+def _measured(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Outputs that every training recording has a sensor for."""
+    training = [r for r in recordings if r.use == "train"]
+    names = signals()
+    found = tuple(
+        n
+        for n in quantities(HARVESTER.outputs)
+        if training and all(names.get(n, n) in r.signals for r in training)
+    )
+    if not found:
+        raise ModelError("joint refinement: expected a recording of the machine to train with, found none")
+    return found

@@ -1,0 +1,126 @@
+"""From recordings to parameters: the paper's procedures in its order, then all together.
+
+What one procedure finds is known to the next. The result holds everything; nothing is written here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+from fmus.contract import ModelError
+from fmus.identification import machine
+from fmus.identification.finding import Estimate, Finding
+from fmus.identification.known import Known, nominal, updated
+from fmus.identification.procedures import (
+    damping,
+    hose_dynamics,
+    hose_resistance,
+    inertia,
+    motor_leakage,
+    valve,
+)
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.refinement.names import parameters
+from fmus.identification.refinement.refine import refine
+from fmus.identification.refinement.result import Refined
+
+# in the paper's order: section 4 (a) to (e)
+PROCEDURES: Mapping[str, ModuleType] = {
+    "valve": valve,
+    "hose_resistance": hose_resistance,
+    "hose_dynamics": hose_dynamics,
+    "motor_leakage": motor_leakage,
+    "damping": damping,
+}
+MACHINE, INERTIA = "machine", "inertia"
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What was found.
+
+    findings   of the procedures that had recordings
+    skipped    procedure -> why it found nothing
+    refined    the joint refinement, None without recordings of the whole machine
+    known      all numbers of the machine, found ones in the place of the files'
+    """
+
+    recordings: tuple[Recording, ...]
+    findings: tuple[Finding, ...]
+    skipped: Mapping[str, str]
+    refined: Refined | None
+    known: Known
+
+    @property
+    def estimates(self) -> dict[str, tuple[Estimate, str]]:
+        """Name -> estimate and the procedure that found it; the joint refinement has the last word."""
+        found = {e.name: (e, f.procedure) for f in self.findings for e in f.estimates}
+        if self.refined is not None:
+            found |= {e.name: (e, MACHINE) for e in self.refined.estimates(names=parameters())}
+        return found
+
+
+def identify(
+    recordings: Sequence[Recording],
+    *,
+    known: Known | None = None,
+    joint: bool = True,
+    inertial: bool = False,
+    names: Sequence[str] = machine.FREE,
+    tell: Tell = lambda _: None,
+) -> Identified:
+    """Identify whatever the recordings allow.
+
+    known      numbers to start from, `part.name`; by default those of the parameter files
+    joint      refine together if there are recordings of the machine
+    inertial   also estimate inertial parameters by themselves, which the paper took from CAD
+    names      parameters of the joint refinement
+    """
+    given = {r.procedure for r in recordings if r.use == "train"}
+    unknown = sorted(given - {*PROCEDURES, MACHINE})
+    if unknown:
+        expected = ", ".join((*PROCEDURES, MACHINE))
+        raise ModelError(f"[experiment] procedure is {unknown[0]!r}, expected one of {expected}")
+    numbers = dict(known or nominal())
+    findings: list[Finding] = []
+    skipped: dict[str, str] = {}
+    chosen = {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}
+    for name, procedure in chosen.items():
+        if name not in given and not (name == INERTIA and given & {"damping", MACHINE}):
+            skipped[name] = "no recording"
+            continue
+        try:
+            finding = procedure.identify(recordings, numbers)
+        except ModelError as error:  # the others can still be found
+            skipped[name] = str(error)
+            tell(f"{name}: {error}")
+            continue
+        findings.append(finding)
+        numbers = updated(numbers, finding.estimates)
+        tell(_line(finding))
+    refined = _together(recordings, numbers, names, tell) if joint and MACHINE in given else None
+    if refined is not None:
+        numbers = updated(numbers, refined.estimates(names=parameters()))
+    if not findings and refined is None:
+        raise ModelError(f"nothing was identified: {'; '.join(f'{n}: {why}' for n, why in skipped.items())}")
+    return Identified(tuple(recordings), tuple(findings), skipped, refined, numbers)
+
+
+def _together(recordings: Sequence[Recording], known: Known, names: Sequence[str], tell: Tell) -> Refined:
+    task = machine.problem([r for r in recordings if r.procedure == MACHINE], known, names)
+    seconds = sum(float(run.time[-1] - run.time[0]) for run in task.training)
+    tell(f"joint refinement: {len(task.free)} parameters, {len(task.outputs)} signals, {seconds:.0f} s")
+    return refine(
+        task,
+        progress=lambda p: tell(f"  iteration {p.iteration}: residual {p.residual:.4g} standard deviations"),
+    )
+
+
+def _line(finding: Finding) -> str:
+    told = ", ".join(
+        f"{e.name} {e.value:.4g} +- {(e.high - e.low) / 2:.2g} {e.unit}" for e in finding.estimates
+    )
+    return f"{finding.procedure}: {told}"
