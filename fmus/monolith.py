@@ -75,11 +75,15 @@ def join(
 def breakpoints(time: Array, samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
     """Indices where piecewise linear samples (n, m) over time (n,) change slope; with both ends.
 
-    tolerance   largest distance of a sample from the line through its neighbours that counts as none
+    tolerance   largest distance of a sample from the line through its neighbours that counts as none; what
+                rounding of the samples makes is none either, such as of a pressure in Pa
     """
+    rounding = 8 * np.finfo(float).eps * np.abs(samples).max(axis=0)
     gaps = np.diff(time)[:, None]
     kink = np.abs(np.diff(np.diff(samples, axis=0) / gaps, axis=0)) * np.minimum(gaps[1:], gaps[:-1])
-    return np.concatenate([[0], 1 + np.nonzero((kink > tolerance).any(axis=1))[0], [len(samples) - 1]])
+    return np.concatenate(
+        [[0], 1 + np.nonzero((kink > np.maximum(tolerance, rounding)).any(axis=1))[0], [len(samples) - 1]]
+    )
 
 
 def simulate(

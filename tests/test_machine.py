@@ -205,6 +205,7 @@ def test_breakpoints_are_the_corners_of_a_piecewise_linear_signal():
     t = np.linspace(0, 1, 101)
     bent = np.interp(t, [0, 0.2, 0.5, 1.0], [0, 1, 1, 0])[:, None]
     assert list(breakpoints(t, bent)) == [0, 20, 50, 100]
+    assert list(breakpoints(t, 2e7 + 1e6 * bent)) == [0, 20, 50, 100]  # Pa: rounding makes no corners
     uneven = np.array([0.0, 0.2, 0.201, 0.5, 1.0])
     line = np.interp(uneven, [0, 0.2, 0.5, 1.0], [0, 1, 1, 0])[:, None]
     assert list(breakpoints(uneven, line)) == [0, 1, 3, 4]
