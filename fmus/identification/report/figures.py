@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.finding import Array, Curve, Finding, Panel
 from fmus.identification.report.captions import footer
@@ -40,6 +41,7 @@ TALL, FLAT = 2.35, 1.15  # in, of a panel and of a residual
 ROOM = WIDTH - 0.8  # in, of all axes beside each other
 FLAT_LABEL = 16  # letters that fit beside a residual
 CLOUD = 1500  # points: a larger cloud is drawn as a picture inside the SVG
+COUNTED = ("group", "recording", "run")  # x axes with whole numbers
 MARKS = ("o", "s", "^", "D")
 Column = tuple[Panel, ...]
 
@@ -112,6 +114,8 @@ def _column(figure: Figure, where: Any, column: Column, room: float, first: Axes
         _panel(axes, panel, room)
         axes.tick_params(labelbottom=place == len(column) - 1)
         drawn.append(axes)
+    if column[-1].x_label in COUNTED:
+        drawn[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     plain_ticks(drawn[-1].xaxis)
     label = _labelled(column[-1].x_label, column[-1].x_unit[0])
     drawn[-1].set_xlabel(label, color=PALETTE.ink, fontsize=9)

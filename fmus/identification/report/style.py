@@ -74,7 +74,11 @@ def plain_ticks(axis: Axis) -> None:
     if -3 <= power <= 4:
         return
     ending = f"·10{raised(str(power))}"
-    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.3g}{ending if value else ''}")
+
+    def told(value: float, _: object) -> str:
+        return f"{value / 10.0**power:.3g}{ending if value else ''}".replace("-", "\N{MINUS SIGN}")
+
+    axis.set_major_formatter(told)
 
 
 def pretty(unit: str) -> str:

@@ -162,13 +162,13 @@ def _curves(axes: Axes, time: Array, row: Row) -> None:
 
 
 def _residuals(axes: Axes, time: Array, row: Row) -> None:
-    """Predicted - measured, on a scale of its own."""
+    """Measured - predicted, on a scale of its own."""
     frame(axes)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     largest = 0.0
     for place, line in enumerate(row.lines):
         if line.predicted is not None:
-            error = line.shown[1] * (line.predicted - line.measured)
+            error = line.shown[1] * (line.measured - line.predicted)
             largest = max(largest, float(np.nanmax(np.abs(error))))
             axes.plot(*decimate(time, error), color=PALETTE.pair(place)[1], linewidth=0.8)
     axes.set_ylim(-1.15 * largest or -1, 1.15 * largest or 1)

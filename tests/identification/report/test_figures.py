@@ -167,15 +167,16 @@ def line(**more):
 
 
 def test_traces_have_their_residual_below():
-    """A predicted signal has a strip with predicted - measured in its unit; a command has none."""
+    """A predicted signal has a strip with measured - predicted in its unit; a command has none."""
     panels = [Row("command", (line(predicted=None, unit="V"),)), Row("pressure", (line(),))]
     figure = traces.draw("Swing", TIME, panels, number=10, kinds=["simulation"])
     command, pressure, strip = figure.axes
     assert command.get_ylabel() == "command\n[V]"
     assert pressure.get_ylabel() == "pressure\n[bar]"
     error = strip.lines[-1].get_ydata()
-    # exact identity of the extremes: 2e4 Pa are 0.2 bar; thinning keeps them
+    # 2e4 Pa are 0.2 bar, and the prediction begins above the measurement
     assert np.max(np.abs(error)) == pytest.approx(0.2, rel=1e-3)
+    assert error[0] == pytest.approx(-0.2)
     measured, predicted = pressure.lines
     assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
     assert "cf. Fig. 10" in style.svg(figure)
