@@ -37,7 +37,7 @@ FREE = (
     "stick_piston_damping",
 )
 UNKNOWN = 0.3  # relative sd of a number that nobody measured: literature and free choices are that far apart
-SMOOTH = {"supply_pressure": 0.05}  # s: noise of the sensor is not to shake the model
+SMOOTH = {"supply_pressure": 20.0}  # s, or as long as it takes no more than the noise of the sensor off
 
 
 def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] = FREE) -> Problem:

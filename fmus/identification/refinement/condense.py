@@ -55,7 +55,7 @@ class Condensed:
         """ds_0 of a step in the parameters."""
         nx = len(self.top)
         rest = self.top[:, nx:-1] @ dz + self.top[:, -1]
-        return -np.linalg.solve(self.top[:, :nx], rest) if nx else rest
+        return np.asarray(-np.linalg.solve(self.top[:, :nx], rest)) if nx else rest
 
     def states(self, dz: Array) -> list[Array]:
         """All ds_i of a step in the parameters."""

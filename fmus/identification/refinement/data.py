@@ -8,16 +8,18 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
+from scipy.ndimage import binary_dilation
 
 from fmus.contract import ModelError, Subsystem, quantities, symbolic
+from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import Run
+from fmus.identification.refinement.smoothing import derivative, smoothed
 from fmus.parameters import Values, values
 
 Array = NDArray[np.float64]
 
-_EDGE = 3.0  # standard deviations that a value must be away from where its instrument ends
+_AROUND = 10  # samples about one that is clipped or dead that do not count either
 _SPEED_WINDOW = 0.1  # s over which an angle is differentiated
 
 
@@ -28,7 +30,7 @@ class Mapped:
     outputs    that are fitted
     compared   outputs that are only compared, such as speeds that nobody measured
     signals    input or output -> signal of the recordings; a name that is missing is its own
-    smooth     input -> window [s] over which it is smoothed, for an input that is measured with noise
+    smooth     input -> longest window [s] over which its noise is smoothed away
     rest       states that stand still when a recording begins
     sd         output -> standard deviation, where the sensor does not tell
     """
@@ -58,7 +60,9 @@ class Mapped:
             measured=np.where(usable, measured, 0.0),
             weight=weight,
             compared=usable,
-            scale=np.array([_range(column[good]) for column, good in zip(measured.T, usable.T, strict=True)]),
+            scale=np.array(
+                [_range(column[there]) for column, there in zip(measured.T, usable.T, strict=True)]
+            ),
             guess=self._guess(recording),
             rest=tuple(self.rest),
         )
@@ -93,7 +97,9 @@ class Mapped:
         if self._name(name) not in recording.signals:
             return np.full(len(recording.time), (self.numbers or values(self.sub)).u[name])
         signal = filled(recording, self._name(name))
-        return smoothed(recording.time, signal, self.smooth[name]) if name in self.smooth else signal
+        if name not in self.smooth:
+            return signal
+        return smoothed(recording.time, signal, self.smooth[name], recording.sensor(self._name(name)).sd)
 
     def _guess(self, recording: Recording) -> dict[str, Array]:
         """States that are measured, and those of which one is the rate."""
@@ -105,7 +111,7 @@ class Mapped:
                 found[name] = np.where(usable_samples(recording, signal), recording[signal], np.nan)
         for name, rate in rates(self.sub).items():
             if name in found and rate not in found and np.isfinite(found[name]).all():
-                found[rate] = derivative(recording.time, found[name])
+                found[rate] = derivative(recording.time, found[name], _SPEED_WINDOW)
         return found
 
 
@@ -121,42 +127,23 @@ def rates(sub: Subsystem) -> dict[str, str]:
 
 
 def usable_samples(recording: Recording, name: str) -> NDArray[np.bool_]:
-    """Samples of a signal that its instrument can have read: no gap, not clipped, above the dead zone."""
-    signal, sensor = recording[name], recording.sensor(name)
-    good = np.isfinite(signal)
-    value = np.where(good, signal, 0.0)
-    good &= (value > sensor.low) & (value < sensor.high)
-    if sensor.dead_zone > 0:
-        good &= np.abs(value) > sensor.dead_zone + _EDGE * sensor.sd
-    return good
+    """Samples that the instrument can have read, and all about them too: no gap, not clipped, not dead.
+
+    Near an end of the range noise decides which samples are good, and those left would be too high.
+    Where its neighbours are asked as well, it is hardly a sample's own noise that decides.
+    """
+    usable = good(recording, name)
+    lost = np.isfinite(recording[name]) & ~usable
+    return np.asarray(usable & ~binary_dilation(lost, iterations=_AROUND))
 
 
 def filled(recording: Recording, name: str) -> Array:
     """A signal without gaps: straight lines over them."""
     signal = recording[name]
-    good = np.isfinite(signal)
-    if not good.any():
+    there = np.isfinite(signal)
+    if not there.any():
         raise ModelError(f"{recording.source}: {name} has no sample, expected an input of the simulation")
-    return np.interp(recording.time, recording.time[good], signal[good])
-
-
-def smoothed(time: Array, signal: Array, window: float) -> Array:
-    """Local parabolas over `window` [s]."""
-    count = _samples(time, window)
-    return signal if count < 5 else np.asarray(savgol_filter(signal, count, 2))
-
-
-def derivative(time: Array, signal: Array) -> Array:
-    """Slope of local parabolas."""
-    step = float(np.median(np.diff(time)))
-    count = max(3, _samples(time, _SPEED_WINDOW))
-    return np.asarray(savgol_filter(signal, count, 2, deriv=1, delta=step))
-
-
-def _samples(time: Array, window: float) -> int:
-    """Odd number of samples in a window, no more than there are."""
-    count = min(round(window / float(np.median(np.diff(time)))), len(time) - 1)
-    return count - 1 + count % 2
+    return np.interp(recording.time, recording.time[there], signal[there])
 
 
 def _range(values: Array) -> float:

@@ -73,7 +73,7 @@ def whiteness(traces: Sequence[Traces], inputs: Sequence[str], output: int) -> W
     if count < 4 * LAGS:
         return Whiteness(np.nan, np.nan, {}, np.nan)
     memory, _, chance = acf(
-        residual, nlags=LAGS, qstat=True, fft=False, missing="conservative", result_object=False
+        residual, nlags=LAGS, qstat=True, fft=True, missing="conservative", result_object=False
     )
     signals = {n: np.concatenate([p for t in traces for p in (t.run.inputs[n], gap)]) for n in inputs}
     return Whiteness(

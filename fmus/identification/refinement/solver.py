@@ -36,13 +36,13 @@ class Progress:
 class Options:
     """How to search.
 
-    tolerance     the step is done when it changes all residuals together by less, in standard deviations:
-                  no parameter then moves by more than this share of its own standard deviation
+    tolerance     the search is done when the best step changes all residuals together by less, in standard
+                  deviations: no parameter then moves by more than this share of its own
     model_error   let the model have an error of its own per output, estimated from the residuals
     """
 
     iterations: int = 60
-    tolerance: float = 0.02
+    tolerance: float = 0.1
     model_error: bool = False
 
 

@@ -94,7 +94,7 @@ def _clustered(clusters: Sequence[Array], information: Array, priors: Priors) ->
     count = len(clusters)
     changes = np.array(clusters)
     inverse = _inverse(information)
-    prior = inverse @ np.diag(1 / priors.z_sd**2) @ inverse
+    prior = inverse @ np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2) @ inverse
     return np.asarray((count - 1) / count * changes.T @ changes + prior) if count > 1 else inverse
 
 

@@ -49,11 +49,13 @@ class Linear:
     rows: Array
     rest: float
 
-    def level(self, dz: Array | None = None, length: float = 1.0) -> float:
-        """Sum of squares with the gaps closed, after a fraction of a step."""
-        left = self.rows[:, -1] + (0.0 if dz is None else length * (self.rows[:, :-1] @ dz))
+    def level(self, dz: Array | None = None) -> float:
+        """Sum of squares with the gaps closed, after a step if one is given."""
+        if dz is not None:
+            left = self.rows[:, -1] + self.rows[:, :-1] @ dz
+            return float(left @ left) + self.rest
         starts = sum(float(run.top[:, -1] @ run.top[:, -1]) for run in self.runs)
-        return float(left @ left) + self.rest + starts * (1.0 if dz is None else (1 - length) ** 2)
+        return float(self.rows[:, -1] @ self.rows[:, -1]) + self.rest + starts
 
     def step(self, z: Array, bounds: tuple[Array, Array], trust: float) -> Step:
         """Least squares under bounds; `trust` [z] is how far parameters may easily go."""
@@ -94,9 +96,16 @@ class Trust:
         """After a step that did not do what it should."""
         return Trust(self.size / 4, self.length / 2)
 
-    def more(self) -> Trust:
-        """After a good one."""
-        return Trust(min(LARGEST, 3 * self.size), min(1.0, 2 * self.length))
+    def after(self, whole: float, gain: float) -> Trust:
+        """After a step that brought `gain`, of which the whole was to bring `whole`.
+
+        Along the step the level falls by 2 whole t - c t^2; the gain tells c, and c the best fraction t.
+        """
+        predicted = whole * self.length * (2 - self.length)
+        bend = (2 * whole * self.length - gain) / self.length**2
+        best = whole / bend if bend > 0 else 1.0
+        size = min(LARGEST, 3 * self.size) if gain > _GOOD * predicted else self.size
+        return Trust(size, float(np.clip(best, self.length / 2, min(1.0, 2 * self.length))))
 
 
 def search(
@@ -106,7 +115,8 @@ def search(
     bounds, before = shooting.problem.bounds(), at.level()
     while trust.size > SMALLEST:
         step = at.step(old.point.z, bounds, trust.size)
-        predicted = before - at.level(step.dz, trust.length)
+        whole = max(before - at.level(step.dz), 0.0)
+        predicted = whole * trust.length * (2 - trust.length)
         try:
             new = shooting.evaluate(shooting.moved(old.point, step.dz, step.states, trust.length), scales)
         except Failed:
@@ -115,7 +125,7 @@ def search(
         gain = before - linear(old, new, priors, shooting.loose).level()
         slack = 1e-9 * before  # rounding and the integrator's error
         if gain > _ACCEPTED * predicted - slack:
-            return new, trust.more() if gain > _GOOD * predicted - slack else trust
+            return new, trust.after(whole, gain + slack)
         trust = trust.less()
     return None, trust
 
