@@ -33,12 +33,13 @@ from fmus.identification.report.style import (
     frame,
     plain_ticks,
     pretty,
+    prose,
 )
 
 COLUMNS = 2
 MANY = 3  # panels over one quantity that stand beside each other, not below
 TALL, FLAT = 2.35, 1.15  # in, of a panel and of a residual
-ROOM = WIDTH - 0.8  # in, of all axes beside each other
+LABELS = 0.95  # in, beside every column
 FLAT_LABEL = 16  # letters that fit beside a residual
 CLOUD = 1500  # points: a larger cloud is drawn as a picture inside the SVG
 COUNTED = ("group", "recording", "run")  # x axes with whole numbers
@@ -49,7 +50,7 @@ Column = tuple[Panel, ...]
 def draw(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
     """The figure of a finding; `kinds` of its recordings, for the line that says where the data are from."""
     rows = _rows(columns(finding.panels))
-    room = ROOM / max(map(len, rows))
+    room = _room(max(map(len, rows)))
     heights = [max(sum(height(panel, room) for panel in column) for column in row) for row in rows]
     layout = ConstrainedLayoutEngine(h_pad=0.03, hspace=0.02, wspace=0.06, w_pad=0.06)
     figure = Figure(figsize=(WIDTH, sum(heights) + 0.35 * len(rows) + 0.75), layout=layout)
@@ -60,9 +61,14 @@ def draw(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) ->
         for side, column in enumerate(row):
             where = grid[place, side] if len(row) > 1 else grid[place, :]
             over = (column[0].x_label, column[0].x_unit)
-            shared[over] = _column(figure, where, column, ROOM / len(row), shared.get(over))
+            shared[over] = _column(figure, where, column, _room(len(row)), shared.get(over))
     heading(figure, finding.title if titled else "", footer(finding.figure, kinds))
     return figure
+
+
+def _room(across: int) -> float:
+    """Width of one of several axes beside each other [in]."""
+    return WIDTH / across - LABELS
 
 
 def columns(panels: Sequence[Panel]) -> list[Column]:
@@ -198,7 +204,7 @@ def _curve(axes: Axes, panel: Panel, curve: Curve, look: dict[str, Any]) -> None
         x, y = decimate(x, y)
     if len(x) > CLOUD and not curve.line:
         look = look | {"rasterized": True, "markersize": 1.6, "markeredgewidth": 0.3}
-    label = curve.label or None
+    label = prose(curve.label) or None
     if curve.error is None:
         axes.plot(x, y, label=label, **look)
     else:
@@ -242,7 +248,7 @@ READING = ("measured", "masked", "fit", "compared", "corrected")
 def _labels(panel: Panel) -> list[str]:
     """What the legend tells, each once, measurement first."""
     ordered = sorted(panel.curves, key=lambda c: READING.index(c.kind))
-    return list(dict.fromkeys(c.label for c in ordered if c.label))
+    return list(dict.fromkeys(prose(c.label) for c in ordered if c.label))
 
 
 def _legend_columns(panel: Panel, room: float) -> int:

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from fmus.identification.finding import Finding
 from fmus.identification.report import captions, figures, matrix, words
 from fmus.identification.report.content import Page
-from fmus.identification.report.style import embed
+from fmus.identification.report.style import embed, prose
 
 TEMPLATES = Path(__file__).with_name("templates")
 NAME = "identification"
@@ -41,6 +41,7 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["prose"] = prose
     joint = page.refinement
     return environment.get_template("identification.html.j2").render(
         page=page,

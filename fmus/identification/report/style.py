@@ -87,6 +87,12 @@ def pretty(unit: str) -> str:
     return re.sub(r"\.(?!\d)", "·", powers)
 
 
+def prose(text: str) -> str:
+    """Numbers of a program in a sentence as print has them: 2.5e-13 as 2.5·10⁻¹³, +- as ±."""
+    found = re.sub(r"(?<=\d)e([+-]?\d+)\b", lambda m: f"·10{raised(str(int(m[1])))}", text)
+    return found.replace("+-", "±")
+
+
 def raised(digits: str) -> str:
     """Digits as an exponent."""
     return digits.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -76,7 +76,9 @@ def spread(estimate: Estimate) -> str:
 
 
 def share(value: float | None, digits: int = 2) -> str:
-    """A pure number as percent."""
+    """A pure number as percent; what only rounding made is zero."""
+    if value is not None and abs(value) < 1e-9:
+        return "0 %"
     return NONE if value is None or not math.isfinite(value) else f"{number(100 * value, digits)} %"
 
 

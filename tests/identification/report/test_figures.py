@@ -154,6 +154,12 @@ def test_units_are_printed(unit, shown):
     assert style.pretty(unit) == shown
 
 
+def test_numbers_in_sentences_are_printed():
+    """A remark of a procedure has no notation of a program; other words stay."""
+    told = style.prose("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
+    assert told == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
+
+
 def line(**more):
     """A pressure with its prediction, 1 % of its range off."""
     measured = 1e7 + 1e6 * np.sin(TIME)

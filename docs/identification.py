@@ -1,0 +1,155 @@
+"""Makes the figures and numbers of docs/identification.md: `python docs/identification.py [folder]`.
+
+The paper's Figs. 5 to 11, from recordings of the virtual test rig. Minutes. The folder is where the
+recordings go, by default one that is removed at the end; recordings that are there are not made again.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from fmus.contract import quantities
+from fmus.identification.finding import Estimate
+from fmus.identification.known import lookup, nominal
+from fmus.identification.pipeline import MACHINE, Identified, identify
+from fmus.identification.recordings.reading import read_folder
+from fmus.identification.report import figures, words
+from fmus.identification.report.attribution import Explanation
+from fmus.identification.report.captions import caption
+from fmus.identification.report.compared import Compared, attribute, picture, predicted
+from fmus.identification.report.style import png, prose
+from fmus.machine import SUBSYSTEMS
+from fmus.rig.command import rig
+
+HERE = Path(__file__).parent
+PAGE, FIGURES = HERE / "identification.md", HERE / "figures"
+PROCEDURES = {  # number in the paper, name of the file
+    "valve": (5, "valve"),
+    "hose_resistance": (6, "hose_resistance"),
+    "hose_dynamics": (7, "hose_dynamics"),
+    "motor_leakage": (8, "motor_leakage"),
+    "damping": (9, "damping"),
+}
+JOINTS = {"swing": 10, "stick": 11}
+KINDS = {"angle": "joint angles", "speed": "joint speeds", "pressure": "pressures", "flow": "flows"}
+LIMITS = {"angle": "1 %", "speed": "5 %", "pressure": "10 %"}
+
+
+def main() -> None:
+    """Everything, in a folder of the user's or a temporary one."""
+    if len(sys.argv) > 1:
+        everything(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            everything(Path(folder))
+
+
+def everything(folder: Path) -> None:
+    """Record on both machines, identify, draw, fill in."""
+    FIGURES.mkdir(exist_ok=True)
+    found = {machine: recorded(folder / machine, machine) for machine in ("lumped", "detailed")}
+    fill("returned", returned(found["lumped"]))
+    draw(found["detailed"])
+    numbers = usual(found["detailed"])
+    cycle = next(r for r in found["detailed"].recordings if r.procedure == MACHINE and r.use == "test")
+    seen = predicted(cycle, numbers)
+    for joint, number in JOINTS.items():
+        shown = picture(seen, joint)
+        (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(shown.figure))
+        fill(f"figure {number}", shown.caption)
+    fill("held out", held_out(seen))
+    identified = [
+        name for name, (_, procedure) in found["detailed"].estimates.items() if procedure == MACHINE
+    ]
+    fill("residual", effects(attribute(seen, numbers, identified)))
+
+
+def recorded(folder: Path, machine: str) -> Identified:
+    """What is identified from the recordings of a machine."""
+    if not folder.is_dir():
+        rig(folder, machine, 0)
+    return identify(read_folder(folder), tell=print)
+
+
+def usual(found: Identified) -> dict[str, float]:
+    """All numbers of the usual parts, `part.name`."""
+    own = {f"{part}.{name}" for part, sub in SUBSYSTEMS.items() for name in quantities(sub.parameters)}
+    return {name: number.value for name, number in found.known.items() if name in own}
+
+
+def draw(found: Identified) -> None:
+    """The figures of the procedures, with what they found."""
+    kinds = [r.kind for r in found.recordings]
+    for finding in found.findings:
+        number, name = PROCEDURES[finding.procedure]
+        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(figures.draw(finding, kinds)))
+        said = [f"- {prose(remark)}" for remark in finding.remarks]
+        told = [caption(finding, kinds), "", estimates(finding.estimates), "", *said]
+        fill(f"figure {number}", "\n".join(told).rstrip())
+
+
+def estimates(found: Iterable[Estimate]) -> str:
+    """A table of parameters."""
+    rows = [(f"`{e.name}`", *value(e), e.note) for e in found]
+    return table(("parameter", "value", "95 % interval", "unit", "how"), rows)
+
+
+def value(e: Estimate) -> tuple[str, str, str]:
+    """Value, interval and unit as they are shown."""
+    return words.value(e), words.interval(e), words.unit(e.unit)
+
+
+def returned(found: Identified) -> str:
+    """What the procedures gave back of the numbers that the rig has."""
+    rows = []
+    for finding in found.findings:
+        for e in finding.estimates:
+            truth = lookup(e.name, nominal()).value
+            holds = "yes" if e.low <= truth <= e.high else "no"
+            shown = words.number(words.in_unit(truth, e.unit), 4)
+            rows.append((f"`{e.name}`", shown, *value(e), words.change(e.value, truth), holds))
+    head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval holds it")
+    return table(head, rows)
+
+
+def held_out(seen: Compared) -> str:
+    """The worst signal of each kind in the cycle that was not used for fitting."""
+    errors = seen.nrmse()
+    rows = []
+    for kind, what in KINDS.items():
+        own = {name: e for name, e in errors.items() if kind in name.rpartition(".")[2].split("_")}
+        worst = max(own, key=own.__getitem__)
+        rows.append((what, f"`{worst}`", words.share(own[worst]), LIMITS.get(kind, "")))
+    return table(("", "worst signal", "NRMSE", "asked for below"), rows)
+
+
+def effects(found: Explanation) -> str:
+    """Which effect the residual shows."""
+    rows = [
+        (s.effect, words.share(s.alone), words.share(s.together), words.number(s.coefficient, 2))
+        for s in found.shares
+    ]
+    return f"{found.verdict}\n\n" + table(("effect", "alone", "among all", "strength"), rows)
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table of the page."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    return "\n".join([lines[0], "|---" * (lines[0].count("|") - 1) + "|", *lines[1:]])
+
+
+def fill(name: str, text: str, document: Path = PAGE) -> None:
+    """Put a text in its place, between <!-- name --> and <!-- end -->."""
+    page = document.read_text(encoding="utf-8")
+    place = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+    if not place.search(page):
+        raise SystemExit(f"{document}: expected a place <!-- {name} -->")
+    document.write_text(place.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page), encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main()
