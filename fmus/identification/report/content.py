@@ -83,10 +83,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class Start:
-    """One start point: how far from the priors it was, and how far from the result the search ended.
+    """A search from another start point, on fewer samples: where it began, and where it ended.
 
-    away        root mean square distance of the start, relative changes of the parameters
-    apart       largest distance of the end from the result, in standard deviations
+    away        root mean square distance of the start from the values before, relative changes of parameters
+    apart       largest distance of the end from the result, in standard deviations; infinite if there is none
     residual    root mean square residual at the end, in standard deviations of the sensors
     """
 
@@ -95,7 +95,11 @@ class Start:
     apart: float
     residual: float
     iterations: int
-    converged: bool
+
+    @property
+    def same(self) -> bool:
+        """Did it lead to the result, within a standard deviation?"""
+        return self.apart < 1
 
 
 @dataclass(frozen=True)

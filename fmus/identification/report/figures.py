@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.finding import Array, Curve, Finding, Panel
@@ -43,6 +44,7 @@ LABELS = 0.95  # in, beside every column
 FLAT_LABEL = 16  # letters that fit beside a residual
 CLOUD = 1500  # points: a larger cloud is drawn as a picture inside the SVG
 COUNTED = ("group", "recording", "run")  # x axes with whole numbers
+LEAST_MARK = 4.0  # pt, in the legend: the points of a cloud are smaller
 MARKS = ("o", "s", "^", "D")
 Column = tuple[Panel, ...]
 
@@ -275,7 +277,7 @@ def _legend(axes: Axes, panel: Panel, room: float) -> None:
     across = _legend_columns(panel, room)
     # matplotlib fills columns first
     order = [label for side in range(across) for label in labels[side::across]]
-    axes.legend(
+    legend = axes.legend(
         [handles[label] for label in order],
         order,
         fontsize=8,
@@ -288,3 +290,6 @@ def _legend(axes: Axes, panel: Panel, room: float) -> None:
         ncols=across,
         labelcolor=PALETTE.ink,
     )
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):
+            handle.set_markersize(max(handle.get_markersize(), LEAST_MARK))

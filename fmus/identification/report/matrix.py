@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from fmus.identification.finding import Array
 from fmus.identification.report.style import PALETTE
@@ -22,8 +24,13 @@ def draw(names: Sequence[str], correlation: Array) -> Figure:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     shown = np.where(np.tri(count, k=-1, dtype=bool), correlation, np.nan)[1:, :-1]
-    image = axes.pcolormesh(shown, cmap="RdBu_r", vmin=-1, vmax=1, edgecolors="white", linewidth=0.6)
-    axes.invert_yaxis()
+    cells = np.argwhere(np.isfinite(shown))
+    squares = [Rectangle((float(j), float(i)), 1, 1) for i, j in cells]
+    image = PatchCollection(squares, cmap="RdBu_r", edgecolor=PALETTE.grid, linewidth=0.6)
+    image.set_array(shown[cells[:, 0], cells[:, 1]])
+    image.set_clim(-1, 1)
+    axes.add_collection(image)
+    axes.set(xlim=(0, count - 1), ylim=(count - 1, 0))
     axes.set_aspect("equal")
     axes.spines[:].set_visible(False)
     ticks = np.arange(count - 1) + 0.5

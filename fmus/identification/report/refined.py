@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.starts import Start as Begun
+from fmus.identification.refinement.starts import Starts
 from fmus.identification.report.content import Fit, Refinement, Start
 
 
@@ -16,13 +19,13 @@ def refinement(
     names: Mapping[str, str] | None = None,
     signals: Mapping[str, str] | None = None,
     facts: Mapping[str, str] | None = None,
-    others: Sequence[tuple[str, Refined]] = (),
+    starts: Starts | None = None,
 ) -> Refinement:
     """What the page tells of a refinement.
 
     names, signals   parameter and output of the problem -> what the page calls them
     facts            what else is to be told, such as the time it took
-    others           (name, result) of searches from other start points
+    starts           the same search from random starts
     """
     names, signals = names or {}, signals or {}
     problem, found = refined.problem, refined.statistics
@@ -30,7 +33,8 @@ def refinement(
     told = {
         "recordings": f"{len(problem.training)} for training, {seconds:.0f} s; "
         f"{len(problem.held_out)} held out",
-        "search": f"{len(refined.history)} iterations, {refined.reason}",
+        "iterations": str(len(refined.history)),
+        "ended": refined.reason,
         "intervals": "over segments: residuals have a memory that the sensors do not explain"
         if refined.robust
         else "of independent residuals",
@@ -45,7 +49,7 @@ def refinement(
         condition=found.condition,
         fits=tuple(_fit(refined, k, signals.get(n, n)) for k, n in enumerate(problem.outputs)),
         unidentified=tuple(_renamed(sentence, names) for sentence in refined.unidentified),
-        starts=tuple(_start(name, one, refined) for name, one in (("the priors", refined), *others)),
+        starts=tuple(_start(k, one, problem) for k, one in enumerate(starts.starts if starts else (), 1)),
         facts=told,
         remarks=tuple(remarks),
     )
@@ -74,19 +78,11 @@ def _known(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _start(name: str, one: Refined, best: Refined) -> Start:
+def _start(place: int, one: Begun, problem: Problem) -> Start:
     """Distances of where a search began and ended."""
-    problem = one.problem
-    begun = np.array([f.search(one.history[0].parameters[f.name]) for f in problem.free])
-    sd = best.statistics.sd(best.robust)
-    return Start(
-        name=name,
-        away=float(np.sqrt(np.mean((begun - problem.search()) ** 2))),
-        apart=float(np.max(np.abs(one.z - best.z) / sd)),
-        residual=one.history[-1].residual,
-        iterations=len(one.history),
-        converged=one.converged,
-    )
+    begun = np.array([f.search(one.begun[f.name]) for f in problem.free])
+    away = float(np.sqrt(np.mean((begun - problem.search()) ** 2)))
+    return Start(f"random {place}", away, one.apart, one.residual, one.iterations)
 
 
 def _renamed(sentence: str, names: Mapping[str, str]) -> str:

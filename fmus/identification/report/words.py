@@ -9,6 +9,8 @@ from fmus.identification.report.style import pretty, raised
 from fmus.units import display
 
 NONE = "–"  # noqa: RUF001
+WIDE = 0.5  # of a value: an interval with a larger half is told as a factor
+FACTOR = "\N{MULTIPLICATION SIGN}÷"
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -68,11 +70,14 @@ def _aligned(end: float, estimate: Estimate) -> str:
 
 
 def spread(estimate: Estimate) -> str:
-    """Half the interval over the value."""
-    half = (estimate.high - estimate.low) / 2
-    if not estimate.value or not math.isfinite(half):
+    """Half the interval over the value; a factor where the interval is wide and lies on one side of zero."""
+    half, value = (estimate.high - estimate.low) / 2, estimate.value
+    if not value or not math.isfinite(half):
         return NONE
-    return f"± {share(abs(half / estimate.value), 2)}"
+    if estimate.low * estimate.high > 0 and half > WIDE * abs(value):
+        ratio = estimate.high / estimate.low
+        return f"{FACTOR} {number(math.sqrt(max(ratio, 1 / ratio)), 2)}"
+    return f"± {share(abs(half / value), 2)}"
 
 
 def share(value: float | None, digits: int = 2) -> str:

@@ -54,7 +54,7 @@ def page(**more: object) -> Page:
         condition=123.4,
         fits=(Fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), Fit("x", 0.01, None)),
         unidentified=("head_mass: the data leave it open by 80 %.",),
-        starts=(Start("the priors", 0.0, 0.0, 3.1, 9, True), Start("far", 0.3, 0.01, 3.1, 14, False)),
+        starts=(Start("random 1", 0.2, 0.01, 3.1, 9), Start("random 2", 0.3, 7.0, 3.9, 14)),
         facts={"search": "9 iterations"},
     )
     shares = (Share("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)

@@ -46,7 +46,7 @@ def test_the_page_tells_everything(text):
         "+0.25 %",
         "1 of 30 steps is masked.",
         "head_mass: the data leave it open by 80 %.",
-        "not converged",
+        "1 of 2 random starts lead to the same result",
         "123",
         "0.61 %",
         "swinging head",
@@ -142,6 +142,8 @@ def test_units_of_parameters_are_shown_as_readers_know_them():
     assert words.unit("m2") == "mm²"
     assert words.unit("1") == ""
     assert words.spread(AREA) == "± 0.50 %"
+    wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
+    assert words.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
     assert words.change(1.1, 1.0) == "+10 %"
     assert words.change(1.1, None) == words.NONE
     assert words.chance(1e-9) == "< 0.001"

@@ -1,0 +1,134 @@
+"""A refinement, a recording and its quality on the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.harvester import HARVESTER
+from fmus.identification.recordings.recording import Recording, Sensor
+from fmus.identification.refinement.problem import Free, Problem, Run
+from fmus.identification.refinement.residuals import Traces, Whiteness
+from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.starts import Start, Starts
+from fmus.identification.refinement.statistics import Statistics
+from fmus.identification.report.compared import compare
+from fmus.identification.report.data import quality
+from fmus.identification.report.refined import refinement
+
+TIME = np.arange(0.0, 2.0, 0.005)
+NAMES = {"valve_area": "valve_area", "hose": "boom_stick.hose"}
+
+
+def traces(name: str, error: float) -> Traces:
+    """A run that is off by `error` of its range in the first output, and has no second one."""
+    measured = np.column_stack([np.sin(np.pi * TIME), np.zeros_like(TIME)])
+    compared = np.column_stack([np.ones_like(TIME), np.zeros_like(TIME)]).astype(bool)
+    run = Run(name, TIME, {}, measured, compared.astype(float), compared, np.array([2.0, 1.0]))
+    return Traces(run, measured + 2 * error)
+
+
+def refined(**more) -> Refined:
+    """A result, put together by hand."""
+    free = tuple(Free(name, 2.0, log=True) for name in NAMES)
+    training = (traces("a", 0.03), traces("b", 0.04))
+    problem = Problem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
+    covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
+    quiet = Whiteness(np.nan, np.nan, {}, np.nan)
+    given = {
+        "problem": problem,
+        "z": np.log([2.0, 3.0]),
+        "converged": True,
+        "reason": "converged",
+        "history": (),
+        "statistics": Statistics(covariance, covariance, covariance, 1.0, 100, 10, 7.0),
+        "unidentified": ("hose and valve_area: the data show only hose * valve_area, not each",),
+        "at_bound": ("hose",),
+        "whiteness": {"angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "flow": quiet},
+        "training": training,
+        "held_out": (traces("c", 0.05),),
+        "floor": {},
+        "starts": (),
+    }
+    return Refined(**{**given, **more})
+
+
+def test_a_refinement_is_told_in_the_names_of_the_page():
+    """Names of parameters.toml, root mean square over the recordings, gaps where nothing was measured."""
+    found = refinement(refined(), NAMES, {"angle": "manipulator.angle"})
+    angle, flow = found.fits
+    assert angle.signal == "manipulator.angle"
+    # exact identity: rounding only
+    assert angle.train == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert angle.test == pytest.approx(0.05)
+    assert (angle.noise, angle.memory, angle.inputs) == (1.1, 0.01, 0.3)
+    assert (flow.train, flow.test, flow.noise, flow.inputs) == (None, None, None, None)
+    assert found.names == ("valve_area", "boom_stick.hose")
+    assert found.correlation[0, 1] == pytest.approx(0.5)
+    assert found.unidentified == (
+        "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each.",
+    )
+    assert found.remarks == ("boom_stick.hose ended at its bound.",)
+
+
+def test_a_search_that_did_not_converge_says_so():
+    """The first remark of the section."""
+    found = refinement(refined(converged=False, reason="40 iterations"))
+    assert found.remarks[0] == "The search did not converge: 40 iterations."
+
+
+def test_random_starts_are_compared():
+    """How far each start was from the values before; a search that went elsewhere is not the same."""
+    begun = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
+    ran = Starts((Start(begun, {}, 0.2, 1.0, 9), Start(begun, {}, np.inf, np.nan, 0)), 0.5, {})
+    one, other = refinement(refined(), starts=ran).starts
+    # exact identity: both parameters are e times as large
+    assert one.away == pytest.approx(1.0)
+    assert (one.same, other.same) == (True, False)
+
+
+def machine() -> Recording:
+    """A boom that moves, with a flow meter that has a dead zone."""
+    flow = 3e-4 * np.sin(np.pi * TIME)
+    signals = {"manipulator.boom_angle": 0.1 * np.sin(np.pi * TIME), "boom_stick.boom_head_flow": flow}
+    units = {"manipulator.boom_angle": "rad", "boom_stick.boom_head_flow": "m3/s"}
+    sensors = {"boom_stick.boom_head_flow": Sensor("turbine", 5e-6, dead_zone=1e-4)}
+    given = (Path("a/b.csv"), "A cycle", "machine", "test", {}, TIME, signals, units, sensors, "simulation")
+    return Recording(*given)
+
+
+def test_speeds_are_compared_through_one_filter():
+    """The measured and the predicted speed are slopes of their angles; the predicted output is not used."""
+    recording = machine()
+    predicted = dict(recording.signals) | {"manipulator.boom_speed": np.full(TIME.size, 9.0)}
+    seen = compare(recording, predicted)
+    speed = seen.measured["manipulator.boom_speed"]
+    known = np.isfinite(speed)
+    # the filter's cubic over 0.1 s: its error is far below 1 % of the amplitude
+    np.testing.assert_allclose(speed[known], 0.1 * np.pi * np.cos(np.pi * TIME[known]), atol=3e-3)
+    np.testing.assert_array_equal(speed, seen.predicted["manipulator.boom_speed"])
+    assert seen.units["manipulator.boom_speed"] == "rad/s"
+
+
+def test_the_dead_zone_is_left_out():
+    """A flow that the meter cannot read has no residual."""
+    recording = machine()
+    residual = compare(recording, dict(recording.signals)).residual()["boom_stick.boom_head_flow"]
+    dead = np.abs(recording["boom_stick.boom_head_flow"]) <= 1e-4
+    assert 0 < dead.sum() < dead.size
+    np.testing.assert_array_equal(np.isnan(residual), dead)
+
+
+def test_the_quality_of_a_recording_is_told():
+    """Name, use, kind, rate, and the remarks by signal without its name before them."""
+    found = quality(machine())
+    assert (found.name, found.use, found.kind) == ("b.csv", "test", "simulation")
+    # exact identity: rounding only
+    assert found.rate == pytest.approx(200.0)
+    flow = next(c for c in found.channels if c.signal == "boom_stick.boom_head_flow")
+    assert flow.sensor == "turbine"
+    assert any("dead zone" in remark for remark in flow.remarks)
+    assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
+    assert found.faults >= 1
