@@ -97,7 +97,8 @@ def _parameter(estimate: Estimate, procedure: str) -> Parameter:
 def _explanation(seen: Compared, found: Identified) -> Explanation | None:
     if found.refined is None:
         return None
-    return attribute(seen, _numbers(found.known), ())
+    fitted = [name for name, (_, procedure) in found.estimates.items() if procedure == MACHINE]
+    return attribute(seen, _numbers(found.known), fitted)
 
 
 def _pictures(seen: Compared) -> list[Picture]:
