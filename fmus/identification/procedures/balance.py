@@ -30,7 +30,7 @@ SINGULAR = 1e12  # condition of the scaled normal equations from which on they a
 class Solution:
     """theta by least squares.
 
-    values       with the mean effect of the noise taken off, which is `attenuation`
+    values       with the mean effect of the noise taken off, which is `mean_effect`
     noise        covariance by the noise of the sensors; zero if there is none to see
     residual     covariance by the residuals
     sensitivity  d theta / d parameter, (m, parameters), in the order of `motion.PARAMETERS`
@@ -39,7 +39,7 @@ class Solution:
 
     theta: tuple[str, ...]
     values: Array
-    attenuation: Array
+    mean_effect: Array
     noise: Array
     residual: Array
     sensitivity: Array
@@ -77,11 +77,11 @@ def solve(records: Sequence[Samples], joints: Sequence[str], theta: tuple[str, .
     equations = tuple(e.moved(step) for e in start)
     fit = Fit(theta, rows, weights, np.array(np.linalg.inv(normal), float), at)
     noise, sensitivity = uncertainty.by_noise(fit, records, equations)
-    attenuation = uncertainty.attenuation(fit, records)
+    mean_effect = uncertainty.mean_effect(fit, records, equations)
     return Solution(
         theta=theta,
-        values=at[[PARAMETERS.index(n) for n in theta]] - attenuation,
-        attenuation=attenuation,
+        values=at[[PARAMETERS.index(n) for n in theta]] - mean_effect,
+        mean_effect=mean_effect,
         noise=noise,
         residual=uncertainty.by_residuals(fit, records, equations),
         sensitivity=sensitivity,

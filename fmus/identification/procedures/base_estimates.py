@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 def base_estimates(records: Sequence[Samples], found: Solution, p: Array) -> list[Estimate]:
     """All base parameters, with the dampings among those found free beside them."""
     at = p.copy()
-    at[[PARAMETERS.index(n) for n in found.theta]] = found.values + found.attenuation
+    at[[PARAMETERS.index(n) for n in found.theta]] = found.values + found.mean_effect
     group = grouping(at)
     free = [k for k, n in enumerate(found.theta) if n.endswith("damping")]
     equations = [_equation(s, e, free, group, at) for s, e in zip(records, found.equations, strict=True)]

@@ -47,7 +47,7 @@ def _doubt(one: JointDamping) -> str:
 
 
 def _attenuated(one: JointDamping) -> str:
-    ours, first = 100 * one.solution.attenuation[0] / one.value, one.plain[0]
+    ours, first = 100 * one.solution.mean_effect[0] / one.value, one.plain[0]
     return (
         f"the noise of the encoders in the speed moves this estimate by {ours:.2g} %, which is taken off. "
         f"With a at every sample and a derivative over {first.window * 1e3:.3g} ms, (13) gives "

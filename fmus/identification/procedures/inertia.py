@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 SIGNALS: Mapping[str, str] = motion.SIGNALS
 FREE = ("head_mass", "stick_inertia", "boom_inertia", "column_inertia")
 DAMPINGS = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
+WINDOW = 0.4  # s: longer than usual, so that the small inertias, which show in fast motion only, are not bent
 EVERY = 3  # smoothed samples thinned out: 67 per second of 200
 TELLS = 0.25  # standard deviation over value above which data do not tell a parameter
 
@@ -44,7 +45,7 @@ def identify(
     """Masses and inertias `free` of the manipulator, from recordings of the machine, else of its joints."""
     own = _usable(recordings)
     p = numbers(known)
-    records = [samples(r, JOINTS, p, every=EVERY) for r in own]
+    records = [samples(r, JOINTS, p, window=WINDOW, every=EVERY) for r in own]
     names, dropped = list(free), list[str]()
     solution = _solve(records, names, p)
     while names and (worst := _worst(solution, len(names))) is not None:

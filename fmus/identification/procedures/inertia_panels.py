@@ -19,7 +19,7 @@ STEP = 3  # samples from one drawn point to the next
 def panels(records: Sequence[Samples], solution: Solution) -> tuple[Panel, ...]:
     """Two for each joint, over the time of the first recording."""
     s, e = records[0], solution.equations[0]
-    asked = -np.einsum("mrt,m->rt", e.slope, solution.values + solution.attenuation)
+    asked = -np.einsum("mrt,m->rt", e.slope, solution.values + solution.mean_effect)
     found = []
     for row, joint in enumerate(JOINTS):
         t, model, left = (x[s.good][::STEP] for x in (s.time[s.middle], asked[row], e.error[row]))

@@ -110,7 +110,7 @@ def _cloud(records: Sequence[Samples], arms: Sequence[Array], solution: Solution
         own = arm[s.middle][s.good]
         slope, error = e.slope[0, 0][s.good] / own, e.error[0][s.good] / own
         speed.append(-slope)
-        resistance.append(error - slope * (solution.values[0] + solution.attenuation[0]))
+        resistance.append(error - slope * (solution.values[0] + solution.mean_effect[0]))
     return np.concatenate(speed), np.concatenate(resistance)
 
 

@@ -47,6 +47,7 @@ class Motion:
     gradients  -> entries of d(f, h)/d(q, q', pressures, parameters) that are not zero, (entries, n)
     entries    their rows, 0 to 5, and columns
     sway       -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
+    bend       -> d2f/dq_k'^2, (3 * 3, n), the speed k slowest
     pistons    (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
     printed    (q, q', q'', ...) -> f - dh/dt, df_i/dq_i', x_i'/q_i', each (3, n); the first as (13) prints it
     """
@@ -57,6 +58,7 @@ class Motion:
     gradients: ca.Function
     entries: tuple[tuple[int, int], ...]
     sway: ca.Function
+    bend: ca.Function
     pistons: ca.Function
     printed: ca.Function
 
@@ -133,6 +135,7 @@ def motion(theta: tuple[str, ...]) -> Motion:
     entries = tuple(zip(full.sparsity().row(), full.sparsity().get_col(), strict=True))
     own, levers = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.lever)
     stacked = ca.vertcat(e.force, slopes[1], e.momentum, slopes[0])
+    bend = [ca.jacobian(ca.jacobian(e.force, speed), speed) for speed in ca.vertsplit(e.w)]
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
     return Motion(
         theta,
@@ -141,6 +144,7 @@ def motion(theta: tuple[str, ...]) -> Motion:
         ca.Function("gradients", known, [full.nz[:]]),
         entries,
         ca.Function("sway", known, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
+        ca.Function("bend", known, [ca.densify(ca.vertcat(*bend))]),
         ca.Function("pistons", [e.q, e.p], [e.position, e.lever]),
         ca.Function("printed", [e.q, e.w, acceleration, *known[2:]], [e.force - rate, own, levers]),
     )

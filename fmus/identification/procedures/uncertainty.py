@@ -3,11 +3,11 @@
 theta = theta_0 - A^-1 E'W e with A = E'W E, so that to first order in noise n of the sensors
 
     d theta = - A^-1 E'W (de/dn) n                  its covariance: by the transposed filters
-    mean    = - A^-1 mean(dE'W de)                  errors in variables: the noise of E and of e is the same
+    mean    = - A^-1 mean(dE'W de + E'W d2e)        errors in variables; squares of the speeds' noise
 
-The second is what the paper's (13) attenuates B by, for one joint - B var(x' noise)/mean(x'^2), here with all
-terms of the equation that see the speed. The residuals give a covariance of their own (Newey and West 1987),
-whatever made them.
+The first part of the mean is what attenuates the paper's (13), for one joint - B var(x' noise)/mean(x'^2),
+here with all terms of the equation that see the speed; the second is in the centrifugal terms. The residuals
+give a covariance of their own (Newey and West 1987), whatever made them.
 """
 
 from __future__ import annotations
@@ -87,16 +87,31 @@ def by_residuals(fit: Fit, records: Sequence[Samples], equations: Sequence[Equat
     return fit.inverse @ total @ fit.inverse
 
 
-def attenuation(fit: Fit, records: Sequence[Samples]) -> Array:
-    """What the noise of the speeds adds to theta in the mean; phi * and phi' * of it are not correlated."""
-    m = len(fit.theta)
-    total = np.zeros(m)
-    for s in records:
-        stacked = np.array(motion(fit.theta).sway(*s.known, fit.p).full())
-        by_speed = stacked.reshape(3, 2 * (m + 1), 3, s.q.shape[1])[:, :, fit.rows]
-        by_speed = by_speed[..., s.middle] * s.good
-        gains = s.filters.gain(s.filters.bump), s.filters.gain(s.filters.slope)
-        for sd, one in zip(s.angle_noise, by_speed, strict=True):
-            for gain, part in zip(gains, (one[: m + 1], one[m + 1 :]), strict=True):
-                total += (sd * gain) ** 2 * np.einsum("mrt,r,rt->m", part[1:], fit.weights, part[0])
+def mean_effect(fit: Fit, records: Sequence[Samples], equations: Sequence[Equation]) -> Array:
+    """What the noise of the speeds adds to theta in the mean."""
+    total = np.zeros(len(fit.theta))
+    for s, e in zip(records, equations, strict=True):
+        total += _products(fit, s) + np.einsum("mrt,r,rt->m", e.slope, fit.weights, _squares(fit, s))
     return -fit.inverse @ total
+
+
+def _products(fit: Fit, s: Samples) -> Array:
+    """Sum of mean(dE'W de); phi * and phi' * of one noise are not correlated."""
+    m = len(fit.theta)
+    stacked = np.array(motion(fit.theta).sway(*s.known, fit.p).full())
+    by_speed = stacked.reshape(3, 2 * (m + 1), 3, s.q.shape[1])[:, :, fit.rows]
+    by_speed = by_speed[..., s.middle] * s.good
+    gains = s.filters.gain(s.filters.bump), s.filters.gain(s.filters.slope)
+    total = np.zeros(m)
+    for sd, one in zip(s.angle_noise, by_speed, strict=True):
+        for gain, part in zip(gains, (one[: m + 1], one[m + 1 :]), strict=True):
+            total += (sd * gain) ** 2 * np.einsum("mrt,r,rt->m", part[1:], fit.weights, part[0])
+    return total
+
+
+def _squares(fit: Fit, s: Samples) -> Array:
+    """mean(d2e): what the squares of the speeds' noise are in the centrifugal terms, (rows, t)."""
+    bend = np.array(motion(()).bend(*s.known, fit.p).full()).reshape(3, 3, s.q.shape[1])[:, fit.rows]
+    variance = (s.angle_noise * s.filters.gain(np.ones(1))) ** 2
+    force = np.einsum("k,krn->rn", variance, bend) / 2
+    return modulation.apply(s.filters.bump, force) * s.good
