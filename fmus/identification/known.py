@@ -37,6 +37,12 @@ def targets_of(name: str, known: Known) -> list[str]:
     return [full for full in known if name in (full, full.partition(".")[2])]
 
 
+def plain(name: str, known: Known) -> str:
+    """The shortest name that means the same parameters: without part where parts do not differ."""
+    bare = name.rpartition(".")[2]
+    return bare if targets_of(bare, known) == targets_of(name, known) else name
+
+
 def lookup(name: str, known: Known) -> Number:
     """The number of a name, with or without part."""
     return known[targets_of(name, known)[0]]

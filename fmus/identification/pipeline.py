@@ -6,13 +6,13 @@ What one procedure finds is known to the next. The result holds everything; noth
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 from fmus.contract import ModelError
 from fmus.identification import machine
 from fmus.identification.finding import Estimate, Finding
-from fmus.identification.known import Known, nominal, updated
+from fmus.identification.known import Known, nominal, plain, updated
 from fmus.identification.procedures import (
     damping,
     hose_dynamics,
@@ -57,10 +57,11 @@ class Identified:
     @property
     def estimates(self) -> dict[str, tuple[Estimate, str]]:
         """Name -> estimate and the procedure that found it; the joint refinement has the last word."""
-        found = {e.name: (e, f.procedure) for f in self.findings for e in f.estimates}
+        told = [(e, f.procedure) for f in self.findings for e in f.estimates]
         if self.refined is not None:
-            found |= {e.name: (e, MACHINE) for e in self.refined.estimates(names=parameters())}
-        return found
+            told += [(e, MACHINE) for e in self.refined.estimates(names=parameters())]
+        named = [(replace(e, name=plain(e.name, self.known)), procedure) for e, procedure in told]
+        return {e.name: (e, procedure) for e, procedure in named}
 
 
 def identify(
