@@ -9,6 +9,7 @@ import numpy as np
 import statsmodels.api as sm
 from numpy.typing import NDArray
 
+from fmus.contract import ModelError
 from fmus.identification.procedures import modulation
 from fmus.identification.procedures.balance import Solution, solve
 from fmus.identification.procedures.doubt import Doubt, doubt
@@ -19,7 +20,10 @@ from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 
 Array = NDArray[np.float64]
-SIGN = 0.1  # of the root mean square speed, over which the sign of a dry friction is rounded
+SIGN = 0.03  # of the root mean square speed, over which the sign of a dry friction is rounded
+
+MOVES = 3.0  # standard deviations of its noise above which a root mean square speed is one
+STANDS = 1e-6  # rad/s: rounding
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,9 @@ def joint_damping(
     """B of one contact."""
     p = numbers(known)
     records = tuple(samples(r, [contact.joint], p) for r in recordings)
+    if not any(_moves(s, JOINTS.index(contact.joint)) for s in records):
+        where = ", ".join(str(r.source) for r in recordings)
+        raise ModelError(f"{where}: the {contact.joint} stands, expected it to move: no damping to see")
     solution = solve(records, [contact.joint], (contact.theta,), p)
     arms = [levers(contact.joint, s.q, p) for s in records]
     speed, resistance = _cloud(records, arms, solution)
@@ -101,6 +108,12 @@ def joint_damping(
         doubt=doubt(solution, 0, known),
         dry=_dry(JOINTS.index(contact.joint), records, arms, solution),
     )
+
+
+def _moves(s: Samples, joint: int) -> bool:
+    """Is the speed above its noise?"""
+    noise = s.filters.gain(np.ones(1)) * s.angle_noise[joint]
+    return bool(np.sqrt(np.mean(s.w[joint] ** 2)) > max(MOVES * noise, STANDS))
 
 
 def _cloud(records: Sequence[Samples], arms: Sequence[Array], solution: Solution) -> tuple[Array, Array]:
