@@ -123,7 +123,7 @@ def held_out(seen: Compared) -> str:
     for kind, what in KINDS.items():
         own = {name: e for name, e in errors.items() if kind in name.rpartition(".")[2].split("_")}
         worst = max(own, key=own.__getitem__)
-        rows.append((what, f"`{worst}`", words.share(own[worst]), LIMITS.get(kind, "")))
+        rows.append((what, f"`{worst}`", words.share(own[worst], 3), LIMITS.get(kind, "")))
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
 
 
