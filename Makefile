@@ -9,7 +9,7 @@ INSTALLED := .venv/installed
 TESTING := .venv/testing
 PEERS := .venv/peers
 
-.PHONY: demo test test-long lint bench bench-sensitivities bench-peers clean
+.PHONY: demo test test-long lint bench bench-sensitivities bench-peers coverage clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -36,6 +36,9 @@ bench-sensitivities: $(INSTALLED)
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
+
+coverage: $(INSTALLED)
+	$(BIN)/python -m benchmarks.coverage
 
 clean:
 	rm -rf build .venv
