@@ -11,12 +11,10 @@ Validity: laminar leakage, steady pressures, pressure sensors at the motor (the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from fmus.identification.finding import Estimate, Finding
 from fmus.identification.procedures import leakage_points
@@ -30,8 +28,9 @@ from fmus.parameters import Number
 Array = NDArray[np.float64]
 SIGNALS: Mapping[str, str] = leakage_points.SIGNALS
 UNIT = "Pa.s/m3"
-SURE = 1e-3  # probability by chance below which a term is said to be seen
-# what else could be in the flows: name -> (what it is, its power of pressure)
+LITRES = 1e-3 / 60  # m3/s in one L/min
+SURE = 3.7  # standard deviations from which on a term is said to be seen: 1 in 1000 by chance, for four terms
+# what else could be in the flows
 TESTED = {
     "square_in": "a quadratic part of the internal leakage",
     "square_ex": "a quadratic part of the external leakage",
@@ -98,24 +97,34 @@ def _resistance(fit: Regression, which: str, count: int) -> Estimate:
 
 
 def _tested(p: Points) -> tuple[str, ...]:
-    """A sentence on each term that can be seen, and one if none can."""
-    fit = conductances(p, list(TESTED))
-    columns, largest = _columns(p), max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
-    texts, seen = [], math.ulp(0.0)
-    for name, words in TESTED.items():
-        flow, sd = (x * float(np.abs(columns[name]).max()) for x in (fit[name], fit.sd(name)))
-        seen = max(seen, 2 * sd / largest)
-        if 2 * stats.norm.sf(abs(flow) / sd) < SURE:
-            texts.append(
-                f"The flows have {words}: {flow * 6e4:.2g} +- {sd * 6e4:.1g} L/min at most, which the "
-                "laminar law of eqs. (11), (12) does not have."
-            )
-    if texts:
-        return tuple(texts)
+    """A sentence on each term that can be seen, the clearest first, and one if none can."""
+    chosen: list[str] = []
+    while left := [n for n in TESTED if n not in chosen]:
+        ratios = {n: _ratio(conductances(p, [*chosen, n]), n) for n in left}
+        best = max(ratios, key=lambda n: ratios[n])
+        if ratios[best] < SURE:
+            break
+        chosen.append(best)
+    largest = {n: np.abs(column).max() for n, column in _columns(p).items()}
+    if chosen:
+        fit = conductances(p, chosen)
+        return tuple(
+            f"The flows have {TESTED[n]}: {fit[n] * largest[n] / LITRES:.2g} +- "
+            f"{fit.sd(n) * largest[n] / LITRES:.1g} L/min at most, which the laminar law of eqs. (11), (12) "
+            "does not have."
+            for n in chosen
+        )
+    seen = max(SURE * conductances(p, [n]).sd(n) * largest[n] for n in TESTED)
+    share = 100 * seen / max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
     return (
-        f"The leakage is linear: no quadratic part and no zero of a meter is seen; {100 * seen:.2g} % of the "
-        "largest flow would be.",
+        "The leakage is linear: no quadratic part and no zero of a meter is seen; each would be from "
+        f"{share:.2g} % of the largest flow on.",
     )
+
+
+def _ratio(fit: Regression, name: str) -> float:
+    """A term over its standard deviation."""
+    return abs(fit[name]) / fit.sd(name)
 
 
 def _line(fit: Regression, p: Points, resistance: float) -> str:

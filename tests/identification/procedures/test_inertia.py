@@ -1,0 +1,135 @@
+"""Inertial parameters: the regressor against Pinocchio, base parameters, true values come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identification.procedures.lumped_machine import KNOWN, PRESSURE, recording
+
+from fmus.contract import ModelError
+from fmus.identification.procedures.base_parameters import STANDARD, grouping, regressor, standard
+from fmus.identification.procedures.inertia import FREE, identify
+from fmus.identification.procedures.motion import PARAMETERS
+from fmus.identification.procedures.samples import numbers
+
+P = numbers(KNOWN)
+V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}
+WHOLE = ("swing", "boom", "stick")
+
+
+def states(count=30):
+    """Angles, speeds, accelerations (3,)."""
+    random = np.random.default_rng(7)
+    for _ in range(count):
+        yield random.uniform(-np.pi, np.pi, 3), random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)
+
+
+def by_pinocchio(pin, q, w, a):
+    """Torques by our standard parameters from Pinocchio's regressor of a tree with the same joints."""
+    model, up = pin.Model(), np.array([0.0, -1.0, 0.0])
+    model.gravity.linear = np.array([0.0, 0.0, -V["gravity"]])
+    parent = 0
+    joints = [(pin.JointModelRZ(), (0.0, 0.0))]
+    joints += [
+        (pin.JointModelRevoluteUnaligned(up), (V[f"{n}_pivot_x"], V[f"{n}_pivot_z"])) for n in WHOLE[1:]
+    ]
+    for k, (joint, (x, z)) in enumerate(joints):
+        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, 0.0, z])), f"joint {k}")
+        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
+    y = pin.computeJointTorqueRegressor(model, model.createData(), q, w, a)
+    column, boom, stick = (y[:, 10 * k : 10 * k + 10] for k in range(3))
+    # theirs: m, m x, m y, m z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the joint
+    found = [column[:, 9]]
+    for link in (boom, stick):
+        found += [link[:, 0], link[:, 1], link[:, 3]]  # m, m x, m z
+        found += [link[:, 6] + link[:, 9], -link[:, 7], link[:, 4] + link[:, 6]]  # S_xx, S_xz, S_zz
+    return np.column_stack(found)
+
+
+def test_the_regressor_is_pinocchio_s():
+    """Columns by differentiating the manipulator's equations against an algorithm of its own."""
+    pin = pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+    for q, w, a in states():
+        ours = regressor()(q, w, a, P)[2].full()
+        # exact identity; rounding of terms up to 1e2
+        np.testing.assert_allclose(ours, by_pinocchio(pin, q, w, a), rtol=1e-9, atol=1e-10)
+
+
+def test_base_parameters_say_all_that_the_standard_ones_do():
+    """11 of 13: the mass of the boom acts as inertia of the column, that of the stick on boom and column."""
+    group = grouping(P)
+    assert [STANDARD[k] for k in group.others] == ["boom m", "stick m"]
+    assert len(group.kept) == 11
+    pi = np.random.default_rng(8).uniform(1.0, 1e3, len(STANDARD))
+    for q, w, a in states():
+        y = regressor()(q, w, a, P)[2].full()
+        # exact identity; rounding of torques up to 1e5
+        np.testing.assert_allclose(y[:, list(group.kept)] @ group.values(pi), y @ pi, rtol=1e-9, atol=1e-6)
+
+
+def test_standard_parameters_make_the_manipulator_s_torques():
+    """Regressor times standard parameters: at rest the torques of gravity, by hand."""
+    for q, _, _ in states():
+        zero = np.zeros(3)
+        torque = regressor()(q, zero, zero, P)[2].full() @ standard(P)
+        boom, stick = np.exp(1j * q[1]), np.exp(1j * (q[1] + q[2]))
+        outer = V["stick_mass"] * (V["stick_centre_x"] + 1j * V["stick_centre_z"]) * stick
+        outer += V["head_mass"] * V["stick_length"] * stick
+        elbow = (V["stick_pivot_x"] + 1j * V["stick_pivot_z"]) * boom
+        inner = V["boom_mass"] * (V["boom_centre_x"] + 1j * V["boom_centre_z"]) * boom
+        inner += (V["stick_mass"] + V["head_mass"]) * elbow
+        expected = V["gravity"] * np.array([0.0, (inner + outer).real, outer.real])
+        # exact identity; rounding of torques up to 4e4
+        np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-8)
+
+
+def test_masses_and_inertias_come_back_within_their_intervals():
+    """All joints at once, six seeds: each value within 10 %, deviations as large as the intervals say."""
+    z, base = [], []
+    group = grouping(P)
+    true = group.values(standard(P))
+    for seed in range(6):
+        finding = identify([recording(*WHOLE, seed=seed)], KNOWN)
+        assert [e.name for e in finding.estimates] == list(FREE)
+        z.append([(e.value - V[e.name]) / e.sd for e in finding.estimates])
+        for e in finding.estimates:
+            assert e.value == pytest.approx(V[e.name], rel=0.1)
+        found = [e for e in finding.others if "base parameter" in e.note]
+        assert len(found) == len(true)
+        base.append([(e.value - x) / e.sd for e, x in zip(found, true, strict=True)])
+    # those of one seed are correlated; 3.9 standard deviations are 1 in 1e4, seeds are fixed
+    assert np.abs(z).max() < 3.9
+    assert np.abs(base).max() < 3.9
+    # mean squares of 24 and 66: chance is wider than chi-square for correlated ones
+    assert 0.3 < np.mean(np.square(z)) < 2.2
+    assert 0.4 < np.mean(np.square(base)) < 1.9
+
+
+def test_an_error_of_a_damping_does_not_go_into_the_inertia():
+    """Dampings known as nearly nothing are found along; the head's mass hardly moves."""
+    record = recording(*WHOLE, seed=1)
+    found = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
+    wrong = {f"manipulator.{n}": replace(KNOWN[f"manipulator.{n}"], value=1.0) for n in found}
+    right, other = (identify([record], known).estimates for known in (KNOWN, KNOWN | wrong))
+    for a, b in zip(right, other, strict=True):
+        assert b.value == pytest.approx(a.value, rel=1e-3)  # weights of the joints: second order
+
+
+def test_what_the_motion_does_not_tell_stays_and_is_named():
+    """Transducers a hundred times as noisy: gravity tells the head's mass, nothing the stick's inertia."""
+    rough = replace(PRESSURE, noise=100 * PRESSURE.noise, low=-np.inf, high=np.inf)
+    finding = identify([recording(*WHOLE, seed=1, pressure=rough)], KNOWN)
+    names = {e.name for e in finding.estimates}
+    assert "head_mass" in names
+    assert "stick_inertia" not in names
+    for name in set(FREE) - names:
+        assert any(text.startswith(f"{name}: this motion does not tell it") for text in finding.remarks)
+
+
+def test_without_a_recording_that_moves_it_is_refused():
+    """One line, with what there is."""
+    bench = replace(recording("boom"), procedure="valve")
+    with pytest.raises(ModelError, match="to train with, found valve"):
+        identify([bench], KNOWN)

@@ -1,0 +1,145 @@
+"""Motor leakage, eqs. (11), (12): true values come back, intervals hold them, other flows are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from identification.procedures.lumped_machine import KNOWN, measured
+
+from fmus.contract import ModelError
+from fmus.identification.procedures.motor_leakage import identify
+from fmus.identification.recordings.recording import Recording, Sensor
+
+R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
+TRUTH = {"internal_leakage_resistance": R_IN, "external_leakage_resistance": R_EX}
+PRESSURE = Sensor("transducer", 1e4, 4e7 / 4096, 0.0, 4e7)
+METER = Sensor("gear meter", 5e-6 / 60, 1e-2 / 60 / 4096, -5e-3 / 60, 5e-3 / 60)
+SENSORS = {"pressure_a": PRESSURE, "pressure_b": PRESSURE, "flow_a": METER, "drain_flow": METER}
+CAPACITANCE = 1e-12  # m3/Pa, of line A: flow that is no leakage while the pressure rises
+
+
+def pressures(high, low=1e6, hold=1.5, ramp=0.2):
+    """Time, stepped pressure and constant pressure at the other port [Pa]."""
+    time = np.arange(round(len(high) * hold * 200)) / 200
+    corners = np.concatenate([[k * hold + (ramp if k else 0.0), (k + 1) * hold] for k in range(len(high))])
+    return time, np.interp(time, corners, np.repeat(high, 2)), np.full_like(time, low)
+
+
+def recordings(seed=None, low=1e6, square=0.0, zero=0.0, tank=0.0):
+    """Both directions; `square` [m3/s/Pa2] adds to the internal leakage, `zero` [m3/s] to the drain meter.
+
+    Without a seed the instruments have a thousandth of their noise and no converter.
+    """
+    random, found = np.random.default_rng(seed), []
+    fine = {n: Sensor("fine", s.noise * 1e-3, 0.0, s.low, s.high) for n, s in SENSORS.items()}
+    sensors = fine if seed is None else SENSORS
+    for k, port in enumerate("ab"):
+        time, stepped, other = pressures(np.array([2e6, 5e6, 9e6, 13e6, 17e6, 11e6, 7e6]), low)
+        a, b = (stepped, other) if port == "a" else (other, stepped)
+        d = a - b
+        flow = d / R_IN + square * d * np.abs(d) + a / R_EX + CAPACITANCE * np.gradient(a, time)
+        signals = {"pressure_a": a + tank, "pressure_b": b + tank, "flow_a": flow}
+        signals["drain_flow"] = (a + b) / R_EX + zero
+        signals = {n: measured(x, sensors[n], random) for n, x in signals.items()}
+        found.append(
+            Recording(
+                source=Path(f"motor_leakage_{k + 1}.csv"),
+                title=f"port {port}",
+                procedure="motor_leakage",
+                use="train",
+                conditions={"shaft": "locked"} | ({"tank_pressure": tank} if tank else {}),
+                time=time,
+                signals=signals,
+                units={"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"},
+                sensors=sensors,
+            )
+        )
+    return found
+
+
+def test_fine_instruments_give_both_resistances():
+    """Rising pressures are left out, both directions agree, and the lines pass through all points."""
+    finding = identify(recordings(), KNOWN)
+    assert finding.figure == 8
+    assert len(finding.panels) == 4
+    for e in finding.estimates:
+        assert e.unit == "Pa.s/m3"
+        # five standard deviations, 0.05 % over a thousand
+        assert e.value == pytest.approx(TRUTH[e.name], rel=3e-6)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """Of 60 noisy rounds 95 % of the intervals hold the truth; values within 2 %, hardly a false alarm."""
+    inside, alarms = dict.fromkeys(TRUTH, 0), 0
+    for seed in range(60):
+        finding = identify(recordings(seed), KNOWN)
+        for e in finding.estimates:
+            inside[e.name] += e.low <= TRUTH[e.name] <= e.high
+            # what is asked for; a standard deviation is 0.05 % and less
+            assert e.value == pytest.approx(TRUTH[e.name], rel=0.02)
+        alarms += not any("linear:" in text for text in finding.remarks)
+    # binomial, 0.95 of 60: 51 or less by chance in 0.3 %; seeds are fixed
+    assert min(inside.values()) >= 52
+    # 0.1 % each time: 2 or more of 60 in 0.2 %
+    assert alarms < 2
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"square": 1e-21}, "quadratic part of the internal"), ({"zero": 1e-6 / 60}, "zero of the drain meter")],
+)
+def test_a_flow_that_the_laminar_law_does_not_have_is_told(change, words):
+    """A quadratic part of 3 % at full pressure, a zero of 1 mL/min."""
+    remarks = identify(recordings(1, **change), KNOWN).remarks
+    assert any(words in text for text in remarks)
+    assert not any("linear:" in text for text in remarks)
+
+
+def test_pressures_count_from_the_tank():
+    """A return line under pressure is taken off, if the recording tells it."""
+    for e in identify(recordings(tank=4e5), KNOWN).estimates:
+        assert e.value == pytest.approx(TRUTH[e.name], rel=3e-6)  # as above
+
+
+def test_a_port_at_the_end_of_its_transducer_is_left_out():
+    """A port at 0 bar reads noise cut at zero, whose mean is too high: no bias from it."""
+    finding = identify([*recordings(3), *recordings(4, low=0.0)], KNOWN)
+    for e in finding.estimates:
+        # 3.3 standard deviations: 1 in 1000, seeds are fixed
+        assert abs(e.value - TRUTH[e.name]) < 3.3 * e.sd
+
+
+def test_the_line_s_share_is_told():
+    """6.2e6 Pa.s/m3 of line beside 0.7e12 of leakage is 1e-5: one sentence with the number."""
+    text = identify(recordings(), KNOWN).remarks[-1]
+    assert "6.2e+06" in text
+    assert "0.00087 %" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"conditions": {"shaft": "free"}}, "shaft is 'free', expected 'locked'"),
+        ({"procedure": "valve"}, "expected a recording with this procedure"),
+        ({"signals": {}}, "signal pressure_a is missing"),
+        ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(change, words):
+    """A free shaft, no recording, no signal, another quantity."""
+    with pytest.raises(ModelError, match=words) as error:
+        identify([replace(r, **change) for r in recordings()], KNOWN)
+    assert "\n" not in str(error.value)
+
+
+def test_pressures_that_never_stand_are_refused():
+    """A ramp has no steady point."""
+    ramps = []
+    for r in recordings(2):
+        x = 1e6 + 1e6 * r.time
+        ramps.append(replace(r, signals={**r.signals, "pressure_a": x, "pressure_b": x}))
+    with pytest.raises(ModelError, match="0 stretches with steady pressures, expected 3 or more"):
+        identify(ramps, KNOWN)
