@@ -16,6 +16,8 @@ from fmus.tables import write_csv
 DIGITS = 12  # significant; every step of every converter comes back exactly, a command to 1e-11 V
 DATE = "2026-11-20"  # of the last change of rig or model that changes recordings ...
 CHANGE = "first version"  # ... and why
+# what `harvester validate` asks of a prediction of what was held out, NRMSE by group; others are only shown
+LIMITS = {"angle": 0.01, "pressure": 0.1}
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
@@ -49,10 +51,25 @@ def description(experiment: Experiment, seed: int) -> Iterator[str]:
     yield ""
     yield "[time]"
     yield 'unit = "s"'
+    judged = experiment.use == "test"
+    if judged:
+        yield ""
+        yield "[tolerances]"
+        for group in dict.fromkeys(map(_group, experiment.signals)):
+            limit = f'{{ metric = "nrmse", limit = {LIMITS[group]} }}' if group in LIMITS else '"none"'
+            yield f"{group} = {limit}"
     for name in experiment.signals:
         yield ""
         yield f"[signals.{json.dumps(name)}]"
+        yield from (f'group = "{_group(name)}"' for _ in range(judged))
         yield from _signal(experiment.instruments[name])
+
+
+def _group(signal: str) -> str:
+    """What kind of signal it is; the supply is given to the machine, not predicted."""
+    words = signal.partition(".")[2].split("_")
+    kind = next(w for w in reversed(words) if w in ("command", "pressure", "angle", "flow"))
+    return "supply" if words[0] == "supply" else kind
 
 
 def _condition(condition: Condition) -> str:
