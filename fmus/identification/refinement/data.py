@@ -53,10 +53,11 @@ class Mapped:
         weight = np.zeros(measured.shape)
         for k, name in enumerate(self.outputs):
             weight[:, k] = usable[:, k] / self._sd(recording, name)
+        inputs = {name: self._input(recording, name) for name in quantities(self.sub.inputs)}
         return Run(
             name=recording.source.stem,
             time=recording.time,
-            inputs={name: self._input(recording, name) for name in quantities(self.sub.inputs)},
+            inputs={name: u for name, (u, _) in inputs.items()},
             measured=np.where(usable, measured, 0.0),
             weight=weight,
             compared=usable,
@@ -65,6 +66,11 @@ class Mapped:
             ),
             guess=self._guess(recording),
             rest=tuple(self.rest),
+            input_noise={
+                name: (recording.sensor(self._name(name)).sd, window)
+                for name, (_, window) in inputs.items()
+                if window
+            },
         )
 
     def _name(self, name: str) -> str:
@@ -93,13 +99,17 @@ class Mapped:
             )
         return told
 
-    def _input(self, recording: Recording, name: str) -> Array:
-        if self._name(name) not in recording.signals:
-            return np.full(len(recording.time), (self.numbers or values(self.sub)).u[name])
-        signal = filled(recording, self._name(name))
+    def _input(self, recording: Recording, name: str) -> tuple[Array, int]:
+        """An input, and over how many samples it was smoothed; 0 for one that is known exactly."""
+        own = self._name(name)
+        if own not in recording.signals:
+            return np.full(len(recording.time), (self.numbers or values(self.sub)).u[name]), 0
+        signal, noise = filled(recording, own), recording.sensor(own).sd
+        if not noise > 0:
+            return signal, 0
         if name not in self.smooth:
-            return signal
-        return smoothed(recording.time, signal, self.smooth[name], recording.sensor(self._name(name)).sd)
+            return signal, 1
+        return smoothed(recording.time, signal, self.smooth[name], noise)
 
     def _guess(self, recording: Recording) -> dict[str, Array]:
         """States that are measured, and those of which one is the rate."""

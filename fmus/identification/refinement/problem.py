@@ -67,6 +67,7 @@ class Run:
     scale          range of each whole output, by which the NRMSE divides
     guess          state -> its trajectory (n,) as far as it is measured, to start from
     rest           states that start at rest: zero, and that is known well
+    input_noise    input -> standard deviation of a sample, samples over which it was smoothed; if measured
     """
 
     name: str
@@ -78,6 +79,7 @@ class Run:
     scale: Array
     guess: Mapping[str, Array] = field(default_factory=dict)
     rest: tuple[str, ...] = ()
+    input_noise: Mapping[str, tuple[float, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from fmus.identification.refinement.priors import Priors, priors
 from fmus.identification.refinement.problem import Problem, Run
 from fmus.identification.refinement.residuals import Traces, whiteness
 from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.shaken import by_inputs
 from fmus.identification.refinement.shooting import Shooting, cut
 from fmus.identification.refinement.simulator import Simulator
 from fmus.identification.refinement.solver import Options, Progress, Solution, minimise
@@ -68,7 +69,7 @@ def refine(
         threads,
     )
     held_out = [simulated(run, simulator, p) for run in problem.held_out]
-    found = statistics(solution, known)
+    found = statistics(solution, known, by_inputs(shooting, solution, known))
     low, high = problem.bounds()
     return Refined(
         problem=problem,

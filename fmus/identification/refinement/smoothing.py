@@ -17,27 +17,31 @@ _CHUNK = 1.0  # s over which what is taken off is compared with the noise
 _DOUBT = 3.0  # standard deviations of a mean square that are still called chance
 
 
-def smoothed(time: Array, signal: Array, longest: float, noise: float) -> Array:
-    """A signal without its noise.
+def smoothed(time: Array, signal: Array, longest: float, noise: float) -> tuple[Array, int]:
+    """A signal without its noise, and the samples of the window it took, 1 if none would do.
 
     longest   window to try first [s], then half of it, and so on
     noise     standard deviation of a sample; if it is zero nothing is taken off
     """
     count = samples(time, longest)
     while count >= _FEWEST:
-        smooth = np.asarray(savgol_filter(signal, count, 2))
+        smooth = parabolas(signal, count)
         if _noise_only(time, signal - smooth, noise):
-            return smooth
+            return smooth, count
         count = count // 2 - 1 + (count // 2) % 2
-    return signal
+    return signal, 1
+
+
+def parabolas(signal: Array, count: int) -> Array:
+    """Local parabolas over so many samples."""
+    return np.asarray(savgol_filter(signal, count, 2)) if count >= _FEWEST else signal
 
 
 def _noise_only(time: Array, taken: Array, noise: float) -> bool:
     """Is what was taken off no larger than noise, on the whole and in each second?"""
     size = max(1, samples(time, _CHUNK))
-    squares = (
-        taken[: len(taken) // size * size].reshape(-1, size) ** 2 if len(taken) >= size else taken[None] ** 2
-    )
+    parts = max(1, len(taken) // size)
+    squares = np.resize(taken, (parts, min(size, len(taken)))) ** 2
     # a mean of n squares of normal numbers has the relative standard deviation sqrt(2 / n)
     whole = noise**2 * (1 + _DOUBT * np.sqrt(2 / squares.size))
     part = noise**2 * (1 + (_DOUBT + 1) * np.sqrt(2 / squares.shape[1]))

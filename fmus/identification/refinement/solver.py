@@ -38,12 +38,13 @@ class Options:
 
     tolerance     the search is done when the best step changes all residuals together by less, in standard
                   deviations: no parameter then moves by more than this share of its own
-    model_error   let the model have an error of its own per output, estimated from the residuals
+    model_error   let the model have an error of its own per output, estimated from the residuals; none is
+                  found where the sensors explain them
     """
 
     iterations: int = 60
     tolerance: float = 0.1
-    model_error: bool = False
+    model_error: bool = True
 
 
 @dataclass(frozen=True)

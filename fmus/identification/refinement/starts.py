@@ -126,6 +126,7 @@ def coarse(problem: Problem, every: int) -> Problem:
             measured=run.measured[keep],
             weight=run.weight[keep],
             compared=run.compared[keep],
+            input_noise={},
             guess={name: x[keep] for name, x in run.guess.items()},
         )
 

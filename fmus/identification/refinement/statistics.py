@@ -29,6 +29,7 @@ class Statistics:
     plain        right if the model is: independent residuals
     clustered    over segments, honest for residuals with a memory no longer than a segment
     data         that of the data alone, without priors
+    inputs       the part of both that comes from the noise of measured inputs
     residual     variance of a weighted residual, 1 if its weight is right
     freedom      samples that count minus unknowns
     clusters     number of segments
@@ -38,6 +39,7 @@ class Statistics:
     plain: Array
     clustered: Array
     data: Array
+    inputs: Array
     residual: float
     freedom: int
     clusters: int
@@ -58,8 +60,8 @@ class Statistics:
         return np.asarray(self.plain / np.outer(sd, sd))
 
 
-def statistics(solution: Solution, priors: Priors) -> Statistics:
-    """Statistics at the point where a search ended."""
+def statistics(solution: Solution, priors: Priors, inputs: Array) -> Statistics:
+    """Statistics at the point where a search ended; `inputs` is the covariance by the noise of inputs."""
     free = len(priors.z)
     segments = [s for run in solution.evaluated.runs for s in run]
     weighted = np.concatenate([s.residual * s.factor for s in segments])
@@ -73,9 +75,10 @@ def statistics(solution: Solution, priors: Priors) -> Statistics:
     clusters = influences(solution, priors)
     smallest = float(singular[-1]) if len(data) >= free else 0.0
     return Statistics(
-        plain=_inverse(information / variance + known),
-        clustered=_clustered(clusters, information + known, priors),
-        data=_inverse(information / variance + np.eye(free) / VAGUE**2),
+        plain=_inverse(information / variance + known) + inputs,
+        clustered=_clustered(clusters, information + known, priors) + inputs,
+        data=_inverse(information / variance + np.eye(free) / VAGUE**2) + inputs,
+        inputs=inputs,
         residual=variance,
         freedom=freedom,
         clusters=len(clusters),
