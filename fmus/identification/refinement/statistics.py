@@ -87,9 +87,15 @@ def statistics(solution: Solution, priors: Priors, inputs: Array) -> Statistics:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of a positive definite matrix; scaled, because the magnitudes differ widely."""
-    scale = 1 / np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale))
+    """Of a positive definite matrix; scaled, because the magnitudes differ widely.
+
+    What rounding has made of zero is not taken for information: eigenvalues stay above it.
+    """
+    diagonal = np.diag(matrix)
+    scale = 1 / np.sqrt(np.maximum(diagonal, np.finfo(float).eps * max(diagonal.max(), 1.0)))
+    sizes, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    sizes = np.maximum(sizes, np.finfo(float).eps * sizes[-1])
+    return np.asarray((vectors / sizes) @ vectors.T * np.outer(scale, scale))
 
 
 def _clustered(clusters: Sequence[Array], information: Array, priors: Priors) -> Array:

@@ -1,0 +1,137 @@
+"""A mass on a spring, pushed: a small model of which everything is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.identification.recordings.recording import Recording, Sensor
+from fmus.identification.refinement.data import Mapped
+from fmus.identification.refinement.model import Model
+from fmus.identification.refinement.problem import Problem, Run, free_parameters
+from fmus.parameters import Values
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Constants."""
+
+    stiffness: Annotated[Scalar, Quantity("1/s2", "Stiffness over mass", 10.0, minimum=0.0)]
+    damping: Annotated[Scalar, Quantity("1/s", "Damping over mass", minimum=0.0, maximum=3.0)]
+    gain: Annotated[Scalar, Quantity("m/s2", "Acceleration per input", minimum=0.0)]
+    loss: Annotated[Scalar, Quantity("1", "What the gain is divided by", minimum=0.0)]
+    offset: Annotated[Scalar, Quantity("m/s2", "Constant acceleration", 0.1)]
+
+
+@dataclass(frozen=True)
+class State:
+    """States."""
+
+    position: Annotated[Scalar, Quantity("m", "Position")]
+    speed: Annotated[Scalar, Quantity("m/s", "Speed", 3.0)]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs."""
+
+    push: Annotated[Scalar, Quantity("1", "Push")]
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Outputs."""
+
+    position: Annotated[Scalar, Quantity("m", "Position")]
+
+
+def _dynamics(x: Any, u: Any, p: Any) -> State:
+    pushed = p.gain / p.loss * u.push
+    return State(position=x.speed, speed=pushed + p.offset - p.stiffness * x.position - p.damping * x.speed)
+
+
+OSCILLATOR = Subsystem(
+    name="oscillator",
+    text="A mass on a spring, pushed",
+    parameters=Parameters,
+    states=State,
+    inputs=Inputs,
+    outputs=Outputs,
+    dynamics=_dynamics,
+    observe=lambda x, *_: Outputs(position=x.position),
+    values=Path(__file__),
+)
+INVERTED = replace(
+    OSCILLATOR,
+    name="inverted",
+    dynamics=lambda x, u, p: _dynamics(replace(x, position=-x.position), u, p),
+)
+TRUTH = {"stiffness": 12.0, "damping": 0.3, "gain": 5.0, "loss": 1.0, "offset": 0.2}
+NUMBERS = Values(p=TRUTH, u={"push": 0.0}, x={"position": 0.0, "speed": 0.0})
+NOISE = 0.02  # m, about 2 % of the motion
+FREE = ("stiffness", "damping", "gain")
+
+
+def recording(
+    seed: int = 0, seconds: float = 12.0, noise: float = NOISE, dead_zone: float = 0.0
+) -> Recording:
+    """A recording of the true model at 50 Hz, from rest at the origin, pushed by steps."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(50 * seconds) + 1) / 50
+    push = np.repeat(np.random.default_rng(99).choice([-1.0, 0.0, 1.0], len(time) // 50 + 1), 50)[: len(time)]
+    model = Model(OSCILLATOR, ("position",), (), NUMBERS, 1e-9)
+    position = model.segment(np.zeros(2), np.zeros(0), time, push[:, None], False).y[:, 0]
+    read = position + noise * rng.standard_normal(len(time))
+    return Recording(
+        source=Path(f"oscillator_{seed}.csv"),
+        title="Oscillator",
+        procedure="machine",
+        use="train",
+        conditions={},
+        time=time,
+        signals={"push": push, "position": read},
+        units={"push": "1", "position": "m"},
+        sensors={"position": Sensor("ruler", noise or NOISE, dead_zone=dead_zone)},
+    )
+
+
+def upright() -> Recording:
+    """The inverted one over 4 s at 200 Hz, held by its push, which also kicks it; alone it grows by e^14."""
+    rng = np.random.default_rng(0)
+    time = np.arange(801) / 200
+    kicks = np.repeat(rng.choice([-1.0, 1.0], 17), 50)
+    model, x = Model(INVERTED, ("position",), (), NUMBERS, 1e-10), np.zeros(2)
+    push, position = np.zeros(len(time)), np.zeros(len(time))
+    for i in range(800):
+        push[i + 1] = kicks[i] - 5 * x[0] - 1.2 * x[1]
+        window = slice(i, i + 2)
+        x = model.segment(x, np.zeros(0), time[window], push[window, None], False).x
+        position[i + 1] = x[0]
+    read = position + NOISE / 10 * rng.standard_normal(len(time))
+    signals = {"push": push, "position": read}
+    return replace(recording(), time=time, signals=signals, sensors={"position": Sensor("ruler", NOISE / 10)})
+
+
+def run(read: Recording, sub: Subsystem = OSCILLATOR) -> Run:
+    """The run of a recording."""
+    return Mapped(sub, ("position",), rest=("speed",), numbers=NUMBERS).run(read)
+
+
+def problem(
+    *runs: Run,
+    free: tuple[str, ...] = FREE,
+    off: float = 1.2,
+    priors: dict[str, tuple[float, float | None]] | None = None,
+    held_out: tuple[Run, ...] = (),
+) -> Problem:
+    """The oscillator against runs, started from `off` times the truth."""
+    start = {name: (off * TRUTH[name], None) for name in free}
+    parameters = free_parameters(OSCILLATOR, free, start | (priors or {}), NUMBERS)
+    return Problem(OSCILLATOR, ("position",), parameters, runs, held_out, NUMBERS)

@@ -1,0 +1,155 @@
+"""Joint refinement on a model of which everything is known: convergence, bounds, what does not matter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
+
+from fmus.contract import ModelError
+from fmus.identification.refinement.differences import BlackBox, Differences
+from fmus.identification.refinement.guess import input_matrix
+from fmus.identification.refinement.refine import compiled, refine
+from fmus.identification.refinement.solver import Options, Progress
+
+SENSOR_ONLY = Options(model_error=False)
+
+
+def test_steps_shrink_quadratically_without_noise() -> None:
+    """With residuals that vanish at the optimum, an error is of the order of the square of the one before."""
+    task = problem(run(recording(noise=0.0)))
+    seen: list[Progress] = []
+    options = Options(tolerance=1e-7)
+    found = refine(task, compiled(task, 1e-10), horizon=np.inf, options=options, progress=seen.append)
+    error = [max(abs(np.log(p.parameters[n] / TRUTH[n])) for n in task.names) for p in seen]
+    late = [e for e in error if e < 0.1]
+    assert found.converged
+    # 1e-7: the weak prior of the start pulls with 1e-6 of the weight of the data, from 1 cm away
+    assert error[-1] < 1e-7
+    # 10: the constant of the quadratic, stiffness enters as a frequency over ten periods
+    assert all(after < 10 * before**2 + 1e-7 for before, after in pairwise(late))
+
+
+@pytest.mark.parametrize("off", [0.7, 1.3])
+def test_segments_converge_where_one_shot_does_not(off: float) -> None:
+    """An inverted pendulum, held upright while it was recorded, falls in a simulation of the whole."""
+    task = replace(problem(run(upright(), INVERTED), off=off), sub=INVERTED)
+    whole = refine(task, segment=np.inf, horizon=np.inf, options=SENSOR_ONLY)
+    cut = refine(task, segment=1.0, horizon=np.inf, options=SENSOR_ONLY)
+    assert not whole.converged
+    assert cut.converged
+    truth = np.log([TRUTH[name] for name in task.names])
+    # chi square with three degrees of freedom stays below 21 with 99.99 %
+    assert (cut.z - truth) @ np.linalg.solve(cut.statistics.plain, cut.z - truth) < 21
+    # the sensors explain what is left: 801 samples, three standard deviations of a root mean square
+    assert cut.history[-1].residual == pytest.approx(1, abs=3 / np.sqrt(2 * 801))
+
+
+def test_result_does_not_depend_on_how_the_recording_is_cut() -> None:
+    """Where segments meet, the criterion is that of a single simulation: same optimum, same covariance."""
+    task = problem(run(recording()))
+    one, many = (refine(task, segment=s, options=Options(tolerance=1e-4)) for s in (np.inf, 0.7))
+    sd = one.statistics.sd(False)
+    # steps end at 1e-4 standard deviations
+    np.testing.assert_allclose(many.z, one.z, atol=float(1e-3 * sd.min()))
+    np.testing.assert_allclose(many.statistics.plain, one.statistics.plain, rtol=1e-3)
+
+
+def test_bounds_are_respected() -> None:
+    """A parameter whose optimum lies outside its bound stays on it, is named, and the others adapt."""
+    task = problem(run(recording()))
+    damped = replace(task.free[1], low=0.4, value=0.5)
+    found = refine(replace(task, free=(task.free[0], damped, task.free[2])), options=SENSOR_ONLY)
+    assert found.converged
+    assert found.values["damping"] == pytest.approx(0.4, rel=1e-9)  # the bound itself
+    assert found.at_bound == ("damping",)
+    assert found.estimates()[1].low == pytest.approx(0.4, rel=1e-9)
+    assert "at its bound" in found.estimates()[1].note
+
+
+def test_masked_samples_have_no_influence() -> None:
+    """What stands where the weight is zero may be anything: the same result, bit for bit."""
+    clean = run(recording())
+    weight = clean.weight.copy()
+    weight[100:130] = 0
+    measured = clean.measured.copy()
+    measured[100:130] = np.nan
+    # a start at such a sample is guessed from the simulation, with both
+    guess = {name: np.where(weight[:, 0] > 0, x, np.nan) for name, x in clean.guess.items()}
+    one = replace(clean, weight=weight, guess=guess)
+    other = replace(one, measured=np.nan_to_num(measured, nan=1e6))
+    assert (refine(problem(one)).z == refine(problem(other)).z).all()
+
+
+def test_gaps_clipped_and_dead_samples_get_no_weight() -> None:
+    """A sample that the instrument cannot have read does not count, nor do those about a dead one."""
+    read = recording(dead_zone=3 * NOISE)
+    position = read.signals["position"].copy()
+    position[300] = np.nan
+    weight = run(replace(read, signals={**read.signals, "position": position})).weight[:, 0]
+    dead = np.abs(position) <= 3 * NOISE
+    assert weight[300] == 0
+    assert (weight[dead] == 0).all()
+    assert (weight[1:][dead[:-1]] == 0).all()
+    assert weight.max() == pytest.approx(1 / NOISE)
+
+
+def test_threads_and_order_of_recordings_do_not_matter() -> None:
+    """One thread and three give the same bits; recordings in another order the same numbers."""
+    runs = [run(recording(seed)) for seed in range(3)]
+    one, three = (refine(problem(*runs), threads=n) for n in (1, 3))
+    turned = refine(problem(*runs[::-1]))
+    assert (one.z == three.z).all()
+    # rounding, in another order; 1e-6 standard deviations are far below what a search resolves
+    np.testing.assert_allclose(turned.z, one.z, atol=float(1e-6 * one.statistics.sd(False).min()))
+
+
+@pytest.mark.parametrize("kind", ["differences", "black box"])
+def test_differences_lead_to_the_same_optimum(kind: str) -> None:
+    """Difference quotients, of segments or of whole simulations, change the way but not the end."""
+    start = {"position": 0.0, "speed": 0.0}
+    task = problem(run(recording()))
+    exact = compiled(task, 1e-9)
+    inputs = input_matrix(task.training[0], exact)
+    other = Differences(exact)
+    if kind == "black box":
+        other = BlackBox(
+            lambda p, time, u: exact.segment(np.array(list(start.values())), p, time, u, False).y,
+            exact.inputs,
+            exact.outputs,
+            exact.free,
+            exact.p0,
+        )
+    one, two = (refine(task, model, options=Options(tolerance=1e-3)) for model in (exact, other))
+    assert inputs.shape == (601, 1)
+    # a black box starts from exactly zero, the other from an estimate: about half a standard deviation
+    limit = 1.0 if kind == "black box" else 0.01
+    assert np.max(np.abs(one.z - two.z) / one.statistics.sd(False)) < limit
+
+
+def test_interrupt_keeps_the_best_so_far() -> None:
+    """Ctrl-C during the search ends it; what was found is returned and says so."""
+
+    def stop(progress: Progress) -> None:
+        if progress.iteration == 2:
+            raise KeyboardInterrupt
+
+    task = problem(run(recording()))
+    found = refine(task, horizon=np.inf, progress=stop)
+    assert (found.converged, found.reason, len(found.history)) == (False, "interrupted", 3)
+    assert found.values == pytest.approx(dict(found.history[-1].parameters))
+
+
+def test_mistakes_are_told() -> None:
+    """What is no parameter, what has no noise, what starts outside: one line each."""
+    with pytest.raises(ModelError, match="oscillator: friction is to be refined"):
+        problem(run(recording()), priors={"friction": (1.0, None)})
+    with pytest.raises(ModelError, match=r"damping starts from 4 1/s .* expected 0 to 3"):
+        problem(run(recording()), priors={"damping": (4.0, None)})
+    with pytest.raises(ModelError, match="position has no noise and no resolution"):
+        run(replace(recording(), sensors={}))
+    with pytest.raises(ModelError, match="no recording to fit"):
+        refine(problem())
