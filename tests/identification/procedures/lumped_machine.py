@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.identification.procedures.motion import ALL_PRESSURES, ANGLES
+from fmus.identification.procedures.balance.motion import ALL_PRESSURES, ANGLES
 from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate

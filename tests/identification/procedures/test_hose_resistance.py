@@ -8,6 +8,7 @@ from identification.procedures import bench
 
 from fmus.contract import ModelError
 from fmus.identification.procedures import hose_resistance
+from fmus.identification.procedures.hose_resistance.laws import scaled
 
 SEEDS = 30
 
@@ -74,7 +75,7 @@ def test_power_law_gives_the_resistance_of_each_flow():
 def test_scaling_is_that_of_a_smooth_pipe():
     """Eq. (10) scales like Darcy's and Blasius' formulas, which it is made of."""
     q = 100 * bench.LITRES
-    other = hose_resistance.scaled(blasius(q), bench.LENGTH, bench.BORE, 2.5, 0.0127)
+    other = scaled(blasius(q), bench.LENGTH, bench.BORE, 2.5, 0.0127)
     assert other == pytest.approx(blasius(q, 2.5, 0.0127), rel=1e-12)  # exact identity
 
 

@@ -9,10 +9,10 @@ import pytest
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, recording
 
 from fmus.contract import ModelError
-from fmus.identification.procedures.base_parameters import STANDARD, grouping, regressor, standard
-from fmus.identification.procedures.inertia import FREE, identify
-from fmus.identification.procedures.motion import PARAMETERS
-from fmus.identification.procedures.samples import numbers
+from fmus.identification.procedures.balance.motion import PARAMETERS
+from fmus.identification.procedures.balance.samples import numbers
+from fmus.identification.procedures.inertia.base_parameters import STANDARD, grouping, regressor, standard
+from fmus.identification.procedures.inertia.procedure import FREE, identify
 
 P = numbers(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}

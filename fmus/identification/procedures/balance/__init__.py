@@ -1,0 +1,1 @@
+"""The balance of momenta of the arm: what `damping` and `inertia` solve."""

@@ -1,0 +1,85 @@
+"""Viscous damping of swing gear and pistons (section 4(d), eq. (13), Fig. 9).
+
+    x' B = a        a = tau - M q'' - V - G        x' = q' of the swing, J q' of a piston
+
+with tau of measured pressures and M, V, G of the manipulator, the viscous friction of the joints as known.
+Both sides are filtered alike and the acceleration is moved onto the filter (`balance.modulation`), so that
+B is least squares of impulses and momenta; the paper's estimator is shown beside it (`as_printed`).
+
+Validity: viscous friction, everything else known. What is not, B takes in, as the paper says: the remarks
+tell how much, and whether dry friction can be seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from fmus.contract import ModelError
+from fmus.identification.finding import Estimate, Finding
+from fmus.identification.procedures.balance import motion
+from fmus.identification.procedures.damping.joint import CONTACTS, JointDamping, joint_damping
+from fmus.identification.procedures.damping.panels import panels
+from fmus.identification.procedures.damping.remarks import remarks
+from fmus.identification.procedures.shared.given import training
+from fmus.identification.procedures.shared.regression import symmetrical
+from fmus.identification.recordings.recording import Recording
+from fmus.parameters import Number
+
+SIGNALS: Mapping[str, str] = motion.SIGNALS
+
+
+def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
+    """B of each joint of which there are recordings."""
+    own = training(recordings, "damping")
+    for r in own:
+        if r.word("joint") not in CONTACTS:
+            raise ModelError(
+                f"{r.source}: [experiment] joint is {r.word('joint')!r}, expected {', '.join(CONTACTS)}"
+            )
+    parts = {joint: [r for r in own if r.word("joint") == joint] for joint in CONTACTS}
+    found = [joint_damping(CONTACTS[joint], part, known) for joint, part in parts.items() if part]
+    return Finding(
+        procedure="damping",
+        title="Viscous damping of the joints: resistance over speed",
+        figure=9,
+        estimates=tuple(_estimate(one) for one in found if one.value > 0),
+        panels=panels(found),
+        remarks=tuple(text for one in found for text in (*_refused(one), *remarks(one))),
+        others=tuple(estimate for one in found for estimate in _others(one)),
+    )
+
+
+def _estimate(one: JointDamping) -> Estimate:
+    note = "eq. (13) by impulses and momenta"
+    sd = one.sd
+    if one.doubt.sd:
+        note += f"; sd {one.sd:.3g} by the recordings, {one.doubt.sd:.3g} by the known parameters"
+        sd = math.hypot(one.sd, one.doubt.sd)
+    return _positive(symmetrical(one.contact.parameter, one.value, one.contact.unit, sd, note))
+
+
+def _positive(e: Estimate) -> Estimate:
+    """The interval of a quantity that cannot be negative."""
+    return Estimate(e.name, e.value, e.unit, e.sd, max(e.low, 0.0), e.high, e.note)
+
+
+def _refused(one: JointDamping) -> list[str]:
+    if one.value > 0:
+        return []
+    return [
+        f"{one.contact.parameter}: {one.value:.3g} {one.contact.unit} is no damping, so it is not handed on: "
+        "something that is taken as known is wrong."
+    ]
+
+
+def _others(one: JointDamping) -> list[Estimate]:
+    """B by these recordings alone, and a dry friction."""
+    name, unit = one.contact.parameter, one.contact.unit
+    dry, sd, _ = one.dry
+    return [
+        symmetrical(f"{name}, the rest known exactly", one.value, unit, one.sd, "by the recordings alone"),
+        symmetrical(
+            f"dry friction beside {name}", dry, one.contact.resistance_unit, sd, "as one more unknown of (13)"
+        ),
+    ]

@@ -1,0 +1,66 @@
+"""What the reader of a damping must know, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fmus.identification.procedures.damping.joint import JointDamping
+
+SEEN = 4.0  # standard deviations from which on a dry friction is said to be seen
+
+
+def remarks(one: JointDamping) -> list[str]:
+    """For one joint; each begins with the parameter."""
+    texts = [
+        _used(one),
+        _doubt(one),
+        _attenuated(one),
+        one.doubt.remark(one.value, one.contact.unit),
+        *_dry(one),
+    ]
+    return [f"{one.contact.parameter}: {text}" for text in texts]
+
+
+def _used(one: JointDamping) -> str:
+    samples = sum(s.good.size for s in one.records)
+    share = 100 * (1 - len(one.speed) / samples)
+    seconds = len(one.speed) * one.records[0].filters.step
+    text = f"{seconds:.3g} s of {len(one.records)} recordings are used"
+    if not share:
+        return f"{text}, nothing is left out."
+    ends = sum(s.touched for s in one.records)
+    stops = f"; in {ends} samples a piston was at an end of its stroke" if ends else ""
+    return f"{text}, {share:.2g} % is left out because of clipped or missing samples nearby{stops}."
+
+
+def _doubt(one: JointDamping) -> str:
+    noise, residual = (math.sqrt(max(c[0, 0], 0.0)) for c in (one.solution.noise, one.solution.residual))
+    text = (
+        f"the noise of all sensors gives a standard deviation of {noise:.3g} {one.contact.unit}, the "
+        f"residuals with their autocorrelation {residual:.3g}."
+    )
+    if one.solution.lacks:
+        return f"{text} Noise does not explain them: the model lacks something, and the interval covers it."
+    return f"{text} Noise explains them; the interval is that of the noise."
+
+
+def _attenuated(one: JointDamping) -> str:
+    ours, first = 100 * one.solution.mean_effect[0] / one.value, one.plain[0]
+    return (
+        f"the noise of the encoders in the speed moves this estimate by {ours:.2g} %, which is taken off. "
+        f"With a at every sample and a derivative over {first.window * 1e3:.3g} ms, (13) gives "
+        f"{first.value:.4g} {one.contact.unit}, {first.corrected:.4g} with the noise taken off."
+    )
+
+
+def _dry(one: JointDamping) -> list[str]:
+    dry, sd, left = one.dry
+    if not np.isfinite(sd) or dry < SEEN * sd:  # one that pushes is no friction
+        return []
+    return [
+        f"the residual has the sign of the speed. A dry friction of {dry:.3g} +- {sd:.2g} "
+        f"{one.contact.resistance_unit} beside a damping of {left:.4g} {one.contact.unit} fits better; the "
+        "viscous law takes it into B, at the speeds of these recordings."
+    ]

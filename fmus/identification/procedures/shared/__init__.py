@@ -1,0 +1,1 @@
+"""What several procedures use: what is given, regression, means of steps."""
