@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.refinement import loss as losses
 from fmus.identification.refinement.condense import Local
 from fmus.identification.refinement.factor import factors
 from fmus.identification.refinement.guess import first_states
 from fmus.identification.refinement.loss import Loss
 from fmus.identification.refinement.parallel import parallel
 from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.scales import Scales
 from fmus.identification.refinement.simulator import Simulator
 
 Array = NDArray[np.float64]
@@ -72,10 +71,11 @@ class Evaluated:
         """Largest of them."""
         return max((float(np.abs(d).max(initial=0.0)) for run in self.defects for d in run), default=0.0)
 
-    def residuals(self) -> tuple[Array, NDArray[np.int64]]:
-        """All residuals in standard deviations of the sensor, and the output of each."""
+    def residuals(self) -> list[Array]:
+        """The residuals of each output in standard deviations of the sensor, in the order of time."""
         segments = [s for run in self.runs for s in run]
-        return (np.concatenate([s.residual for s in segments]), np.concatenate([s.column for s in segments]))
+        outputs = range(len(self.problem.outputs))
+        return [np.concatenate([s.residual[s.column == k] for s in segments]) for k in outputs]
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,7 @@ class Shooting:
         use = weight > 0
         w, column = weight[use], np.nonzero(use)[1]
         residual = (piece.y[:own][use] - record.measured[first : first + own][use]) * w
-        shrunk = 1 / np.hypot(1.0, scales.floor[column])
-        factor = shrunk * losses.weights(residual * shrunk, scales.tuning[column], self.loss)
+        factor = scales.factor(residual, column, self.loss)
         local = None
         if sensitivities:
             rows = np.hstack([piece.y_x[:own][use] * nominal, piece.y_p[:own][use] * slopes])
@@ -153,39 +152,6 @@ class Shooting:
                 found, piece.x_x * nominal / nominal[:, None], piece.x_p * slopes / nominal[:, None]
             )
         return Segment(residual, column, factor, piece.x / nominal, local)
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Per output, in standard deviations of the sensor.
-
-    floor    standard deviation of the model's own error, 0 for none
-    tuning   where outliers begin, in those of sensor and model together
-    """
-
-    floor: Array
-    tuning: Array
-
-    @classmethod
-    def sensors(cls, outputs: int) -> Scales:
-        """A model without errors."""
-        return cls(np.zeros(outputs), np.full(outputs, losses.TUNING))
-
-    def seen(self, evaluated: Evaluated, model_error: bool) -> Scales:
-        """The scales that the residuals at a point show; the model's error only if it may have one."""
-        residual, column = evaluated.residuals()
-        parts = [residual[column == k] for k in range(len(self.floor))]
-        floor = np.zeros(len(parts))
-        if model_error:
-            power = np.array([np.mean(part**2) if part.size else 0.0 for part in parts])
-            floor = np.sqrt(np.maximum(0.0, power - 1))
-        tuning = [losses.tuning(part / math.hypot(1, f)) for part, f in zip(parts, floor, strict=True)]
-        return Scales(floor, np.array(tuning))
-
-    def change(self, other: Scales) -> float:
-        """Largest relative difference."""
-        mine, others = (np.concatenate([np.hypot(1.0, s.floor), s.tuning]) for s in (self, other))
-        return float(np.max(np.abs(others / mine - 1)))
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from fmus.identification.refinement.priors import Priors
-from fmus.identification.refinement.shooting import Evaluated, Point, Scales, Shooting
+from fmus.identification.refinement.scales import Scales, seen
+from fmus.identification.refinement.shooting import Evaluated, Point, Shooting
 from fmus.identification.refinement.step import Linear, Trust, decrement, linear, search
 
 CLOSED = 1e-4  # nominal values: gaps between segments that do not count
@@ -40,11 +43,17 @@ class Options:
                   deviations: no parameter then moves by more than this share of its own
     model_error   let the model have an error of its own per output, estimated from the residuals; none is
                   found where the sensors explain them
+    memory        count residuals that last as one, so that slow ones do not outweigh fast ones
     """
 
     iterations: int = 60
     tolerance: float = 0.1
     model_error: bool = True
+    memory: bool = True
+
+    def scales(self, now: Evaluated, far: bool) -> Scales:
+        """How much the outputs count at a point."""
+        return seen(now.residuals(), self.model_error or far, self.memory and not far)
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ def minimise(
     problem = shooting.problem
     far, trust, reason = True, Trust(), f"{options.iterations} iterations"
     scales = Scales.sensors(len(problem.outputs))
-    scales = scales.seen(shooting.evaluate(point, scales, False), True)
+    scales = seen(shooting.evaluate(point, scales, False).residuals(), True, False)
     now = shooting.evaluate(point, scales)
     at = linear(now, now, priors, shooting.loose)
     history: list[Progress] = []
@@ -88,14 +97,14 @@ def minimise(
                 reason = ""
                 break
             closed = left < options.tolerance and now.gap() < CLOSED
-            wanted = scales.seen(now, options.model_error or far)
+            wanted = options.scales(now, far)
             settled = wanted.change(scales) < SETTLED
-            if closed and settled and (options.model_error or not far):
+            if closed and settled and not far:
                 reason = ""
                 break
             if far and settled and left < 1:
-                far = options.model_error
-                wanted = scales.seen(now, options.model_error)
+                far = False
+                wanted = options.scales(now, far)
             found, trust = search(shooting, now, at, priors, wanted, trust)
             if found is None:
                 reason = "no step leads closer"
@@ -108,7 +117,7 @@ def minimise(
 
 
 def _progress(iteration: int, now: Evaluated, left: float, trust: Trust) -> Progress:
-    residual, problem = now.residuals()[0], now.problem
+    residual, problem = np.concatenate(now.residuals()), now.problem
     parameters = dict(zip(problem.names, problem.values_of(now.point.z).tolist(), strict=True))
     size = float((residual @ residual / max(1, residual.size)) ** 0.5)
     return Progress(iteration, size, left, now.gap(), trust, parameters)

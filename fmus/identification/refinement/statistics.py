@@ -26,12 +26,12 @@ VAGUE = 100.0  # of z: a standard deviation given to everything, so that all num
 class Statistics:
     """Covariances of z, shape (np, np), and what they rest on.
 
-    plain        right if the model is: independent residuals
+    plain        right if residuals are independent, but for the memory that the search saw in them
     clustered    over segments, honest for residuals with a memory no longer than a segment
     data         that of the data alone, without priors
     inputs       the part of both that comes from the noise of measured inputs
     residual     variance of a weighted residual, 1 if its weight is right
-    freedom      samples that count minus unknowns
+    freedom      samples that count, those of one memory as one, minus unknowns
     clusters     number of segments
     condition    of the Jacobian of the data, columns scaled to length one
     """
@@ -51,7 +51,7 @@ class Statistics:
 
     def quantile(self, robust: bool) -> float:
         """Half width of a 95 % interval in standard deviations."""
-        return float(student.ppf(0.975, max(1, self.clusters - 1 if robust else self.freedom)))
+        return float(student.ppf(0.975, max(1, self.clusters - 1) if robust else self.freedom))
 
     @property
     def correlation(self) -> Array:
@@ -65,8 +65,9 @@ def statistics(solution: Solution, priors: Priors, inputs: Array) -> Statistics:
     free = len(priors.z)
     segments = [s for run in solution.evaluated.runs for s in run]
     weighted = np.concatenate([s.residual * s.factor for s in segments])
-    freedom = weighted.size - free - sum(len(run.top) for run in solution.linear.runs)
-    variance = float(weighted @ weighted) / max(1, freedom)
+    counted = sum(float(np.sum(1 / solution.scales.memory[s.column])) for s in segments)
+    freedom = max(1, round(counted) - free - sum(len(run.top) for run in solution.linear.runs))
+    variance = float(weighted @ weighted) / freedom
     data = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
     known = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
     information = data.T @ data

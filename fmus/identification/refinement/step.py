@@ -19,7 +19,8 @@ from fmus.identification.refinement.condense import Condensed, condense
 from fmus.identification.refinement.factor import triangular
 from fmus.identification.refinement.model import Failed
 from fmus.identification.refinement.priors import Priors
-from fmus.identification.refinement.shooting import Evaluated, Scales, Shooting
+from fmus.identification.refinement.scales import Scales
+from fmus.identification.refinement.shooting import Evaluated, Shooting
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ def test_steps_shrink_quadratically_without_noise() -> None:
     """With residuals that vanish at the optimum, an error is of the order of the square of the one before."""
     task = problem(run(recording(noise=0.0)))
     seen: list[Progress] = []
-    options = Options(tolerance=1e-7)
+    options = Options(tolerance=1e-7, memory=False)
     found = refine(task, compiled(task, 1e-10), horizon=np.inf, options=options, progress=seen.append)
     error = [max(abs(np.log(p.parameters[n] / TRUTH[n])) for n in task.names) for p in seen]
     late = [e for e in error if e < 0.1]
