@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, column, quantities
 from fmus.coupled import couple
+from fmus.interrupt import held
 from fmus.parameters import Values, values
 
 Array = NDArray[np.float64]
@@ -114,7 +115,8 @@ def simulate(
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]
         solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
-        result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
+        with held():
+            result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
         piece = result["xf"].full().T * model.nominal
         states.extend(piece)
         x = piece[-1]

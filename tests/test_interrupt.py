@@ -1,0 +1,26 @@
+"""Ctrl-C while a solver runs."""
+
+import signal
+
+import pytest
+
+from fmus.interrupt import held
+
+
+def test_an_interrupt_waits_for_the_end_of_the_block():
+    """What runs is not disturbed, and the interrupt is not lost; later ones end at once again."""
+    usual = signal.getsignal(signal.SIGINT)
+    steps = []
+    with pytest.raises(KeyboardInterrupt), held():
+        signal.raise_signal(signal.SIGINT)
+        steps.append("after")
+    assert steps == ["after"]
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_an_error_of_the_block_is_told():
+    """The handlers come back after an error, too."""
+    usual = signal.getsignal(signal.SIGINT)
+    with pytest.raises(RuntimeError), held():
+        raise RuntimeError
+    assert signal.getsignal(signal.SIGINT) is usual
