@@ -113,13 +113,15 @@ def _searched(
     inputs = tuple(input_matrix(run, simulator) for run in problem.training)
     edges = tuple(cut(run.time, np.inf if whole else segment) for run in problem.training)
     shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
+    before: Solution | None = None
     try:
         known = priors(problem, simulator, [states[0] for states in shooting.guessed(z).starts])
         if horizon < segment and not whole:
             edges = tuple(cut(run.time, horizon) for run in problem.training)
             near = replace(shooting, edges=edges, loose=True)
-            z = minimise(near, near.guessed(z), known, Options(), progress).evaluated.point.z
-        solution = minimise(shooting, shooting.guessed(z), known, options or Options(), progress)
+            before = minimise(near, near.guessed(z), known, Options(), progress)
+            z = before.evaluated.point.z
+        solution = minimise(shooting, shooting.guessed(z), known, options or Options(), progress, before)
     except Failed as failed:
         raise ModelError(
             f"{problem.sub.name}: cannot be simulated with the values to start from: {failed}"

@@ -12,6 +12,7 @@ from fmus.identification.refinement.scales import Scales, seen
 from fmus.identification.refinement.shooting import Evaluated, Point, Shooting
 from fmus.identification.refinement.step import Linear, Trust, decrement, linear, search
 
+INTERRUPTED = "interrupted"
 CLOSED = 1e-4  # nominal values: gaps between segments that do not count
 LOOSE = 3.0  # standard deviations by which loose segments may change at the end
 SETTLED = 0.05  # relative change of the scales that does not count
@@ -55,6 +56,10 @@ class Options:
         """How much the outputs count at a point."""
         return seen(now.residuals(), self.model_error or far, self.memory and not far)
 
+    def done(self, now: Evaluated, left: float) -> bool:
+        """Do the segments meet, and is what is `left` to be gained too little?"""
+        return left < self.tolerance and now.gap() < CLOSED
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -74,9 +79,11 @@ def minimise(
     priors: Priors,
     options: Options,
     progress: Callable[[Progress], None] | None = None,
+    before: Solution | None = None,
 ) -> Solution:
-    """Search from a point. An interrupt, or a step that leads nowhere, keeps the best point so far.
+    """Search from a point, perhaps after another search that led there.
 
+    An interrupt, or a step that leads nowhere, keeps the best point so far.
     Far from the optimum every output is weighted by its residuals, as if the model had an error of that
     size: no sensor outweighs the others by being precise, and what shows only in details has to wait.
     """
@@ -86,20 +93,18 @@ def minimise(
     scales = seen(shooting.evaluate(point, scales, False).residuals(), True, False)
     now = shooting.evaluate(point, scales)
     at = linear(now, now, priors, shooting.loose)
-    history: list[Progress] = []
+    history = list(before.history) if before else []
+    if before and before.reason == INTERRUPTED:
+        return Solution(now, at, scales, tuple(history), False, INTERRUPTED)
     try:
-        for iteration in range(options.iterations):
+        for _ in range(options.iterations):
             left = decrement(at, now.point.z, problem.bounds())
-            history.append(_progress(iteration, now, left, trust))
+            history.append(_progress(len(history), now, left, trust))
             if progress:
                 progress(history[-1])
-            if shooting.loose and left < LOOSE:
-                reason = ""
-                break
-            closed = left < options.tolerance and now.gap() < CLOSED
             wanted = options.scales(now, far)
             settled = wanted.change(scales) < SETTLED
-            if closed and settled and not far:
+            if left < LOOSE if shooting.loose else settled and not far and options.done(now, left):
                 reason = ""
                 break
             if far and settled and left < 1:
@@ -112,7 +117,7 @@ def minimise(
             now, scales = found, wanted
             at = linear(now, now, priors, shooting.loose)
     except KeyboardInterrupt:
-        reason = "interrupted"
+        reason = INTERRUPTED
     return Solution(now, at, scales, tuple(history), not reason, reason or "converged")
 
 

@@ -130,16 +130,17 @@ def test_differences_lead_to_the_same_optimum(kind: str) -> None:
     assert np.max(np.abs(one.z - two.z) / one.statistics.sd(False)) < limit
 
 
-def test_interrupt_keeps_the_best_so_far() -> None:
-    """Ctrl-C during the search ends it; what was found is returned and says so."""
+@pytest.mark.parametrize("horizon", [0.5, np.inf])
+def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
+    """Ctrl-C during the search, whichever, ends it; what was found is returned and says so."""
 
     def stop(progress: Progress) -> None:
-        if progress.iteration == 2:
+        if progress.iteration == 1:
             raise KeyboardInterrupt
 
     task = problem(run(recording()))
-    found = refine(task, horizon=np.inf, progress=stop)
-    assert (found.converged, found.reason, len(found.history)) == (False, "interrupted", 3)
+    found = refine(task, horizon=horizon, progress=stop)
+    assert (found.converged, found.reason, len(found.history)) == (False, "interrupted", 2)
     assert found.values == pytest.approx(dict(found.history[-1].parameters))
 
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from identification.refinement.oscillator import NOISE, TRUTH, problem, recording, run
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from fmus.identification.refinement.loss import Loss, weights
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import Traces, whiteness
+from fmus.identification.refinement.scales import correlation_time
 from fmus.identification.refinement.smoothing import smoothed
 from fmus.identification.refinement.starts import from_random_starts
 
@@ -160,3 +162,14 @@ def test_noise_of_an_input_is_taken_off_and_told() -> None:
     moving, window = smoothed(time, wave + noise, 8.0, 0.1)
     assert 5 <= window < 200
     assert np.std(moving - wave) < 0.07
+
+
+def test_memory_of_a_residual_is_its_correlation_time() -> None:
+    """For x_k = a x_(k-1) + e_k it is (1 + a) / (1 - a); one for white noise; no more than can be seen."""
+    rng = np.random.default_rng(5)
+    white = rng.standard_normal(100_000)
+    for a in (0.0, 0.5, 0.9):
+        # 10 %: some thousand independent stretches, cut off where the noise of the sum begins
+        assert correlation_time(lfilter([1], [1, -a], white)) == pytest.approx((1 + a) / (1 - a), rel=0.1)
+    assert correlation_time(np.linspace(-1, 1, 1000)) == pytest.approx(50)  # a trend: a twentieth
+    assert correlation_time(np.zeros(1000)) == 1
