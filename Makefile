@@ -33,6 +33,7 @@ bench: $(INSTALLED)
 
 bench-sensitivities: $(INSTALLED)
 	$(BIN)/python -m benchmarks.sensitivities
+	$(BIN)/python -m benchmarks.starts
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers

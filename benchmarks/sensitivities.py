@@ -11,21 +11,15 @@ reference. Of differences the change with the smallest error counts, which a use
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
-import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import fmpy
 import numpy as np
 
-from fmus.export.build import build
-from fmus.export.compile import HEADERS
+from benchmarks.played import Fmu
 from fmus.harvester import HARVESTER
 from fmus.identification.refinement.model import Model
 from fmus.parameters import values
@@ -51,60 +45,6 @@ STOP, NOISE = 60.0, 1e4  # s; Pa, of the pressure sensor
 REPEATS = 5
 PERTURBATIONS = tuple(10.0**-n for n in range(2, 8))
 Array = np.ndarray
-
-
-class Fmu:
-    """harvester.fmu, run by a loop in C."""
-
-    CALLS = (
-        *("Instantiate", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "SetReal"),
-        *("SetRealInputDerivatives", "DoStep", "GetReal", "FreeInstance"),
-    )
-
-    def __init__(self, folder: Path, inputs: tuple[str, ...], time: Array, u: Array) -> None:
-        fmu = build(HARVESTER, folder)
-        zipfile.ZipFile(fmu).extractall(folder / "fmu")
-        (file,) = (folder / "fmu" / "binaries").glob("*/harvester.*")
-        self.library, self.time, self.u = ctypes.CDLL(str(file)), time, u
-        addresses = [ctypes.cast(self.library[f"fmi2{name}"], ctypes.c_void_p) for name in self.CALLS]
-        self.functions = (ctypes.c_void_p * len(addresses))(*addresses)
-        described = fmpy.read_model_description(str(fmu))
-        self.guid = described.guid.encode()
-        references = {v.name: v.valueReference for v in described.modelVariables}
-        self.references = [
-            np.array([references[n] for n in group], dtype=np.uint32) for group in (inputs, FREE, OUTPUTS)
-        ]
-        self.play = _player(folder)
-
-    def __call__(self, p: Array, tolerance: float) -> Array:
-        """Outputs at the samples, shape (n, ny)."""
-        y = np.empty((self.time.size, len(OUTPUTS)))
-        inputs, free, outputs = self.references
-
-        def vector(values: Array) -> tuple[ctypes.c_size_t, ctypes.c_void_p]:
-            return ctypes.c_size_t(values.size), ctypes.c_void_p(values.ctypes.data)
-
-        p = np.ascontiguousarray(p)
-        failed = self.play(
-            *(self.functions, self.guid, ctypes.c_double(tolerance), self.time.size),
-            *(ctypes.c_void_p(self.time.ctypes.data), *vector(inputs), ctypes.c_void_p(self.u.ctypes.data)),
-            *(
-                *vector(free),
-                ctypes.c_void_p(p.ctypes.data),
-                *vector(outputs),
-                ctypes.c_void_p(y.ctypes.data),
-            ),
-        )
-        if failed:
-            raise RuntimeError("the FMU failed")
-        return y
-
-
-def _player(folder: Path) -> Callable[..., int]:
-    file = folder / "play.so"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O3", "-std=c99", "-fPIC", "-shared", f"-I{HEADERS}"]
-    subprocess.run([*command, str(Path(__file__).with_name("play.c")), "-o", str(file)], check=True)
-    return ctypes.CDLL(str(file)).play
 
 
 def recorded(names: tuple[str, ...]) -> tuple[Array, Array]:
@@ -163,7 +103,7 @@ def main() -> None:
         return np.sqrt(np.mean(((found - reference) / span) ** 2, axis=(0, 1))) / size
 
     with tempfile.TemporaryDirectory() as folder:
-        fmu = Fmu(Path(folder), model.inputs, grid, u)
+        fmu = Fmu(Path(folder), (model.inputs, FREE, OUTPUTS), grid, u)
         unit = seconds(lambda: fmu(p, 1e-6))
         same = np.abs(fmu(p, 1e-6) - model.segment(x0, p, grid, u, False).y).max(axis=0) / span[:, 0]
         print(
