@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from fmus.contract import ModelError, Subsystem, quantities, symbolic
+from fmus.identification.recordings.gaps import bridged
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import Run
@@ -104,7 +105,7 @@ class Mapped:
         own = self._name(name)
         if own not in recording.signals:
             return np.full(len(recording.time), (self.numbers or values(self.sub)).u[name]), 0
-        signal, noise = filled(recording, own), recording.sensor(own).sd
+        signal, noise = bridged(recording, own), recording.sensor(own).sd
         if not noise > 0:
             return signal, 0
         if name not in self.smooth:
@@ -145,15 +146,6 @@ def usable_samples(recording: Recording, name: str) -> NDArray[np.bool_]:
     usable = good(recording, name)
     lost = np.isfinite(recording[name]) & ~usable
     return np.asarray(usable & ~binary_dilation(lost, iterations=_AROUND))
-
-
-def filled(recording: Recording, name: str) -> Array:
-    """A signal without gaps: straight lines over them."""
-    signal = recording[name]
-    there = np.isfinite(signal)
-    if not there.any():
-        raise ModelError(f"{recording.source}: {name} has no sample, expected an input of the simulation")
-    return np.interp(recording.time, recording.time[there], signal[there])
 
 
 def _range(values: Array) -> float:

@@ -29,21 +29,21 @@ class Statistics:
     plain        right if residuals are independent, but for the memory that the search saw in them
     clustered    over segments, honest for residuals with a memory no longer than a segment
     data         that of the data alone, without priors
-    inputs       the part of both that comes from the noise of measured inputs
     residual     variance of a weighted residual, 1 if its weight is right
     freedom      samples that count, those of one memory as one, minus unknowns
     clusters     number of segments
     condition    of the Jacobian of the data, columns scaled to length one
+    inputs       the part of the covariances that comes from the noise of measured inputs
     """
 
     plain: Array
     clustered: Array
     data: Array
-    inputs: Array
     residual: float
     freedom: int
     clusters: int
     condition: float
+    inputs: Array | None = None
 
     def sd(self, robust: bool) -> Array:
         """Standard deviations of z."""
