@@ -59,12 +59,17 @@ class Values:
 def read(path: Path) -> dict[str, dict[str, Number]]:
     """The tables `parameters` and `start` of a file, each entry checked for its keys and types."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise ModelError(f"{path}: expected a TOML file, found {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
     unknown = set(document) - {"parameters", "start"}
     if unknown:
         raise ModelError(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
+    for section, entries in document.items():
+        if not isinstance(entries, dict):
+            raise ModelError(f"{path}: {section} is {entries!r}, expected tables [{section}.NAME]")
     return {
         section: {
             name: _number(path, section, name, entry) for name, entry in document.get(section, {}).items()
@@ -91,6 +96,8 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
         raise ModelError(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
     if not math.isfinite(entry["value"]):
         raise ModelError(f"{where} value is {entry['value']}, expected a finite number")
+    if not 0 <= entry.get("sd", 0) < math.inf:
+        raise ModelError(f"{where} sd is {entry['sd']}, expected 0 or more")
     return Number(float(entry["value"]), entry["unit"], entry["source"], entry["note"], entry.get("sd"))
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmus.identification.recordings.flat import NOISY, at_ends, equal_by_chance, step_and_noise
+from fmus.identification.recordings.plausible import RATES
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from fmus.identification.recordings.resampling import MISSED, UNEVEN, period
 
@@ -47,6 +48,12 @@ class Clock:
     def remarks(self) -> Iterator[str]:
         """Whole sentences on what is not as it should be."""
         step = 1 / self.rate
+        low, high = RATES
+        if not low <= self.rate <= high:
+            yield (
+                f"The clock: {self.rate:.3g} Hz, expected {low:g} Hz to {high:g} Hz:"
+                " is the unit of time right?"
+            )
         if self.missing:
             yield (
                 f"The clock: {self.missing} samples are missing; the longest interval is"

@@ -85,7 +85,8 @@ def _spline(values: Array) -> tuple[scipy.interpolate.CubicSpline, Mask]:
     usable = np.zeros(len(values), dtype=bool)
     for part in stretches(there):
         low = part.start + (NEAR if part.start > 0 else 0)
-        usable[low : part.stop - (NEAR if part.stop < len(values) else 0)] = True
+        high = part.stop - (NEAR if part.stop < len(values) else 0)
+        usable[low : max(low, high)] = True  # a short stretch at the beginning has none
     return scipy.interpolate.CubicSpline(number[there], values[there]), usable
 
 

@@ -100,7 +100,7 @@ def load(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ModelError(f"{path}: expected a TOML file, found {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: expected TOML, found {error}") from None
+        raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
 
 
 def _which(experiment: dict[str, Any], where: str) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from fmus.identification.recordings.clock import Clock
 from fmus.identification.recordings.flat import clipped, stuck
 from fmus.identification.recordings.masks import dead
 from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.plausible import beyond
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from fmus.identification.recordings.resampling import stretches
 from fmus.units import display
@@ -67,7 +68,14 @@ class SignalQuality:
         return self.lowest == self.highest
 
     def remarks(self) -> Iterator[str]:
-        """Whole sentences on what is not as it should be."""
+        """Whole sentences on what is not as it should be, and on what is not used."""
+        yield from self.faults()
+        if self.dead and not self.still:
+            zone = _shown(self.sensor.dead_zone, self.unit)
+            yield f"{self.name}: {_words(self.dead)} in the sensor's dead zone of {zone}, not used."
+
+    def faults(self) -> Iterator[str]:
+        """The first of them: a dead zone is no fault."""
         if self.gaps:
             yield f"{self.name}: {_words(self.gaps)} without a sample."
         if self.clipped:
@@ -77,9 +85,15 @@ class SignalQuality:
             )
         if self.stuck:
             yield f"{self.name}: {_words(self.stuck)} stuck at one value, which its noise would not allow."
-        if self.dead and not self.still:
-            zone = _shown(self.sensor.dead_zone, self.unit)
-            yield f"{self.name}: {_words(self.dead)} in the sensor's dead zone of {zone}, not used."
+        usual = beyond(max(abs(self.lowest), abs(self.highest)), self.unit)
+        if usual:
+            low, high = (_shown(value, self.unit) for value in usual)
+            wanted = f"{low} to {high}" if usual[0] else f"up to {high}"
+            lowest, highest = (_shown(value, self.unit) for value in (self.lowest, self.highest))
+            yield (
+                f"{self.name}: from {lowest} to {highest}, expected a largest magnitude of {wanted}:"
+                " is its unit right?"
+            )
         yield from self._instrument()
 
     def _instrument(self) -> Iterator[str]:
@@ -164,7 +178,8 @@ def _words(fault: Fault) -> str:
 def _shown(value: float, unit: str) -> str:
     """A number in the unit a reader expects."""
     text, factor = display(unit) or (unit, 1.0)
-    return f"{factor * value:.3g}" + ("" if text == "1" else f" {text}")
+    shown = f"{factor * value:.0f}" if 1e3 <= abs(factor * value) < 1e6 else f"{factor * value:.3g}"
+    return shown + ("" if text == "1" else f" {text}")
 
 
 def _row(signal: SignalQuality) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ Values become SI by the dimension of their unit. docs/recordings.md describes th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from fmus.identification.recordings.recording import Recording
 from fmus.identification.recordings.series import read_series
 from fmus.units import in_si, parse
 
-__all__ = ["read", "read_folder", "read_series", "require"]
+__all__ = ["left_out", "read", "read_folder", "read_series", "require"]
 
 
 def read(path: Path | str) -> Recording:
@@ -58,8 +58,25 @@ def read_folder(folder: Path | str) -> list[Recording]:
         raise ModelError(f"{folder}: expected a folder of recordings, found {_what(folder)}")
     metas = [path for path in sorted(folder.glob("*.toml")) if "experiment" in load(path)]
     if not metas:
-        raise ModelError(f"{folder}: expected .toml files with a table [experiment], found none")
+        beside = ", ".join(path.name for path in _data_files(folder)[:3])
+        found = f"none, only {beside}" if beside else "none"
+        raise ModelError(f"{folder}: expected .toml files with a table [experiment], found {found}")
     return [read(path) for path in metas]
+
+
+def left_out(folder: Path, recordings: Sequence[Recording]) -> list[str]:
+    """Sentences on the data files of a folder that none of its recordings is of."""
+    used = {recording.source.name for recording in recordings}
+    others = [path for path in _data_files(folder) if path.name not in used]
+    return [f"{path.name}: left out, {_why(path.with_suffix('.toml'))}." for path in others]
+
+
+def _data_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in DATA)
+
+
+def _why(meta: Path) -> str:
+    return f"{meta.name} has no table [experiment]" if meta.is_file() else f"there is no {meta.name}"
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:

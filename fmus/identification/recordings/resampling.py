@@ -28,15 +28,32 @@ def uniform_rate(recording: Recording) -> float:
     time = recording.time
     if len(time) < 2:
         raise ModelError(f"{recording.source}: expected two or more samples, found {len(time)}")
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    off = np.abs(time - (time[0] + step * np.arange(len(time)))) / step
+    off = _off(time)
     worst = int(np.argmax(off))
     if off[worst] > UNEVEN:
         raise ModelError(
             f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off"
             f" a uniform clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
         )
-    return float(1 / step)
+    return float((len(time) - 1) / (time[-1] - time[0]))
+
+
+def evenly(recording: Recording) -> Recording:
+    """The recording on a uniform clock at its own rate, itself if it has one; what is missing becomes a gap.
+
+    Commands are interpolated as all else is: a simulation draws straight lines between its samples, and
+    holding the sample before would make half of them a period late.
+    """
+    time = recording.time
+    if len(time) < 2 or np.max(_off(time)) <= UNEVEN:
+        return recording
+    return resample(recording, 1 / period(time))
+
+
+def _off(time: Array) -> Array:
+    """How far each stamp is off a uniform clock, in periods."""
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    return np.asarray(np.abs(time - (time[0] + step * np.arange(len(time)))) / step)
 
 
 def resample(
@@ -94,7 +111,8 @@ def _held(clock: Array, time: Array, values: Array, longest: float) -> Array:
 def _missing(clock: Array, time: Array, longest: float) -> Mask:
     """Where a new sample lies inside an interval longer than `longest` [s]."""
     after = np.clip(np.searchsorted(time, clock), 1, len(time) - 1)
-    inside = (clock > time[after - 1]) & (clock < time[after])
+    rounding = 1e-6 * period(time)  # of stamps: a new sample that close to an old one has its value
+    inside = (clock > time[after - 1] + rounding) & (clock < time[after] - rounding)
     return inside & (time[after] - time[after - 1] > longest)
 
 

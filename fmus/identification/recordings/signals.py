@@ -1,7 +1,7 @@
 """What can be done with the signals of a recording, in one place.
 
-parts        take, window, split, add, blank
-clock        period, uniform_rate, resample
+parts        take, window, split, add, blank, bridged
+clock        period, uniform_rate, evenly, resample
 delay        delay, shift
 derivatives  derivatives, SavitzkyGolay, filter_for
 masks        good, good_all, dead, clipped, stretches, steady, averages, standard_error
@@ -11,6 +11,7 @@ from fmus.identification.recordings.cutting import add, blank, split, take, wind
 from fmus.identification.recordings.delay import Delay, delay, shift
 from fmus.identification.recordings.derivatives import Derivatives, SavitzkyGolay, derivatives, filter_for
 from fmus.identification.recordings.flat import clipped
+from fmus.identification.recordings.gaps import bridged
 from fmus.identification.recordings.masks import (
     Averages,
     averages,
@@ -20,7 +21,7 @@ from fmus.identification.recordings.masks import (
     standard_error,
     steady,
 )
-from fmus.identification.recordings.resampling import period, resample, stretches, uniform_rate
+from fmus.identification.recordings.resampling import evenly, period, resample, stretches, uniform_rate
 
 __all__ = [
     "Averages",
@@ -30,10 +31,12 @@ __all__ = [
     "add",
     "averages",
     "blank",
+    "bridged",
     "clipped",
     "dead",
     "delay",
     "derivatives",
+    "evenly",
     "filter_for",
     "good",
     "good_all",

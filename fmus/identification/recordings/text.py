@@ -40,6 +40,7 @@ def read_text(
             f"{path}: expected a one-character delimiter and decimal . or ,, found {delimiter!r}, {decimal!r}"
         )
     text = _text(path)
+    _separated(text, path, delimiter, skip_lines)
     frame = _cells(text, path, delimiter, skip_lines)
     header = [f"{i}" for i in frame]
     if named:
@@ -69,6 +70,17 @@ def _text(path: Path) -> str:
         ) from None
     except OSError as error:
         raise ModelError(f"{path}: expected a file of numbers, found {error.strerror}") from None
+
+
+def _separated(text: str, path: Path, delimiter: str, skip_lines: int) -> None:
+    """Refuse a first row without the delimiter that has another one."""
+    row = next(iter(text.splitlines()[skip_lines : skip_lines + 1]), "")
+    found = next((mark for mark in ";\t," if mark in row), None)
+    if found and len(delimiter) == 1 and delimiter not in row:
+        raise ModelError(
+            f"{path}: line {skip_lines + 1}: expected cells separated by {delimiter!r}, found {found!r}:"
+            " tell it as delimiter"
+        )
 
 
 def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> pd.DataFrame:
@@ -116,7 +128,10 @@ def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: s
         values = [_number(cell) for cell in plain]
     if None in values:
         bad = values.index(None)
-        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {cells[bad].strip()!r}")
+        found = repr(cells[bad].strip())
+        if decimal == "." and _number(cells[bad].replace(",", ".")) is not None:
+            found += ": tell its comma as decimal"
+        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {found}")
     return finite(np.array(values, dtype=np.float64), rows, where)
 
 

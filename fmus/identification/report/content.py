@@ -31,7 +31,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Channel:
-    """Data quality of one signal; remarks in whole sentences, empty if nothing is wrong."""
+    """Data quality of one signal; remarks in whole sentences, empty if nothing is wrong.
+
+    dead   share of the samples in the sensor's dead zone, which are not used
+    """
 
     signal: str
     unit: str
@@ -40,6 +43,7 @@ class Channel:
     noise: float
     sensor: str = ""
     remarks: tuple[str, ...] = ()
+    dead: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def render(page: Page) -> str:
         origin=captions.origin(page.kinds),
         findings=[(f, _figure(f, k, page.kinds), captions.caption(f, page.kinds)) for k, f in _all(page)],
         heat=None
-        if joint is None
+        if joint is None or len(joint.names) < 2
         else embed(matrix.draw(joint.names, joint.correlation), "c-", "Correlation"),
         pictures=[(p, embed(p.figure, f"t{k}-", p.title)) for k, p in enumerate(page.pictures)],
         style=Markup((TEMPLATES / "identification.css").read_text(encoding="utf-8")),

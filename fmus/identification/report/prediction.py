@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.gaps import bridged
 from fmus.identification.recordings.recording import Recording
 from fmus.machine import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
@@ -41,21 +42,29 @@ class Drive:
 
 def drive(recording: Recording, rest: float = 0.5) -> Drive:
     """What a recording of the machine tells of its drive; it stands still in its first `rest` seconds."""
-    still = recording.time <= recording.time[0] + rest
-    pose = {j: float(np.nanmean(recording[f"manipulator.{j}_angle"][still])) for j in JOINTS}
-    raw = np.column_stack([recording[signal] for signal in COMMANDS.values()])
+    pose = {joint: _at_rest(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
+    raw = np.column_stack([bridged(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
     return Drive(recording.time, commands, pose, _supply(recording))
+
+
+def _at_rest(recording: Recording, name: str, rest: float) -> float:
+    """Mean of a signal over the first `rest` seconds."""
+    values = recording[name][recording.time <= recording.time[0] + rest]
+    known = values[np.isfinite(values)]
+    if not known.size:
+        raise ModelError(
+            f"{recording.source}: {name} has no sample in its first {rest:g} s, expected the pose"
+        )
+    return float(known.mean())
 
 
 def _supply(recording: Recording) -> Array | None:
     """The measured supply pressure, without the noise of its sensor."""
     if SUPPLY not in recording.signals:
         return None
-    time, raw = recording.time, recording[SUPPLY]
-    known = np.isfinite(raw)
-    values = np.interp(time, time[known], raw[known])
-    smooth = filter_for(recording, SMOOTH).apply(values)
+    time = recording.time
+    smooth = filter_for(recording, SMOOTH).apply(bridged(recording, SUPPLY))
     full = np.isfinite(smooth)
     smooth = np.interp(time, time[full], smooth[full])
     return straight(time, smooth[:, None], STEADY)[:, 0]

@@ -35,9 +35,10 @@ def refinement(
         f"{len(problem.held_out)} held out",
         "iterations": str(len(refined.history)),
         "ended": refined.reason,
-        "intervals": "over segments: residuals have a memory that the sensors do not explain"
+        "95 % intervals": "from the scatter between segments: residuals depend on their past, which noise of"
+        " sensors does not explain"
         if refined.robust
-        else "of independent residuals",
+        else "from the noise of the sensors: residuals are independent of each other",
         **(facts or {}),
     }
     remarks = [f"{names.get(n, n)} ended at its bound." for n in refined.at_bound]

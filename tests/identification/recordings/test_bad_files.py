@@ -37,6 +37,7 @@ def lines(csv, number, text):
         ("20,0,True,1", ("line 6", "column 'P1'", "a number", "'True'")),
         ("20,0,2.5", ("line 6", "expected 4 cells, found 3")),
         ("20,0,2.5,1,1", ("line 6", "expected 4 cells, found 5")),
+        ('20,0,"2,5",1', ("line 6", "column 'P1'", "a number", "'2,5'", "its comma as decimal")),
         (",0,2.5,1", ("line 6", "column 't'", "expected a time, found none")),
         ("15,0,2.5,1", ("line 6", "column 't'", "increasing times", "15 after 15")),
         ("14.5,0,2.5,1", ("line 6", "column 't'", "increasing times", "14.5 after 15")),
@@ -59,6 +60,9 @@ def test_bad_files_of_text(csv):
     refused(csv, "a.csv", "column 'P1' expected once, found 2 times")
     csv.write_bytes(good.encode().replace(b"10.0", b"1\xb5.0", 1))
     refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
+    for mark, shown in ((";", "';'"), ("\t", "'\\t'")):
+        csv.write_text(good.replace(",", mark), encoding="utf-8")
+        refused(csv, "a.csv", "line 1", "cells separated by ','", f"found {shown}", "as delimiter")
     csv.write_text("t,U,P1,Q\n0,0,0,0\n", encoding="utf-8")
     refused(csv, "a.csv", "two or more rows of numbers, found 1")
     csv.write_text("", encoding="utf-8")
@@ -125,7 +129,7 @@ def test_bad_mat(csv, columns):
         ("[time]", "[tim]", ("unknown key 'tim'", "reference, experiment, file, time")),
         ("[time]", "[time]\nstart = 7", ("samples from 7 s to inf s", "found -1.5 s")),
         ("[time]", "[file]\nskiplines = 1\n[time]", ("[file]", "unknown key 'skiplines'", "skip_lines")),
-        ("[time]", "[time", ("expected TOML",)),
+        ("[time]", "[time", ("cannot be read as TOML",)),
     ],
 )
 def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
@@ -146,7 +150,9 @@ def test_files_that_are_not_there(csv):
     refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, found a.csv, a.mat")
     csv.with_suffix(".toml").unlink()
     refused(csv, "a.toml", "describes the columns", "no such file")
-    with pytest.raises(ModelError, match=r"\.toml files with a table \[experiment\], found none"):
+    with pytest.raises(
+        ModelError, match=r"\.toml files with a table \[experiment\], found none, only a\.csv"
+    ):
         read_folder(csv.parent)
     with pytest.raises(ModelError, match="expected a folder of recordings, found a file"):
         read_folder(csv)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fmus.contract import ModelError
@@ -20,6 +20,7 @@ def motion(t):
     offset=st.floats(-100, 100),
     gap=st.integers(0, 900),
 )
+@example(seconds=0.0, gain=1.0, offset=0.0, gap=1)  # one sample before the gap
 def test_delay_of_a_moved_signal_is_found(recording, seconds, gain, offset, gap):
     """Whatever gain, offset and gap: the delay that the function was evaluated with comes back."""
     t = np.arange(1000) / 200

@@ -199,3 +199,31 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
     assert step(written) == pytest.approx(600 / 4096, rel=1e-5)
     assert step(values) == 0.0
     assert step(np.repeat(np.arange(10.0), 400)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "told"),
+    [
+        ("Pa", 1.0, "0.1 bar to 1000 bar"),  # bar told as Pa
+        ("Pa", 1e7, "0.1 bar to 1000 bar"),  # kPa told as bar, nearly
+        ("V", 1e-5, "0.1 V to 100 V"),
+        ("rad", 1.0, "up to 720 deg"),  # degrees told as rad
+        ("m3/s", 1.0, "up to 3000 L/min"),
+    ],
+)
+def test_a_unit_that_cannot_be_is_asked_for(clean, unit, factor, told):
+    """150 of a quantity that is never that large or small; the right unit, and zero, raise no question."""
+    made = replace(clean, units={**clean.units, "pressure": unit})
+    texts = said(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
+    (text,) = [text for text in texts if "is its unit right?" in text]
+    assert told in text
+    usual = {"Pa": 1e5, "V": 0.05, "rad": 0.01, "m3/s": 1e-5}[unit]
+    for scale in (usual, 0.0):
+        made = plant(made, "pressure", scale * clean["pressure"], slice(None))
+        assert not [text for text in said(made, "pressure") if "unit" in text]
+
+
+def test_a_clock_in_milliseconds_is_asked_for(clean):
+    """Time in ms told as s: 0.2 Hz."""
+    made = replace(clean, time=1000 * clean.time)
+    assert any("0.2 Hz" in text and "unit of time" in text for text in examine(made).remarks())

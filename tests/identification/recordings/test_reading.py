@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.reading import read, read_folder, require
+from fmus.identification.recordings.reading import left_out, read, read_folder, require
 
 
 def parquet(path, columns):
@@ -144,3 +144,16 @@ def test_required_signals_have_their_dimension(csv):
         require(found, {"flow": "Pa"})
     with pytest.raises(ModelError, match=r"a\.csv: signal pressure_out is missing.*has command, pressure_in"):
         require(found, {"pressure_out": "Pa"})
+
+
+def test_data_that_nobody_describes_are_told(csv):
+    """A data file that is not read is not lost silently: its name, and what is missing."""
+    recordings = read_folder(csv.parent)
+    assert left_out(csv.parent, recordings) == []
+    (csv.parent / "b.csv").write_bytes(csv.read_bytes())
+    (csv.parent / "c.mat").write_bytes(b"")
+    (csv.parent / "c.toml").write_text('[signals.x]\nunit = "V"\n', encoding="utf-8")
+    assert left_out(csv.parent, recordings) == [
+        "b.csv: left out, there is no b.toml.",
+        "c.mat: left out, c.toml has no table [experiment].",
+    ]
