@@ -12,17 +12,16 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from fmus.contract import quantities
 from fmus.identification.finding import Estimate
 from fmus.identification.known import lookup, nominal
+from fmus.identification.outcome import beside, explanation, worst
 from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import figures, words
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.captions import caption
-from fmus.identification.report.compared import Compared, attribute, picture, predicted
+from fmus.identification.report.compared import Compared, picture
 from fmus.identification.report.style import png, prose
-from fmus.machine import SUBSYSTEMS
 from fmus.rig.command import rig
 
 HERE = Path(__file__).parent
@@ -54,18 +53,17 @@ def everything(folder: Path) -> None:
     found = {machine: recorded(folder / machine, machine) for machine in ("lumped", "detailed")}
     fill("returned", returned(found["lumped"]))
     draw(found["detailed"])
-    numbers = usual(found["detailed"])
-    cycle = next(r for r in found["detailed"].recordings if r.procedure == MACHINE and r.use == "test")
-    seen = predicted(cycle, numbers)
+    seen = beside(found["detailed"])
+    assert seen is not None
     for joint, number in JOINTS.items():
         shown = picture(seen, joint)
         (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(shown.figure))
         fill(f"figure {number}", shown.caption)
     fill("held out", held_out(seen))
-    identified = [
-        name for name, (_, procedure) in found["detailed"].estimates.items() if procedure == MACHINE
-    ]
-    fill("residual", effects(attribute(seen, numbers, identified)))
+    told = explanation(seen, found["detailed"])
+    assert told is not None
+    fill("residual", effects(told))
+    fill("refined", refined(found["detailed"]))
 
 
 def recorded(folder: Path, machine: str) -> Identified:
@@ -73,12 +71,6 @@ def recorded(folder: Path, machine: str) -> Identified:
     if not folder.is_dir():
         rig(folder, machine, 0)
     return identify(read_folder(folder), tell=print)
-
-
-def usual(found: Identified) -> dict[str, float]:
-    """All numbers of the usual parts, `part.name`."""
-    own = {f"{part}.{name}" for part, sub in SUBSYSTEMS.items() for name in quantities(sub.parameters)}
-    return {name: number.value for name, number in found.known.items() if name in own}
 
 
 def draw(found: Identified) -> None:
@@ -116,14 +108,22 @@ def returned(found: Identified) -> str:
     return table(head, rows)
 
 
+def refined(found: Identified) -> str:
+    """What the joint refinement made of them, and what was known before it."""
+    rows = []
+    for name, (e, procedure) in found.estimates.items():
+        if procedure == MACHINE:
+            before = words.number(words.in_unit(lookup(name, nominal()).value, e.unit), 4)
+            rows.append((f"`{name}`", before, *value(e)))
+    return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
+
+
 def held_out(seen: Compared) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
-    errors = seen.nrmse()
-    rows = []
-    for kind, what in KINDS.items():
-        own = {name: e for name, e in errors.items() if kind in name.rpartition(".")[2].split("_")}
-        worst = max(own, key=own.__getitem__)
-        rows.append((what, f"`{worst}`", words.share(own[worst], 3), LIMITS.get(kind, "")))
+    rows = [
+        (KINDS[kind], f"`{name}`", words.share(error, 3), LIMITS.get(kind, ""))
+        for kind, (name, error) in worst(seen).items()
+    ]
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
 
 

@@ -324,6 +324,10 @@ def identify(
             help="What the joint refinement may change; repeatable; default: what a work cycle shows.",
         ),
     ] = None,
+    starts: Annotated[
+        int,
+        typer.Option(metavar="N", help="Refine again from N random starts: do they lead to the same result?"),
+    ] = 4,
 ) -> None:
     """Find the machine's parameters from recordings: the paper's procedures, then all together."""
     from fmus.identification.command import run as identified
@@ -332,7 +336,7 @@ def identify(
 
     commands.folder(out.parent)
     commands.folder(report)
-    identified(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE))
+    identified(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE), starts=starts)
 
 
 @app.command()

@@ -25,6 +25,7 @@ from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.names import parameters
 from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.starts import Starts, from_random_starts
 
 # in the paper's order: section 4 (a) to (e)
 PROCEDURES: Mapping[str, ModuleType] = {
@@ -45,6 +46,7 @@ class Identified:
     findings   of the procedures that had recordings
     skipped    procedure -> why it found nothing
     refined    the joint refinement, None without recordings of the whole machine
+    starts     the same search from other start points, None if it was not asked for
     known      all numbers of the machine, found ones in the place of the files'
     """
 
@@ -52,6 +54,7 @@ class Identified:
     findings: tuple[Finding, ...]
     skipped: Mapping[str, str]
     refined: Refined | None
+    starts: Starts | None
     known: Known
 
     @property
@@ -71,6 +74,7 @@ def identify(
     joint: bool = True,
     inertial: bool = False,
     names: Sequence[str] = machine.FREE,
+    starts: int = 0,
     tell: Tell = lambda _: None,
 ) -> Identified:
     """Identify whatever the recordings allow.
@@ -79,6 +83,7 @@ def identify(
     joint      refine together if there are recordings of the machine
     inertial   also estimate inertial parameters by themselves, which the paper took from CAD
     names      parameters of the joint refinement
+    starts     from how many random points to search again: does the result depend on where it began?
     """
     given = {r.procedure for r in recordings if r.use == "train"}
     unknown = sorted(given - {*PROCEDURES, MACHINE})
@@ -105,19 +110,30 @@ def identify(
     refined = _together(recordings, numbers, names, tell) if joint and MACHINE in given else None
     if refined is not None:
         numbers = updated(numbers, refined.estimates(names=parameters()))
+    again = _again(refined, starts, tell) if refined is not None and starts else None
     if not findings and refined is None:
         raise ModelError(f"nothing was identified: {'; '.join(f'{n}: {why}' for n, why in skipped.items())}")
-    return Identified(tuple(recordings), tuple(findings), skipped, refined, numbers)
+    return Identified(tuple(recordings), tuple(findings), skipped, refined, again, numbers)
 
 
 def _together(recordings: Sequence[Recording], known: Known, names: Sequence[str], tell: Tell) -> Refined:
     task = machine.problem([r for r in recordings if r.procedure == MACHINE], known, names)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in task.training)
     tell(f"joint refinement: {len(task.free)} parameters, {len(task.outputs)} signals, {seconds:.0f} s")
-    return refine(
+    found = refine(
         task,
-        progress=lambda p: tell(f"  iteration {p.iteration}: residual {p.residual:.4g} standard deviations"),
+        progress=lambda p: tell(f"  iteration {p.iteration}: {p.predicted:.2g} standard deviations to go"),
     )
+    size = found.history[-1].residual
+    tell(f"  {found.reason}; residuals are {size:.3g} times what the sensors explain")
+    return found
+
+
+def _again(refined: Refined, count: int, tell: Tell) -> Starts:
+    found = from_random_starts(refined, count=count)
+    reached = round(found.share * count)
+    tell(f"random starts: {reached} of {count} lead to the same result, on every fourth sample")
+    return found
 
 
 def _line(finding: Finding) -> str:
