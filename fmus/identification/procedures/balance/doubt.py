@@ -11,41 +11,72 @@ from fmus.identification.procedures.balance.solution import Solution
 from fmus.parameters import Number
 
 MOST = 3  # parameters named
+LITTLE = 0.1  # of a standard deviation, and of a variance: what is smaller is not told
+EXACT = "manipulator.gravity"  # nobody doubts it
 
 
 @dataclass(frozen=True)
 class Doubt:
     """Of one parameter.
 
-    sd      by the standard deviations of the known parameters, taken as independent; 0 if none is told
-    moved   d theta / d parameter times its sd, or, if none is told, times 1 % of each
+    own      standard deviation by the recordings
+    told     what one standard deviation of each known parameter moves it by, where one is told
+    untold   what 1 % of each known parameter without a standard deviation moves it by
     """
 
-    sd: float
-    moved: Mapping[str, float]
+    own: float
+    told: Mapping[str, float]
+    untold: Mapping[str, float]
 
     @property
-    def most(self) -> list[str]:
-        """The parameters that move it most."""
-        return sorted(self.moved, key=lambda n: -abs(self.moved[n]))[:MOST]
+    def sd(self) -> float:
+        """By the standard deviations of the known parameters, taken as independent."""
+        return math.sqrt(sum(x**2 for x in self.told.values()))
 
-    def remark(self, value: float, unit: str) -> str:
-        """A sentence without its subject's name."""
-        if self.sd:
-            names = ", ".join(f"{n} by {abs(self.moved[n]):.2g}" for n in self.most)
-            return (
-                f"the doubt about the known parameters moves it by {self.sd:.3g} {unit} (one standard "
-                f"deviation; most of all {names}), which the interval includes."
+    @property
+    def total(self) -> float:
+        """Standard deviation by the recordings and by the known parameters."""
+        return math.hypot(self.own, self.sd)
+
+    @property
+    def matters(self) -> bool:
+        """Do the known parameters widen the interval?"""
+        return self.sd > LITTLE * self.own
+
+    def remarks(self, value: float, unit: str) -> list[str]:
+        """Sentences without their subject's name; none if nothing matters."""
+        found = []
+        if self.matters:
+            names = _largest({n: x for n, x in self.told.items() if x**2 > LITTLE * self.sd**2})
+            found.append(
+                f"the standard deviations of the known parameters add {self.sd:.2g} {unit} to its own "
+                f"{self.own:.2g}, most of it by {', '.join(names)}."
             )
-        names = ", ".join(f"{n} moves it by {100 * self.moved[n] / value:+.2g} %" for n in self.most)
-        return f"errors of what is taken as known go into it and are not in its interval: 1 % of {names}."
+        moving = {n: x for n, x in self.untold.items() if abs(x) > self.total}
+        if moving:
+            parts = ", ".join(f"{n} {100 * moving[n] / value:+.2g} %" for n in _largest(moving))
+            found.append(
+                "the interval takes geometry and masses as exact. An error of 1 % would change the value: "
+                f"{parts}."
+            )
+        return found
+
+    def note(self) -> str:
+        """For parameters.toml, where it matters."""
+        parts = f"; sd {self.own:.2g} by the recordings, {self.sd:.2g} by the known parameters"
+        return parts if self.matters else ""
 
 
 def doubt(solution: Solution, number: int, known: Mapping[str, Number]) -> Doubt:
     """About the parameter with this number among those found."""
-    others = {n: known[n] for n in PARAMETERS if n not in solution.theta}
-    told = {n: x.sd for n, x in others.items() if x.sd is not None}
-    spreads = told or {n: abs(x.value) / 100 for n, x in others.items()}
-    slopes = dict(zip(PARAMETERS, solution.sensitivity[number], strict=True))
-    moved = {n: float(slopes[n] * spread) for n, spread in spreads.items()}
-    return Doubt(math.sqrt(sum(x**2 for x in moved.values())) if told else 0.0, moved)
+    slopes = dict(zip(PARAMETERS, map(float, solution.sensitivity[number]), strict=True))
+    others = {n: known[n] for n in PARAMETERS if n not in solution.theta and n != EXACT}
+    return Doubt(
+        float(solution.sd[number]),
+        {n: slopes[n] * x.sd for n, x in others.items() if x.sd is not None},
+        {n: slopes[n] * abs(x.value) / 100 for n, x in others.items() if x.sd is None},
+    )
+
+
+def _largest(moved: Mapping[str, float]) -> list[str]:
+    return sorted(moved, key=lambda n: -abs(moved[n]))[:MOST]

@@ -98,12 +98,3 @@ def stuffed(rows: Array, every: int) -> Array:
 def spread(bad: Mask, width: int) -> Mask:
     """True where a kernel of `width` samples has only good samples, shape (n - width + 1,)."""
     return np.convolve(bad, np.ones(width), "valid") < 0.5
-
-
-def filled(row: Array) -> Array:
-    """A signal with straight lines over its gaps, zero if there is nothing else."""
-    there = np.isfinite(row)
-    if not there.any():
-        return np.zeros_like(row)
-    index = np.arange(row.size)
-    return np.interp(index, index[there], row[there])

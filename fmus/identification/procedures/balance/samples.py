@@ -12,7 +12,7 @@ from fmus.contract import ModelError
 from fmus.identification.procedures.balance import modulation
 from fmus.identification.procedures.balance.modulation import SMOOTHING, WINDOW, Filters
 from fmus.identification.procedures.balance.motion import ALL_PRESSURES, ANGLES, PARAMETERS, PRESSURES, motion
-from fmus.identification.procedures.shared.given import noise_of, tank_pressure
+from fmus.identification.procedures.shared.given import filled, noise_of, tank_pressure
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.recordings.resampling import uniform_rate
@@ -71,14 +71,20 @@ def samples(
             "the filters take them"
         )
     zero = np.zeros(recording.time.size)
-    raw = np.array([modulation.filled(recording[n]) for n in ANGLES])
+    raw = np.array([filled(recording[n]) for n in ANGLES])
     q, w = kernels.smoothed(raw), kernels.slopes(raw)
-    measured = [modulation.filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
+    measured = [filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
     smooth = kernels.smoothed(np.array(measured))
     bad = ~good_all(recording, (*ANGLES, *needed))
     ends = _at_ends(q, p)
-    touched = ~modulation.spread(bad, kernels.smooth.size)[::every]
+    unusable = ~modulation.spread(bad, kernels.smooth.size)[::every]
     half = kernels.smooth.size // 2
+    good = modulation.spread(unusable | ends, kernels.bump.size)
+    if not good.any():
+        raise ModelError(
+            f"{recording.source}: expected {2 * kernels.loss * kernels.step / every:.2g} s without a gap or "
+            f"clipped sample in {', '.join((*ANGLES, *needed))}, found none"
+        )
     return Samples(
         time=recording.time[half : recording.time.size - half : every],
         q=q,
@@ -86,7 +92,7 @@ def samples(
         pressures=smooth,
         tank=tank_pressure(recording),
         filters=kernels,
-        good=modulation.spread(touched | ends, kernels.bump.size),
+        good=good,
         angle_noise=np.array([noise_of(recording, n) for n in ANGLES]),
         pressure_noise=np.array([noise_of(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
         touched=int(ends.sum()),

@@ -27,7 +27,7 @@ from fmus.identification.procedures.balance.motion import (
     PRESSURES,
     motion,
 )
-from fmus.identification.procedures.shared.given import noise_of, tank_pressure
+from fmus.identification.procedures.shared.given import filled, noise_of, tank_pressure
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.recording import Recording
@@ -72,10 +72,10 @@ def _sums(recording: Recording, joint: str, p: Array, size: int) -> Array:
     kernel = SavitzkyGolay(rate, (size - 1) / rate, ORDER)
     there = modulation.spread(~good_all(recording, (*ANGLES, *PRESSURES[joint])), size)
     value, slope, curve = (weights[::-1] for weights in kernel.weights)
-    raw = np.array([modulation.filled(recording[n]) for n in ANGLES])
+    raw = np.array([filled(recording[n]) for n in ANGLES])
     q, w, bend = (modulation.apply(k, raw)[:, there] for k in (value, slope, curve))
     zero, needed = np.zeros(recording.time.size), PRESSURES[joint]
-    measured = [modulation.filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
+    measured = [filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
     pressures = modulation.apply(value, np.array(measured))[:, there]
     f, tank = motion(()), tank_pressure(recording)
     error, by_speed, arm = (x.full()[row] for x in f.printed(q, w, bend, pressures, tank, p))

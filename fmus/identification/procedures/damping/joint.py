@@ -64,6 +64,7 @@ class JointDamping:
     speed, resistance   x' and a of (13), filtered, shape (n,)
     doubt               by the known parameters
     dry                 dry friction beside B, its standard deviation, and the B that then is left
+    standing            names of files in which the joint stands, which are left out
     """
 
     contact: Contact
@@ -74,6 +75,7 @@ class JointDamping:
     plain: tuple[Plain, ...]
     doubt: Doubt
     dry: tuple[float, float, float]
+    standing: tuple[str, ...]
 
     @property
     def value(self) -> float:
@@ -91,8 +93,11 @@ def joint_damping(
 ) -> JointDamping:
     """B of one contact."""
     p = numbers(known)
-    records = tuple(samples(r, [contact.joint], p) for r in recordings)
-    if not any(_moves(s, JOINTS.index(contact.joint)) for s in records):
+    row = JOINTS.index(contact.joint)
+    every = [(r, samples(r, [contact.joint], p)) for r in recordings]
+    moving = [(r, s) for r, s in every if _moves(s, row)]
+    records = tuple(s for _, s in moving)
+    if not records:
         where = ", ".join(str(r.source) for r in recordings)
         raise ModelError(f"{where}: the {contact.joint} stands, expected it to move: no damping to see")
     solution = solve(records, [contact.joint], (contact.theta,), p)
@@ -104,9 +109,10 @@ def joint_damping(
         solution=solution,
         speed=speed,
         resistance=resistance,
-        plain=tuple(least_squares(recordings, contact.joint, contact.theta, p)),
+        plain=tuple(least_squares([r for r, _ in moving], contact.joint, contact.theta, p)),
         doubt=doubt(solution, 0, known),
-        dry=_dry(JOINTS.index(contact.joint), records, arms, solution),
+        dry=_dry(row, records, arms, solution),
+        standing=tuple(r.source.name for r, s in every if not _moves(s, row)),
     )
 
 

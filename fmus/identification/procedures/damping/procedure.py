@@ -12,31 +12,33 @@ tell how much, and whether dry friction can be seen.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 from fmus.contract import ModelError
 from fmus.identification.finding import Estimate, Finding
-from fmus.identification.procedures.balance import motion
+from fmus.identification.procedures.balance.motion import ANGLES, PRESSURES
+from fmus.identification.procedures.balance.motion import SIGNALS as MACHINE
 from fmus.identification.procedures.damping.joint import CONTACTS, JointDamping, joint_damping
 from fmus.identification.procedures.damping.panels import panels
 from fmus.identification.procedures.damping.remarks import remarks
 from fmus.identification.procedures.shared.given import training
 from fmus.identification.procedures.shared.regression import symmetrical
+from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 
-SIGNALS: Mapping[str, str] = motion.SIGNALS
+SIGNALS: Mapping[str, str] = MACHINE  # of the pressures those of the joint that moves
 
 
 def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
     """B of each joint of which there are recordings."""
-    own = training(recordings, "damping")
+    own = training(recordings, "damping", dict.fromkeys(ANGLES, "rad"))
     for r in own:
         if r.word("joint") not in CONTACTS:
             raise ModelError(
                 f"{r.source}: [experiment] joint is {r.word('joint')!r}, expected {', '.join(CONTACTS)}"
             )
+        require(r, dict.fromkeys(PRESSURES[r.word("joint")], "Pa"))
     parts = {joint: [r for r in own if r.word("joint") == joint] for joint in CONTACTS}
     found = [joint_damping(CONTACTS[joint], part, known) for joint, part in parts.items() if part]
     return Finding(
@@ -51,12 +53,8 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Fi
 
 
 def _estimate(one: JointDamping) -> Estimate:
-    note = "eq. (13) by impulses and momenta"
-    sd = one.sd
-    if one.doubt.sd:
-        note += f"; sd {one.sd:.3g} by the recordings, {one.doubt.sd:.3g} by the known parameters"
-        sd = math.hypot(one.sd, one.doubt.sd)
-    return _positive(symmetrical(one.contact.parameter, one.value, one.contact.unit, sd, note))
+    note = "eq. (13) by impulses and momenta" + one.doubt.note()
+    return _positive(symmetrical(one.contact.parameter, one.value, one.contact.unit, one.doubt.total, note))
 
 
 def _positive(e: Estimate) -> Estimate:
@@ -74,11 +72,12 @@ def _refused(one: JointDamping) -> list[str]:
 
 
 def _others(one: JointDamping) -> list[Estimate]:
-    """B by these recordings alone, and a dry friction."""
+    """A dry friction, and B by these recordings alone where that is another interval."""
     name, unit = one.contact.parameter, one.contact.unit
     dry, sd, _ = one.dry
+    alone = symmetrical(f"{name}, the rest known exactly", one.value, unit, one.sd, "by the recordings alone")
     return [
-        symmetrical(f"{name}, the rest known exactly", one.value, unit, one.sd, "by the recordings alone"),
+        *([alone] if one.doubt.matters else []),
         symmetrical(
             f"dry friction beside {name}", dry, one.contact.resistance_unit, sd, "as one more unknown of (13)"
         ),

@@ -8,6 +8,7 @@ import numpy as np
 
 from fmus.identification.procedures.damping.joint import JointDamping
 
+LITTLE = 0.1  # of a standard deviation: what is smaller is not told
 SEEN = 4.0  # standard deviations from which on a dry friction is said to be seen
 
 
@@ -15,9 +16,11 @@ def remarks(one: JointDamping) -> list[str]:
     """For one joint; each begins with the parameter."""
     texts = [
         _used(one),
+        *(f"in {name} the joint stands, so it is left out." for name in one.standing),
         _doubt(one),
-        _attenuated(one),
-        one.doubt.remark(one.value, one.contact.unit),
+        *_attenuated(one),
+        _printed(one),
+        *one.doubt.remarks(one.value, one.contact.unit),
         *_dry(one),
     ]
     return [f"{one.contact.parameter}: {text}" for text in texts]
@@ -38,20 +41,32 @@ def _used(one: JointDamping) -> str:
 def _doubt(one: JointDamping) -> str:
     noise, residual = (math.sqrt(max(c[0, 0], 0.0)) for c in (one.solution.noise, one.solution.residual))
     text = (
-        f"the noise of all sensors gives a standard deviation of {noise:.3g} {one.contact.unit}, the "
-        f"residuals with their autocorrelation {residual:.3g}."
+        f"the noise of the sensors gives a standard deviation of {noise:.3g} {one.contact.unit}, the "
+        f"residuals one of {residual:.3g}."
     )
     if one.solution.lacks:
         return f"{text} Noise does not explain them: the model lacks something, and the interval covers it."
-    return f"{text} Noise explains them; the interval is that of the noise."
+    return f"{text} Noise explains them, and the interval is that of the noise."
 
 
-def _attenuated(one: JointDamping) -> str:
-    ours, first = 100 * one.solution.mean_effect[0] / one.value, one.plain[0]
+def _attenuated(one: JointDamping) -> list[str]:
+    """The bias by errors in variables, where it is not lost in the interval."""
+    bias = float(one.solution.mean_effect[0])
+    if abs(bias) < LITTLE * one.sd:
+        return []
+    return [
+        f"the encoders' noise in the speed moves this estimate by {100 * bias / one.value:+.2g} %, which is "
+        "taken off."
+    ]
+
+
+def _printed(one: JointDamping) -> str:
+    first = one.plain[0]
+    share = 100 * (first.value / first.corrected - 1)
     return (
-        f"the noise of the encoders in the speed moves this estimate by {ours:.2g} %, which is taken off. "
-        f"With a at every sample and a derivative over {first.window * 1e3:.3g} ms, (13) gives "
-        f"{first.value:.4g} {one.contact.unit}, {first.corrected:.4g} with the noise taken off."
+        f"(13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives {first.value:.4g} "
+        f"{one.contact.unit}; the encoders' noise makes {share:+.2g} % of it, without which it "
+        f"is {first.corrected:.4g}."
     )
 
 

@@ -19,11 +19,12 @@ from scipy import stats
 from fmus.identification.finding import Estimate
 from fmus.identification.procedures.hose_dynamics.equations import SIGNALS
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.signals import filter_for, good_all
+from fmus.identification.recordings.signals import filter_for, good_all, period
 
 Array = NDArray[np.float64]
 
 WINDOW = 0.055  # s, of the filter: a third of the shortest change
+SAMPLES = 4  # from the first to the last at least: more than the degree of the filter's polynomial
 CLEAR = 0.3  # of the largest derivative of the recording
 
 
@@ -37,7 +38,8 @@ class ByDefinition:
 
 def by_definition(recording: Recording, resistance: float) -> ByDefinition:
     """Samples of both; the drop is C_R Q|Q| with the hose's C_R [Pa.s2/m6]."""
-    used, good = filter_for(recording, WINDOW), good_all(recording, SIGNALS)
+    window = max(WINDOW, SAMPLES * period(recording.time))
+    used, good = filter_for(recording, window), good_all(recording, SIGNALS)
     value, rate = (
         {name: used.apply(np.where(good, recording[name], np.nan), order) for name in SIGNALS}
         for order in (0, 1)
@@ -52,15 +54,15 @@ def by_definition(recording: Recording, resistance: float) -> ByDefinition:
 
 def _ratio(top: Array, rate: Array) -> Array:
     size = np.abs(rate)
-    clear = size > CLEAR * np.nanmax(size)
+    clear = size > CLEAR * np.max(size, initial=0.0, where=np.isfinite(size))
     found: Array = top[clear] / rate[clear]
     return found
 
 
 def mean_of_means(name: str, unit: str, groups: list[Array]) -> Estimate:
     """The mean of the groups' means; its interval by Student's t from their scatter."""
-    means = np.array([group.mean() for group in groups])
-    value, n = float(means.mean()), means.size
+    means = np.array([group.mean() for group in groups if group.size])
+    value, n = float(means.mean()) if means.size else float("nan"), means.size
     sd = float(means.std(ddof=1) / np.sqrt(n)) if n > 1 else float("inf")
     half = float(stats.t.ppf(0.975, n - 1)) * sd if n > 1 else float("inf")
     note = f"by definition, mean of {n} group means, section 4(c); the interval is their scatter"

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from fmus.contract import ModelError
 from fmus.identification.procedures.hose_dynamics.weak_form import Equation
-from fmus.identification.procedures.shared.regression import UNLIKELY, Guess, Regression, differ, fit
+from fmus.identification.procedures.shared.regression import SURE, UNLIKELY, Guess, Regression, differ, fit
 
 Array = NDArray[np.float64]
 
+TELLS = 0.25  # largest relative standard deviation of what the data tell
 LEAST = 20  # windows of a group: with fewer its five unknowns say little
 
 Start = Mapping[str, Guess]
@@ -33,6 +34,11 @@ class Fits:
     groups: tuple[Regression, ...]
     pooled: Regression
     differ: float
+
+    @property
+    def told(self) -> bool:
+        """Do the data tell the quantity at all?"""
+        return self.pooled.sd(self.name) < TELLS * self.pooled[self.name]
 
 
 def inertance_start(guess: float, resistance: float, flow: float) -> dict[str, Guess]:
@@ -64,6 +70,11 @@ def fits(name: str, equations: Sequence[Equation], start: Start, files: Sequence
     values, sds = [one[name] for one in each], [one.sd(name) for one in each]
     probability = differ(values, sds) if len(each) > 1 else 1.0
     pooled = _fit(name, equations, start)
+    if pooled[name] < -SURE * pooled.sd(name):
+        raise ModelError(
+            f"{', '.join(files)}: {name} is {pooled[name]:.3g}, expected positive: turn the sign of the "
+            "flows or the order of the pressures"
+        )
     if probability < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
         pooled = _widened(pooled, max(1.0, scatter / pooled.sd(name)))

@@ -55,7 +55,8 @@ def windows(parts: Sequence[slice], samples: int, step: float, half_width: float
     """Windows that lie within the stretches `parts` of good samples, `step` [s] apart; half width [s]."""
     half = max(round(half_width / step), 3)
     s = np.arange(1 - half, half) / half
-    bump, slope = (1 - s**2) ** 4 * step, 8 * s * (1 - s**2) ** 3 / half
+    bump, slope = (1 - s**2) ** 4 * step, 8 * s * (1 - s**2) ** 3
+    slope *= bump.sum() / (slope @ (s * half * step))  # exact for a straight line, also as a sum
     hop = max(round(HOP * half), 1)
     start = np.concatenate(
         [np.arange(p.start, p.stop - s.size + 1, hop) for p in parts] or [np.zeros(0, dtype=int)]

@@ -1,33 +1,36 @@
-"""Steps of the hose test; the laws of its pressure drop, each fitted with the errors of drop and flow."""
+"""Steps of the hose test; the laws of its pressure drop, each fitted with the errors of drop and flow.
+
+Two transducers never show quite the same without flow, and a tenth of a bar is a hundredth of a hose's drop.
+So this zero is found along with the law that fits best and taken off; its error counts in all laws.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.components import hose
 from fmus.contract import ModelError
-from fmus.identification.procedures.shared.given import noise_of
 from fmus.identification.procedures.shared.regression import Guess, Regression, fit
-from fmus.identification.procedures.shared.step_means import SETTLE, SHORTEST, StepMeans, step_means
-from fmus.identification.recordings.masks import steady
+from fmus.identification.procedures.shared.standing import NEEDED, standing
+from fmus.identification.procedures.shared.step_means import StepMeans, left_out, step_means
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.resampling import uniform_rate
 
 Array = NDArray[np.float64]
 Drop = Callable[[Array, Mapping[str, float]], Array]
 
-SAME = 8.0  # standard deviations of the flow from the mean of its step: noise does not part it
-LATE = 0.1  # s, cut off the end of a step: the flow shows the next one later than the pressures do
+TINY = 1e-30  # (m3/s)^4: no division by the variance of flows that are equal
+LEAST = 4  # steps: with fewer the laws cannot be told apart
 
 
 @dataclass(frozen=True)
 class HoseFit:
     """Fits of eq. (1), of eq. (10) and of the laminar and turbulent drop together.
 
+    zero             [Pa] of the pressures' difference, taken off; `zero_sd` its standard deviation
     mixed            only if neither law explains the data and this one does better
     reference_flow   [m3/s] rms of the flows with the weights that they have in C_R of eq. (1)
     """
@@ -35,6 +38,8 @@ class HoseFit:
     square: Regression
     power: Regression
     mixed: Regression | None
+    zero: float
+    zero_sd: float
     transition_flow: float
     reference_flow: float
 
@@ -45,7 +50,7 @@ def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
 
 
 def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """Q sqrt(R^2 + (C_R Q)^2), laminar below Q = R/C_R as in `fmus.components.line`; R^2 may be negative."""
+    """Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.line`; R^2 may be negative."""
     return flow * np.sqrt(np.maximum(v["laminar_square"] + (v["resistance"] * flow) ** 2, 0.0))
 
 
@@ -69,42 +74,72 @@ def steps(recordings: Sequence[Recording]) -> StepMeans:
 
 
 def _of_one(recording: Recording) -> StepMeans:
-    width = SAME * noise_of(recording, "flow") + recording.sensor("flow").resolution
-    found = steady(recording, "flow", SETTLE, SHORTEST + LATE, width)
-    late = round(LATE * uniform_rate(recording))
-    return step_means(recording, [slice(part.start, part.stop - late) for part in found])
+    parts = standing(recording, ["flow"])
+    if not parts:
+        raise ModelError(
+            f"{recording.source}: expected flows that stand for {NEEDED:g} s or longer, found none"
+        )
+    return step_means(recording, parts)
 
 
 def fit_laws(given: StepMeans, transition_flow: float) -> HoseFit:
     """All laws on the measured steps."""
-    if given.flow.size < 4:
+    good = given.measured
+    if good.flow.size < LEAST:
+        lost = left_out(given.dead, given.clipped, given.good)
         raise ModelError(
-            f"hose_resistance: {given.flow.size} steady steps above the dead zone of the flow meter, "
-            "expected at least 4"
+            f"hose_resistance: {good.flow.size} steady steps are measured, expected at least {LEAST}; "
+            f"left out of {given.flow.size} steps: {lost or 'none'}"
         )
-    start = float(given.drop @ given.flow**2 / (given.flow**2 @ given.flow**2))
+    return _laws(good, transition_flow)
+
+
+def _laws(given: StepMeans, transition_flow: float) -> HoseFit:
+    turbulent = given.flow * np.abs(given.flow)
+    start = float(np.cov(turbulent, given.drop)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
+    if start <= 0:
+        raise ModelError(
+            f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
+            "turn the sign of the flow or the order of the pressures"
+        )
     largest = float(np.abs(given.flow).max())
 
     def square(flow: Array, v: Mapping[str, float]) -> Array:
         return square_drop(flow, v, transition_flow)
 
-    found = _fit(given, square, {"resistance": Guess(start)})
-    power = _fit(given, power_drop, {"factor": Guess(start * largest**0.25)})
+    resistance = {"resistance": Guess(start)}
+    mixed = resistance | {"laminar_square": Guess((start * largest / 10) ** 2)}
+    laws = ((square, resistance), (power_drop, {"factor": Guess(start * largest**0.25)}), (mixed_drop, mixed))
+    zero, sd = _zero(*(_fit(given, law, guess, start * largest**2) for law, guess in laws))
+    found, power, both = (_at_zero(given, law, guess, zero, sd) for law, guess in laws)
     weights = given.flow**4 / _variance(given, square, found.as_dict())
+    laminar = both["laminar_square"] > 0 and both.seen("laminar_square")
     return HoseFit(
         square=found,
         power=power,
-        mixed=_mixed(given, start, largest) if found.misfit and power.misfit else None,
+        mixed=both if found.misfit and power.misfit and laminar else None,
+        zero=zero,
+        zero_sd=sd,
         transition_flow=transition_flow,
         reference_flow=float(np.sqrt(weights @ given.flow**2 / weights.sum())),
     )
 
 
-def _mixed(given: StepMeans, resistance: float, flow: float) -> Regression | None:
-    """The fit with a laminar part, if there is one."""
-    start = {"resistance": Guess(resistance), "laminar_square": Guess((resistance * flow / 10) ** 2)}
-    found = _fit(given, mixed_drop, start)
-    return found if found["laminar_square"] > 2 * found.sd("laminar_square") else None
+def _zero(square: Regression, power: Regression, mixed: Regression) -> tuple[float, float]:
+    """Of the law that fits best, with its standard deviation; of the third only if the others do not fit."""
+    best = min(square, power, key=lambda one: one.aic)
+    if best.misfit and mixed.aic < best.aic and mixed.seen("laminar_square"):
+        best = mixed
+    return best["zero"], best.sd("zero")
+
+
+def _at_zero(given: StepMeans, law: Drop, start: Mapping[str, Guess], zero: float, sd: float) -> Regression:
+    """The fit with this zero taken off; the covariance holds its error."""
+    middle, *ends = (
+        _fit(replace(given, drop=given.drop - z), law, start) for z in (zero, zero - sd, zero + sd)
+    )
+    moved = (ends[1].values - ends[0].values) / 2
+    return replace(middle, covariance=middle.covariance + np.outer(moved, moved))
 
 
 def _variance(given: StepMeans, law: Drop, v: Mapping[str, float]) -> Array:
@@ -115,9 +150,12 @@ def _variance(given: StepMeans, law: Drop, v: Mapping[str, float]) -> Array:
     return variance
 
 
-def _fit(given: StepMeans, law: Drop, start: Mapping[str, Guess]) -> Regression:
-    def residual(v: Mapping[str, float]) -> Array:
-        weighted: Array = (given.drop - law(given.flow, v)) / np.sqrt(_variance(given, law, v))
-        return weighted
+def _fit(given: StepMeans, law: Drop, start: Mapping[str, Guess], zero: float | None = None) -> Regression:
+    """A law, with a zero of this magnitude [Pa] free beside it if one is given."""
 
-    return fit(residual, start, "hose_resistance")
+    def residual(v: Mapping[str, float]) -> Array:
+        left: Array = given.drop - v.get("zero", 0.0) - law(given.flow, v)
+        return left / np.sqrt(_variance(given, law, v))
+
+    beside = {} if zero is None else {"zero": Guess(0.0, scale=zero)}
+    return fit(residual, {**start, **beside}, "hose_resistance")

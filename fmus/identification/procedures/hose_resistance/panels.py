@@ -56,8 +56,9 @@ def _residual(good: StepMeans, laws: HoseFit) -> Panel:
 
 
 def _resistance(good: StepMeans, laws: HoseFit, fine: Array) -> Panel:
-    measured = good.drop / (good.flow * np.abs(good.flow))
-    relative = np.hypot(good.drop_error / good.drop, 2 * good.flow_error / good.flow)
+    drop = good.drop
+    measured = drop / (good.flow * np.abs(good.flow))
+    relative = np.hypot(good.drop_error / drop, 2 * good.flow_error / good.flow)
     constant = np.full_like(fine, laws.square["resistance"])
     within = fine >= np.abs(good.flow).min() / 2  # eq. (10) has no limit at Q = 0
     curves = (

@@ -25,6 +25,7 @@ from fmus.identification.procedures.balance.samples import Samples, numbers, sam
 from fmus.identification.procedures.balance.solution import Solution, solve
 from fmus.identification.procedures.inertia.base_estimates import base_estimates
 from fmus.identification.procedures.inertia.panels import panels
+from fmus.identification.procedures.shared.given import training
 from fmus.identification.procedures.shared.regression import symmetrical
 from fmus.identification.recordings.recording import Recording
 from fmus.manipulator import MANIPULATOR
@@ -65,9 +66,8 @@ def identify(
 def _usable(recordings: Sequence[Recording]) -> list[Recording]:
     """Recordings to train with in which the machine moves: of the whole machine if there are any."""
     for procedure in ("machine", "damping"):
-        own = [r for r in recordings if r.procedure == procedure and r.use == "train"]
-        if own:
-            return own
+        if any(r.procedure == procedure and r.use == "train" for r in recordings):
+            return list(training(recordings, procedure, SIGNALS))
     there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
     raise ModelError(
         f"inertia: expected a recording of the machine or of a joint to train with, found {there}"
@@ -92,11 +92,9 @@ def _unit(name: str) -> str:
 
 def _estimate(solution: Solution, k: int, known: Mapping[str, Number]) -> Estimate:
     name = solution.theta[k].partition(".")[2]
-    sd, by_known = float(solution.sd[k]), doubt(solution, k, known).sd
-    note = "balance of the joints' momenta"
-    if by_known:
-        note += f"; sd {sd:.3g} by the recordings, {by_known:.3g} by the known parameters"
-    return symmetrical(name, float(solution.values[k]), _unit(name), math.hypot(sd, by_known), note)
+    by_known = doubt(solution, k, known)
+    note = "balance of the joints' momenta" + by_known.note()
+    return symmetrical(name, float(solution.values[k]), _unit(name), by_known.total, note)
 
 
 def _dampings(solution: Solution, first: int) -> list[Estimate]:
@@ -124,5 +122,5 @@ def _remarks(
             "that swings. The intervals are those of the residuals."
         )
     for k, name in enumerate(names):
-        by_known = doubt(solution, k, known).remark(float(solution.values[k]), _unit(name))
-        yield f"{name}: {by_known}"
+        for text in doubt(solution, k, known).remarks(float(solution.values[k]), _unit(name)):
+            yield f"{name}: {text}"

@@ -9,18 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.procedures.shared.given import noise_of, tank_pressure
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.procedures.shared.given import tank_pressure
+from fmus.identification.procedures.shared.standing import NEEDED, standing
 from fmus.identification.recordings.masks import averages
-from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.resampling import stretches
 
 Array = NDArray[np.float64]
 SIGNALS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
-WINDOW = 0.25  # s over which a slope is seen
-STANDS = 4.0  # standard deviations of the slope below which a pressure stands
-SETTLE, SHORTEST = 0.25, 0.25  # s left out of a stretch at both ends, and what must remain
+PRESSURES = ("pressure_a", "pressure_b")
 
 
 @dataclass(frozen=True)
@@ -58,34 +54,21 @@ def points(recordings: Sequence[Recording]) -> Points:
     if len(table) < 3:
         raise ModelError(
             f"{recordings[0].source}: {len(table)} stretches with steady pressures, expected 3 or more of "
-            f"{2 * SETTLE + SHORTEST:g} s"
+            f"{NEEDED:g} s"
         )
     return Points(*(table[:, i] for i, _ in enumerate(fields(Points))))
 
 
 def _points(recording: Recording, number: int) -> Array:
     """(n, 9) in the order of `Points`."""
-    require(recording, SIGNALS)
     if recording.conditions.get("shaft", "locked") != "locked":
         raise ModelError(
             f"{recording.source}: [experiment] shaft is {recording.conditions['shaft']!r}, expected 'locked'"
         )
-    parts = _steady(recording)
+    parts = standing(recording, PRESSURES)
     if not parts:
         return np.empty((0, len(fields(Points))))
     found = averages(recording, list(SIGNALS), parts)
     means, errors = (np.column_stack([one[n] for n in SIGNALS]) for one in (found.mean, found.error))
     means[:, :2] -= tank_pressure(recording)
     return np.column_stack([means, errors, np.full(len(parts), number)])
-
-
-def _steady(recording: Recording) -> list[slice]:
-    """Stretches in which neither pressure has a slope that its noise does not explain."""
-    used = filter_for(recording, WINDOW, 2)
-    margin, least = (round(x * used.rate) for x in (SETTLE, SHORTEST))
-    stands = np.ones(recording.time.size, dtype=bool)
-    for name in ("pressure_a", "pressure_b"):
-        slope = used.apply(recording[name], 1)
-        stands &= np.abs(slope) < STANDS * used.gain(1) * noise_of(recording, name)  # false where NaN
-    inner = [slice(s.start + margin, s.stop - margin) for s in stretches(stands)]
-    return [s for s in inner if s.stop - s.start >= least]

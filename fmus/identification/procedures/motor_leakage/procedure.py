@@ -4,7 +4,8 @@
 
 with pressures above that of the tank. Both flows are linear in the conductances 1/R, which are found together
 by least squares over the means of the steps, weighted with their errors; those of the pressures count by the
-slope. Quadratic terms and zeros of the meters are tested, not used.
+slope. Each flow has a zero beside its lines, which takes what the zeros of meters and transducers add up to.
+Quadratic terms are tested, not used.
 
 Validity: laminar leakage, steady pressures, pressure sensors at the motor (the line between is told of).
 """
@@ -16,64 +17,82 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fmus.contract import ModelError
 from fmus.identification.finding import Estimate, Finding
-from fmus.identification.procedures.motor_leakage import points as leakage_points
 from fmus.identification.procedures.motor_leakage.panels import panels
-from fmus.identification.procedures.motor_leakage.points import Points, points
+from fmus.identification.procedures.motor_leakage.points import SIGNALS, Points, points
 from fmus.identification.procedures.shared.given import training, value
-from fmus.identification.procedures.shared.regression import Regression, linear, misfit_remark
+from fmus.identification.procedures.shared.regression import SURE, WIDTH, Regression, linear, misfit_remark
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 
 Array = NDArray[np.float64]
-SIGNALS: Mapping[str, str] = leakage_points.SIGNALS
+__all__ = ["SIGNALS", "identify"]
+
 UNIT = "Pa.s/m3"
+LITTLE = 0.1  # of a standard deviation: what is smaller is not told
+WHICH = ("internal", "external")
 LITRES = 1e-3 / 60  # m3/s in one L/min
-SURE = 3.7  # standard deviations from which on a term is said to be seen: 1 in 1000 by chance, for four terms
 # what else could be in the flows
 TESTED = {
     "square_in": "a quadratic part of the internal leakage",
     "square_ex": "a quadratic part of the external leakage",
-    "zero_a": "a zero of the meter in line A",
-    "zero_drain": "a zero of the drain meter",
 }
+ZEROS = {"zero_a": "in line A", "zero_drain": "in the drain"}
+FOUND = ("internal", "external", *ZEROS)
 
 
 def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
     """Internal and external leakage resistance."""
-    own = training(recordings, "motor_leakage")
+    own = training(recordings, "motor_leakage", SIGNALS)
     steady = points(own)
     fit = conductances(steady)
+    _check_signs(fit)
     return Finding(
         procedure="motor_leakage",
         title="Leakage of the swing motor: flow over pressure",
         figure=8,
-        estimates=tuple(_resistance(fit, which, len(steady.total)) for which in ("internal", "external")),
+        estimates=tuple(_resistance(fit, which, len(steady.total)) for which in WHICH if told(fit, which)),
         panels=panels(steady, fit["internal"], fit["external"], [r.title for r in own]),
         remarks=(
             f"{len(steady.total)} stretches with steady pressures in {len(own)} recordings are used.",
             *misfit_remark(fit, "The linear law"),
+            *_zeros(fit),
             *_tested(steady),
-            _line(fit, steady, value(known, "swing.line_resistance")),
+            *_untold(fit),
+            *_line(fit, steady, value(known, "swing.line_resistance")),
         ),
         others=tuple(
-            fit.estimate(f"conductance, {which} leakage", "m3/(s.Pa)", "1/R", which)
-            for which in ("internal", "external")
+            fit.estimate(f"conductance, {which} leakage", "m3/(s.Pa)", "1/R", which) for which in WHICH
         ),
     )
+
+
+def told(fit: Regression, which: str) -> bool:
+    """Is a conductance clearly above zero, so that there is a resistance?"""
+    return fit[which] > SURE * fit.sd(which)
+
+
+def _check_signs(fit: Regression) -> None:
+    for which in WHICH:
+        if fit[which] < -SURE * fit.sd(which):
+            raise ModelError(
+                f"motor_leakage: the {which} leakage is {fit[which]:.3g} m3/(s.Pa), expected positive: turn "
+                "the sign of flow_a (positive into port A) or of drain_flow (positive out of the motor)"
+            )
 
 
 def conductances(p: Points, tested: Sequence[str] = ()) -> Regression:
     """Both equations over all points, flows in line A first; `tested` are names of TESTED."""
     y = np.concatenate([p.flow_a, p.drain])
     columns = _columns(p)
-    used = {n: columns[n] for n in ("internal", "external", *tested)}
+    used = {n: columns[n] for n in (*FOUND, *tested)}
     meters = np.concatenate([p.flow_a_error, p.drain_error])
-    fit = linear(y, used, meters)
+    fit = linear(y, used, meters, "motor_leakage")
     g_in, g_ex = fit["internal"], fit["external"]
     by_a = np.concatenate([(g_in + g_ex) * p.pressure_a_error, g_ex * p.pressure_a_error])
     by_b = np.concatenate([g_in * p.pressure_b_error, g_ex * p.pressure_b_error])
-    return linear(y, used, np.sqrt(meters**2 + by_a**2 + by_b**2))
+    return linear(y, used, np.sqrt(meters**2 + by_a**2 + by_b**2), "motor_leakage")
 
 
 def _columns(p: Points) -> dict[str, Array]:
@@ -117,8 +136,7 @@ def _tested(p: Points) -> tuple[str, ...]:
     seen = max(SURE * conductances(p, [n]).sd(n) * largest[n] for n in TESTED)
     share = 100 * seen / max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
     return (
-        "The leakage is linear: no quadratic part and no zero of a meter is seen; each would be from "
-        f"{share:.2g} % of the largest flow on.",
+        f"The leakage is linear: a quadratic part would be seen from {share:.2g} % of the largest flow on.",
     )
 
 
@@ -127,12 +145,33 @@ def _ratio(fit: Regression, name: str) -> float:
     return abs(fit[name]) / fit.sd(name)
 
 
-def _line(fit: Regression, p: Points, resistance: float) -> str:
-    """How much the line between sensor and motor matters."""
-    flow = np.abs(p.flow_a).max()
+def _zeros(fit: Regression) -> tuple[str, ...]:
+    """Flows that are there without pressure."""
+    return tuple(
+        f"Without pressure a flow {where} of {fit[n] / LITRES:.2g} +- {fit.sd(n) / LITRES:.1g} L/min would "
+        "be left. That is taken off as an error of the zeros of meters or transducers."
+        for n, where in ZEROS.items()
+        if fit.seen(n)
+    )
+
+
+def _untold(fit: Regression) -> tuple[str, ...]:
+    return tuple(
+        f"The {which} leakage is too small to be seen: it is below "
+        f"{max(fit[which], 0.0) + WIDTH * fit.sd(which):.2g} m3/(s.Pa). The resistance stays as it is known."
+        for which in WHICH
+        if not told(fit, which)
+    )
+
+
+def _line(fit: Regression, p: Points, resistance: float) -> tuple[str, ...]:
+    """What the line between sensor and motor does, if it is not small beside the interval."""
+    drop = resistance * float(np.abs(p.flow_a).max())
     share = resistance * (fit["internal"] + fit["external"])
+    if share < LITTLE * fit.sd("external") / abs(fit["external"]):
+        return ()
     return (
-        f"The pressures are taken as those at the motor. If the sensors are at the far end of its lines, "
-        f"{resistance:.3g} Pa.s/m3, up to {resistance * flow:.2g} Pa lie between, {100 * share:.2g} % of the "
-        "pressure, which is negligible."
+        f"The pressures are taken as those at the motor. If the sensors are at the far end of its lines "
+        f"({resistance:.3g} Pa.s/m3), up to {drop:.2g} Pa lie between, and the resistances are "
+        f"{100 * share:.2g} % too large.",
     )

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 Residual = Callable[[Mapping[str, float]], Array]
 
 UNLIKELY = 1e-3  # a fit whose chi-square is less probable than this is called a misfit
+SINGULAR = 1e8  # condition of scaled columns from which on rounding of the data decides
+SURE = 3.7  # standard deviations from which on a term is said to be seen: 1 in 5000 by chance
 WIDTH = float(stats.norm.ppf(0.975))  # half width of a 95 % interval in standard deviations
 
 
@@ -80,6 +82,10 @@ class Regression:
     def as_dict(self) -> dict[str, float]:
         """Values by name."""
         return dict(zip(self.names, map(float, self.values), strict=True))
+
+    def seen(self, name: str) -> bool:
+        """Is a parameter not zero by chance?"""
+        return abs(self[name]) > SURE * self.sd(name)
 
     def sd(self, name: str) -> float:
         """Standard deviation of one parameter."""
@@ -143,10 +149,15 @@ def fit(residual: Residual, start: Mapping[str, Guess], what: str) -> Regression
     return _regression(tuple(units), values, found.covar * np.outer(scale, scale), found.residual)
 
 
-def linear(y: Array, columns: Mapping[str, Array], sd: Array) -> Regression:
-    """Weighted linear least squares of y = sum of parameter times column; `sd` is that of each y."""
+def linear(y: Array, columns: Mapping[str, Array], sd: Array, what: str) -> Regression:
+    """Weighted linear least squares of y = sum of parameter times column; `sd` is that of each y.
+
+    `what` names the fit in an error message.
+    """
     matrix = np.column_stack(list(columns.values()))
     scale = np.linalg.norm(matrix, axis=0)
+    if not (scale > 0).all() or np.linalg.cond(matrix / scale) > SINGULAR:
+        raise ModelError(f"{what}: the {len(y)} points do not tell apart {', '.join(columns)}")
     found = sm.WLS(y, matrix / scale, weights=1 / sd**2).fit()
     covariance = found.normalized_cov_params / np.outer(scale, scale)
     return _regression(tuple(columns), found.params / scale, covariance, found.resid / sd)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fmus.contract import ModelError
 from fmus.identification.procedures.shared.regression import UNLIKELY, Guess, Regression, fit
 from fmus.identification.procedures.valve.law import Constants, Law, flow
 from fmus.identification.procedures.valve.points import Points
@@ -18,17 +17,30 @@ from fmus.parameters import Number
 Array = NDArray[np.float64]
 
 WELL_TOLD = 0.25  # largest relative standard deviation of a rounding that the data tell
+ROUNDINGS = (1e-3, 2.0)  # V, within which it is searched
+# of the mean drop: standard deviation of what two transducers may differ by, 0.25 % of their range each
+ZERO = 0.007
 
 
 @dataclass(frozen=True)
 class ValveFit:
-    """A fit of `points`; `rounded` if the data told the rounding of the foot."""
+    """A fit of `points`.
+
+    rounded   the data told the rounding of the foot
+    zeroed    what the two pressures differ by without flow is found along
+    """
 
     points: Points
     regression: Regression
     constants: Constants
     rounding: float
-    rounded: bool
+    rounded: bool = False
+    zeroed: bool = False
+
+    @property
+    def zero(self) -> float:
+        """Difference of the pressures without flow [Pa], as far as the data tell it."""
+        return self.regression["zero"] if self.zeroed else 0.0
 
     def law(self, values: Mapping[str, float] | None = None) -> Law:
         """The law of these values, by default of the fitted ones."""
@@ -36,48 +48,50 @@ class ValveFit:
         return Law(v["area"], v["dead_band"], v.get("rounding", self.rounding))
 
 
-def fitted(given: Points, constants: Constants, rounding: Number) -> ValveFit:
-    """Weighted fit of the flow. The rounding is fitted only if the data tell it, else taken as known.
+def fitted(given: Points, constants: Constants, rounding: Number, zero: bool = True) -> ValveFit:
+    """Weighted fit of the flow; the rounding is fitted only if the data tell it, else taken as known.
 
     Where no step falls on the rounded foot, dead band and rounding w show in the sum V_db + w/2 alone.
+
+    zero   find along what the pressures differ by without flow
     """
     fixed = ValveFit(
-        given, _fit(given, constants, rounding.value, False, rounding.sd), constants, rounding.value, False
+        given, _fit(given, constants, rounding, zero=zero), constants, rounding.value, zeroed=zero
     )
     law = fixed.law()
     if np.count_nonzero(given.command < law.dead_band + law.rounding) < 2:
         return fixed
-    free = _fit(given, constants, rounding.value, True, None)
-    if free.sd("rounding") > WELL_TOLD * free["rounding"]:
+    free = _fit(given, constants, rounding, zero=zero, free=True)
+    low, high = ROUNDINGS
+    if free.sd("rounding") > WELL_TOLD * free["rounding"] or not 1.01 * low < free["rounding"] < 0.99 * high:
         return fixed
-    return ValveFit(given, free, constants, rounding.value, True)
+    return replace(fixed, regression=free, rounded=True)
 
 
-def _fit(given: Points, constants: Constants, rounding: float, free: bool, prior: float | None) -> Regression:
-    """The fit with a rounding that is free, free with a prior standard deviation [V], or fixed."""
-    start = _guess(given, constants, rounding)
-    if free or prior:
-        start["rounding"] = Guess(rounding, low=1e-3, high=2.0)
+def _fit(
+    given: Points, constants: Constants, rounding: Number, *, zero: bool, free: bool = False
+) -> Regression:
+    """The fit with a rounding that is free, or held by its standard deviation [V], or fixed."""
+    start, held = _guess(given, constants, rounding.value), dict[str, tuple[float, float]]()
+    if free or rounding.sd:
+        start["rounding"] = Guess(rounding.value, low=ROUNDINGS[0], high=ROUNDINGS[1])
+    if rounding.sd and not free:
+        held["rounding"] = (rounding.value, rounding.sd)
+    if zero:
+        sd = ZERO * float(given.drop.mean())
+        start["zero"], held["zero"] = Guess(0.0, scale=sd), (0.0, sd)
 
     def residual(v: Mapping[str, float]) -> Array:
-        law = Law(v["area"], v["dead_band"], v.get("rounding", rounding))
-        modelled, slope = flow(given.command, given.drop, given.whole, law, constants)
+        law = Law(v["area"], v["dead_band"], v.get("rounding", rounding.value))
+        modelled, slope = flow(given.command, given.drop - v.get("zero", 0.0), given.whole, law, constants)
         weighted: Array = (given.flow - modelled) / np.hypot(given.flow_error, slope * given.drop_error)
-        if prior and not free:
-            return np.append(weighted, (v["rounding"] - rounding) / prior)
-        return weighted
+        return np.append(weighted, [(v[n] - value) / sd for n, (value, sd) in held.items()])
 
     return fit(residual, start, f"valve ({', '.join(given.edges)})")
 
 
 def _guess(given: Points, constants: Constants, rounding: float) -> dict[str, Guess]:
     """From the straight line of K = Q/sqrt(dp) over the command."""
-    voltages = np.unique(given.command).size
-    if voltages < 3:
-        raise ModelError(
-            f"valve {', '.join(given.edges)}: flow above the dead zone of the meter at {voltages} voltages, "
-            "expected at least 3"
-        )
     slope, offset = np.polyfit(given.command, given.flow / np.sqrt(given.drop), 1)
     foot = float(np.clip(-offset / slope, 0.0, given.command.min()))
     gain = slope * (constants.full_command - foot)
@@ -88,10 +102,17 @@ def _guess(given: Points, constants: Constants, rounding: float) -> dict[str, Gu
     }
 
 
-def asymmetry(common: ValveFit, own: Mapping[str, ValveFit]) -> float:
-    """Probability of the differences if edges are equal: chi-square of the common fit less those of each."""
-    alone = sum(one.regression.chi_square for one in own.values())
-    freedom = sum(one.regression.freedom for one in own.values())
+def asymmetry(given: Points, constants: Constants, rounding: Number) -> tuple[float, dict[str, float]]:
+    """Probability of the edges' differences if they are equal, and the area [m2] of each.
+
+    Chi-square of the common fit less those of each edge, without a zero of the pressures: all edges have the
+    same, and it would take a difference of theirs for its own.
+    """
+    common = _fit(given, constants, rounding, zero=False)
+    own = {edge: _fit(given.of(edge), constants, rounding, zero=False) for edge in given.edges}
+    alone = sum(one.chi_square for one in own.values())
+    freedom = sum(one.freedom for one in own.values())
     scale = alone / freedom if stats.chi2.sf(alone, freedom) < UNLIKELY else 1.0
-    gained = (common.regression.chi_square - alone) / scale
-    return float(stats.chi2.sf(gained, common.regression.freedom - freedom)) if len(own) > 1 else 1.0
+    gained = (common.chi_square - alone) / scale
+    areas = {edge: one["area"] for edge, one in own.items()}
+    return (float(stats.chi2.sf(gained, common.freedom - freedom)) if len(own) > 1 else 1.0), areas

@@ -6,6 +6,7 @@ Of every step the means are taken, with their standard errors. What is fitted is
 flows have the largest relative error, and 1/Q^2 would bend it. The error of a point is that of the mean flow
 and that of the mean drop times dQ/d(dp); the opening law of the valve (`law`) keeps C_R positive and
 monotone. All edges are fitted together, as the spools are symmetrical, and each on its own for comparison.
+What the two pressures differ by without flow, a zero of the transducers, is found along.
 
 Validity: steady flow above the dead zone of the meter. Only the product C_d A sqrt(2/rho) is measured: the
 area belongs to the C_d and the density that are known.
@@ -14,6 +15,7 @@ area belongs to the C_d and the density that are known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -35,9 +37,10 @@ ROUNDING = "boom_stick.valve_command_rounding"
 
 def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Finding:
     """Area and dead band of the valve's edges, and C_R over the command."""
-    every = points(training(recordings, "valve"))
+    every = points(training(recordings, "valve", SIGNALS))
     constants = Constants.of(known)
-    common = fitted(every.measured, constants, number(known, ROUNDING))
+    common = fitted(every.enough(), constants, number(known, ROUNDING))
+    shown = replace(every, drop=every.drop - common.zero)
     rounding = Number(common.law().rounding, "V", "identified", "of all edges")
     own = {edge: fitted(every.of(edge).measured, constants, rounding) for edge in every.edges}
     return Finding(
@@ -45,8 +48,8 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Fi
         title="Valve: C_R of the metering edges over the command",
         figure=5,
         estimates=tuple(_estimates(common)),
-        panels=panels(every, common.law(), constants),
-        remarks=remarks(every, common, own),
+        panels=panels(shown, common.law(), constants),
+        remarks=remarks(shown, common),
         others=(*_curve(common), *(e for edge, one in own.items() for e in _estimates(one, edge))),
     )
 
@@ -87,4 +90,8 @@ def _curve(of: ValveFit) -> list[Estimate]:
         "where the straight part of the opening, extended, meets zero",
         lambda p: p["dead_band"] + p.get("rounding", of.rounding) / 2,
     )
+    if of.zeroed:
+        found.append(
+            of.regression.estimate("pressures without flow", "Pa", "pressure_in - pressure_out", "zero")
+        )
     return [*found, foot]

@@ -1,0 +1,225 @@
+"""Benches that are not ours: other clocks, gaps, wrong signs, offsets. Right, wider, or told in one line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identification.procedures import bench
+
+from fmus.contract import ModelError
+from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
+from fmus.identification.recordings.recording import Sensor
+
+HOSE = ("hose_resistance", "hose_dynamics")
+TRUTH = {
+    "valve_area": bench.AREA,
+    "valve_dead_band": bench.DEAD_BAND,
+    "boom_stick.stick_hose_resistance": bench.RESISTANCE,
+    "boom_stick.stick_hose_inertance": bench.INERTANCE,
+    "boom_stick.stick_hose_capacitance": bench.CAPACITANCE,
+}
+BENCHES = {
+    "valve": (valve, lambda: bench.edges(5)),
+    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, turbulent)),
+    "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
+}
+
+
+def turbulent(q):
+    """Eq. (1) with the rounding of the machine."""
+    return bench.RESISTANCE * q * np.hypot(q, bench.TRANSITION)
+
+
+def with_signals(r, change):
+    """The recording with each signal changed by a function of name and samples."""
+    return replace(r, signals={n: change(n, x) for n, x in r.signals.items()})
+
+
+def found(name, change):
+    """Finding of a bench whose recordings are changed."""
+    procedure, recordings = BENCHES[name]
+    return procedure.identify([change(r) for r in recordings()], bench.KNOWN)
+
+
+def rows(r, kept):
+    """Some rows of a recording."""
+    return replace(with_signals(r, lambda _, x: x[kept]), time=r.time[kept])
+
+
+def gaps(r):
+    """One sample in a hundred is missing, of each sensor on its own."""
+    random = np.random.default_rng(1)
+
+    def holed(name, x):
+        return x if name == "command" else np.where(random.random(x.size) < 0.01, np.nan, x)
+
+    return with_signals(r, holed)
+
+
+def lost(r):
+    """A logger that lost one row in a hundred."""
+    return rows(r, np.random.default_rng(2).random(r.time.size) > 0.01)
+
+
+def slower(r):
+    """Every fourth row: 50 Hz."""
+    return rows(r, slice(None, None, 4))
+
+
+def unknown(r):
+    """Nothing is told of any sensor."""
+    return replace(r, sensors={})
+
+
+def no_zone(r):
+    """The dead zone is not told."""
+    return replace(r, sensors={n: replace(s, dead_zone=0.0) for n, s in r.sensors.items()})
+
+
+def offset(r):
+    """The transducer at the outlet reads 0.5 bar too much."""
+    return with_signals(r, lambda n, x: x + 5e4 if n == "pressure_out" else x)
+
+
+def turned(r):
+    """All flow meters count the other way."""
+    return with_signals(r, lambda n, x: -x if n.startswith("flow") else x)
+
+
+@pytest.mark.parametrize("name", BENCHES)
+@pytest.mark.parametrize("change", [gaps, lost, unknown, no_zone, offset, slower])
+def test_the_answer_stays_right(name, change):
+    """Whatever is missing, not told or off by a zero: values within their intervals, these narrow."""
+    if (name, change) == ("hose_dynamics", slower):
+        pytest.skip("refused, see below: at 50 Hz the hose's own 51 Hz cannot be seen")
+    estimates = {e.name: e for e in found(name, change).estimates}
+    for parameter in TRUTH.keys() & estimates.keys():
+        e = estimates[parameter]
+        # four standard deviations: 1 in 1e4, the seeds are fixed
+        assert abs(e.value - TRUTH[parameter]) < 4 * e.sd
+        # the bar of the project for a value, here for its interval
+        assert 1.96 * e.sd < 0.02 * e.value
+    assert TRUTH.keys() & estimates.keys()
+
+
+@pytest.mark.parametrize("name", ["valve", "hose_resistance"])
+def test_an_offset_of_a_pressure_is_taken_off_and_said(name):
+    """Half a bar between two transducers is a tenth of a hose's drop: it is found and told."""
+    finding = found(name, offset)
+    zero = next(e for e in finding.others if e.name == "pressures without flow")
+    assert abs(zero.value + 5e4) < 4 * zero.sd
+    assert any(text.startswith("Without flow") for text in finding.remarks) == (
+        abs(zero.value) > 3.7 * zero.sd
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("valve", turned, r"flow is against the drop .* in 13 of 13 steps"),
+        ("hose_resistance", turned, "drop pressure_in - pressure_out falls with the flow"),
+        ("hose_dynamics", turned, "is -.*, expected positive: turn the sign"),
+        (
+            "hose_dynamics",
+            lambda r: with_signals(r, lambda n, x: -x if n == "flow_out" else x),
+            "flow_in and flow_out have opposite signs",
+        ),
+        ("hose_dynamics", slower, "50 samples per second, expected 128 or more"),
+        (
+            "hose_dynamics",
+            lambda r: with_signals(r, lambda _, x: np.full_like(x, x[0])),
+            "flow_in does not change",
+        ),
+        (
+            "valve",
+            lambda r: replace(r, conditions={"edge": "P-X"}),
+            "edge is 'P-X', expected P-A, B-T, P-B, A-T",
+        ),
+        (
+            "valve",
+            lambda r: with_signals(r, lambda n, x: np.abs(x) if n == "command" else x),
+            "expected negative commands, which open P-B, found none",
+        ),
+        (
+            "valve",
+            lambda r: with_signals(r, lambda n, x: np.minimum(x, 1e6) if n == "pressure_in" else x),
+            r"at 0 voltages.* 13 with an instrument at an end of its range",
+        ),
+        ("valve", lambda r: replace(r, units={**r.units, "flow": "Pa"}), "flow is in Pa, expected m3/s"),
+        (
+            "valve",
+            lambda r: rows(r, slice(0, 100)),
+            "expected steps that stand for 0.8 s or longer, found none",
+        ),
+        (
+            "hose_resistance",
+            lambda r: rows(r, slice(0, 60)),
+            "flows that stand for 0.75 s or longer, found none",
+        ),
+    ],
+)
+def test_what_cannot_be_right_is_told_in_one_line(name, change, words):
+    """Signs, units, clocks, clipped and short recordings: file or edge, what is expected."""
+    with pytest.raises(ModelError, match=words) as error:
+        found(name, change)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", HOSE)
+def test_two_hoses_are_not_taken_for_one(name):
+    """Recordings of hoses of other lengths are refused by name, not averaged."""
+    procedure, recordings = BENCHES[name]
+    own = recordings()
+    other = replace(own[0], conditions={**own[0].conditions, "length": 2.0})
+    with pytest.raises(ModelError, match=r"length is 2 m, expected 4 m as in [^\n]*$"):
+        procedure.identify([*own, other], bench.KNOWN)
+
+
+@pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
+def test_another_oil_is_counted(name, power):
+    """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
+    light = found(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
+    plain = found(name, lambda r: r)
+    ratio = light.estimates[0].value / plain.estimates[0].value
+    assert ratio == pytest.approx(1.1**power, rel=1e-12)  # exact: the same fit, another factor
+
+
+def test_commands_that_close_the_edge_are_left_out():
+    """An edge tested with both signs: steps of the other sign are no dead zone of the meter."""
+    one = bench.edge("P-A", 3)
+    closed = with_signals(one, lambda n, x: -x if n == "command" else 0 * x if n == "flow" else x)
+    both = with_signals(one, lambda n, x: np.append(x, closed[n]))
+    both = replace(both, time=np.arange(2 * one.time.size) / bench.RATE)
+    alone, together = (valve.identify([r], bench.KNOWN) for r in (one, both))
+    assert together.remarks == alone.remarks
+    assert together.estimates[0].value == pytest.approx(alone.estimates[0].value, rel=1e-9)
+
+
+def constant(name, x):
+    """Pressures with the mean of each step of 1.5 s in the place of its samples."""
+    return np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if name.startswith("pressure") else x
+
+
+def test_a_signal_without_noise_gives_no_infinite_weights():
+    """Constant steps, as a simulation writes them: right, and the interval is not zero."""
+    quiet = Sensor("perfect", 0.0, 1e-12, -np.inf, np.inf, bench.FLOW.dead_zone)
+    one = bench.edge("P-A", 0, flow=quiet)
+    clean = with_signals(
+        one, lambda n, x: np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if n[0] == "p" else x
+    )
+    area = valve.identify([replace(clean, sensors={})], bench.KNOWN).estimates[0]
+    assert area.value == pytest.approx(bench.AREA, rel=1e-3)  # the means keep the noise of 300 samples
+    assert area.sd > 0
+
+
+def test_fast_changes_that_tell_nothing_are_no_estimate():
+    """A flow whose changes are lost in noise: no inertance of 10 % or 1000 %, but a sentence."""
+    finding = found(
+        "hose_dynamics",
+        lambda r: with_signals(r, lambda n, x: x.mean() + 0.001 * (x - x.mean()) if n[0] == "p" else x),
+    )
+    names = {e.name for e in finding.estimates}
+    assert "boom_stick.stick_hose_capacitance" not in names
+    assert any("do not tell the capacitance" in text for text in finding.remarks)
