@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from fmus.build import data
@@ -140,6 +141,47 @@ def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
     # the trace is recorded on a grid of 5 ms, as the recording: exact but for rounding
     np.testing.assert_allclose(trace[f"{own}.boom_command"], at, atol=1e-9)
     assert trace.time[-1] == pytest.approx(time[-1], abs=1e-3)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_run_that_begins_elsewhere_than_the_recording_is_told(capsys):
+    """A recording from another pose: a note says which joint stands elsewhere, and how far."""
+    own = Path(own_reference())
+    table = pd.read_csv(own)
+    table["manipulator.boom_angle"] += 0.3
+    table.to_csv(own, index=False)
+    assert main(["validate", "--reference", str(own), "--stop", "0.2"]) == 1  # 0.3 rad is beyond the limit
+    told = " ".join(capsys.readouterr().out.split())
+    assert "note: the run begins elsewhere than the reference: manipulator.boom_angle by -0.3 rad;" in told
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("system", ["harvester.ssp", "harvester.fmu"])
+def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, capsys):
+    """One sensor for both drives: it goes in by --play, else it is compared with the ideal source."""
+    time = np.arange(0.0, 0.5, 0.005)
+    sagging = 200.0 - 20.0 * time
+    write(Trace(time, {"BOOM": np.zeros(time.size), "PS": sagging}), "own.csv")
+    both = "".join(
+        f'[signals."{part}.supply_pressure"]\ncolumn = "PS"\nunit = "bar"\n'
+        for part in ("swing", "boom_stick")
+    )
+    command = '[signals."boom_stick.boom_command"]\ncolumn = "BOOM"\nunit = "V"\n'
+    Path("own.toml").write_text(command + both, encoding="utf-8")
+    shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
+    play = ["--play", "*.supply_pressure"]
+    assert main(["validate", f"build/{system}", "--reference", "own.csv", *play]) == 0
+    trace = read("build/run.csv")
+    parts = ("harvester",) if system.endswith("fmu") else ("swing", "boom_stick")
+    for part in parts:
+        # recorded on the grid of the recording: exact but for rounding of 2e7 Pa
+        np.testing.assert_allclose(trace[f"{part}.supply_pressure"], 1e5 * sagging, atol=1e-3)
+    if len(parts) > 1:
+        assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
+        assert np.ptp(read("build/run.csv")["swing.supply_pressure"]) == 0
+    capsys.readouterr()
+    assert main(["validate", f"build/{system}", "--reference", "own.csv", "--play", "*.presure"]) == 2
+    assert "--play *.presure: expected signals of own.csv" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("here")

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from orchestrator.commands.begin import begins_elsewhere
 from orchestrator.commands.commands import BUILT, contents, given, simulated, there
 from orchestrator.commands.judge import another_model, judge
 from orchestrator.commands.played import played
@@ -62,6 +63,8 @@ def validate(
         named = shown.title if reference is None and scenario is None else ""
         title = named or f"{(scenario or system).stem} against {against.title}"
         shown = replace(shown.within(result.trace), title=title)
+    if commands and (elsewhere := begins_elsewhere(result.trace, against)):
+        result = _noted(result, elsewhere)
     facts = _facts(system, scenario, against.title, result.card, **options)
     validation, html, data = judge(result, against, shown, out, facts, rate)
     Console().print(summary(validation))

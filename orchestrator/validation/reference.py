@@ -155,7 +155,7 @@ def read_reference(path: Path | str, csv: Path | str | None = None) -> Reference
 
 def _load(meta: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(meta.read_text(encoding="utf-8"))
+        return tomllib.loads(meta.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise Problem(f"{meta}: expected a TOML file that describes the columns, got no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
