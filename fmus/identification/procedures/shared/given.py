@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from fmus.contract import ModelError
 from fmus.identification.recordings.noise import noise
 from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.resampling import UNEVEN, period, resample
+from fmus.identification.recordings.resampling import evenly
 from fmus.parameters import Number
 
 Array = NDArray[np.float64]
@@ -33,22 +32,6 @@ def training(
     for recording in own:
         require(recording, signals)
     return tuple(map(evenly, own))
-
-
-def evenly(recording: Recording) -> Recording:
-    """The recording on a uniform clock at its own rate; rows that a logger lost become gaps."""
-    time = recording.time
-    if time.size < 2 or _uniform(time):
-        return recording
-    rate, held = 1 / period(time), [name for name in recording.signals if name.endswith("command")]
-    even = resample(recording, rate, hold=held)
-    lasting = resample(recording, rate, hold=held, bridge=math.inf)  # a command holds over lost rows
-    return replace(even, signals={**even.signals, **{name: lasting[name] for name in held}})
-
-
-def _uniform(time: Array) -> bool:
-    even = np.linspace(time[0], time[-1], time.size)
-    return bool(np.abs(time - even).max() <= UNEVEN * period(time))
 
 
 def filled(row: Array) -> Array:
