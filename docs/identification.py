@@ -21,7 +21,8 @@ from fmus.identification.report import figures, words
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.captions import caption
 from fmus.identification.report.compared import Compared, picture
-from fmus.identification.report.style import png, prose
+from fmus.identification.report.embedding import png
+from fmus.identification.report.style import prose
 from fmus.rig.command import rig
 
 HERE = Path(__file__).parent

@@ -6,7 +6,6 @@ docs/recordings.md describes it. It is a superset of docs/reference-traces.md: w
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.contract import ModelError
+from fmus.identification.recordings.toml import keys, load
 from fmus.units import parse, spelled
 
 # "" is a recording that no experiment claims.
@@ -72,11 +72,11 @@ class Meta:
 def read_meta(path: Path) -> Meta:
     """Read and check a meta file."""
     tables = load(path)
-    _keys(tables, _TABLES, f"{path}")
+    keys(tables, _TABLES, f"{path}")
     about, file, time = (tables.get(name, {}) for name in ("reference", "file", "time"))
-    _keys(about, _ABOUT, f"{path}: [reference]")
-    _keys(file, _FILE, f"{path}: [file]")
-    _keys(time, _TIME, f"{path}: [time]")
+    keys(about, _ABOUT, f"{path}: [reference]")
+    keys(file, _FILE, f"{path}: [file]")
+    keys(time, _TIME, f"{path}: [time]")
     experiment = dict(tables.get("experiment", {}))
     procedure, use = _which(experiment, f"{path}: [experiment]") if "experiment" in tables else ("", "train")
     signals = tables.get("signals", {})
@@ -87,20 +87,6 @@ def read_meta(path: Path) -> Meta:
     title = about.get("title", path.stem)
     kind = about.get("kind", "measurement")
     return Meta(path, title, kind, procedure, use, experiment, file, time, signals)
-
-
-def load(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ModelError(
-            f"{path}: expected a TOML file that describes the columns, found no such file"
-        ) from None
-    except OSError as error:
-        raise ModelError(f"{path}: expected a TOML file, found {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
 
 
 def _which(experiment: dict[str, Any], where: str) -> tuple[str, str]:
@@ -117,14 +103,14 @@ def _which(experiment: dict[str, Any], where: str) -> tuple[str, str]:
             raise ModelError(
                 f'{where}: {name} is {value!r}, expected {{ value = 1.0, unit = "..." }} or a word'
             )
-        _keys(value, _VALUE, f"{where} {name}")
+        keys(value, _VALUE, f"{where} {name}")
         unit(value["unit"], f"{where} {name}")
     return procedure, use
 
 
 def _check_signal(spec: Any, where: str) -> None:
     """One [signals.NAME]: known keys, a known unit, an instrument that can exist."""
-    _keys(spec, _SIGNAL, where)
+    keys(spec, _SIGNAL, where)
     if "unit" not in spec:
         raise ModelError(f"{where}: expected a unit, found none")
     unit(spec["unit"], where)
@@ -146,16 +132,3 @@ def unit(text: str, where: str) -> str:
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from None
     return spelled(text)
-
-
-def _keys(table: Any, known: Mapping[str, Any], where: str) -> None:
-    """Refuse what is not a table, an unknown key and a value of the wrong type."""
-    if not isinstance(table, dict):
-        raise ModelError(f"{where}: expected a table, found {table!r}")
-    for key, value in table.items():
-        if key not in known:
-            raise ModelError(f"{where}: unknown key {key!r}, expected one of {', '.join(known)}")
-        if not isinstance(value, known[key]) or isinstance(value, bool):
-            kinds = known[key] if isinstance(known[key], tuple) else (known[key],)
-            wanted = " or ".join(kind.__name__ for kind in kinds)
-            raise ModelError(f"{where}: {key} is {value!r}, expected {wanted}")

@@ -2,113 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
 
 from fmus.identification.recordings import clock
 from fmus.identification.recordings.clock import Clock
-from fmus.identification.recordings.flat import clipped, stuck
-from fmus.identification.recordings.masks import dead
-from fmus.identification.recordings.noise import noise, step
-from fmus.identification.recordings.plausible import beyond
-from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
-from fmus.identification.recordings.resampling import stretches
-from fmus.units import display
-
-LOUD = 2.0  # times what is told, from which noise is more than told
-COARSE, FINE = 1.5, 0.67  # of the told step
-COUNTS = 1e-4  # of the range: finer steps, such as the digits of a file, need not be told
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Samples that something is wrong with.
-
-    share     of all samples
-    first     when it starts first [s]
-    longest   longest stretch [s]
-    """
-
-    samples: int
-    share: float
-    parts: int
-    first: float
-    longest: float
-
-    def __bool__(self) -> bool:
-        return self.samples > 0
-
-
-@dataclass(frozen=True)
-class SignalQuality:
-    """One signal; numbers in SI.
-
-    step, noise   estimated from the data; step 0: none to be seen
-    sensor        what is told
-    lowest, highest   of the samples
-    """
-
-    name: str
-    unit: str
-    gaps: Fault
-    clipped: Fault
-    stuck: Fault
-    dead: Fault
-    step: float
-    noise: float
-    sensor: Sensor
-    lowest: float
-    highest: float
-
-    @property
-    def still(self) -> bool:
-        """Whether it has one value throughout."""
-        return self.lowest == self.highest
-
-    def remarks(self) -> Iterator[str]:
-        """Whole sentences on what is not as it should be, and on what is not used."""
-        yield from self.faults()
-        if self.dead and not self.still:
-            zone = _shown(self.sensor.dead_zone, self.unit)
-            yield f"{self.name}: {_words(self.dead)} in the sensor's dead zone of {zone}, not used."
-
-    def faults(self) -> Iterator[str]:
-        """The first of them: a dead zone is no fault."""
-        if self.gaps:
-            yield f"{self.name}: {_words(self.gaps)} without a sample."
-        if self.clipped:
-            yield (
-                f"{self.name}: {_words(self.clipped)} clipped, at an end of the sensor's range or held at the"
-                f" signal's own extreme."
-            )
-        if self.stuck:
-            yield f"{self.name}: {_words(self.stuck)} stuck at one value, which its noise would not allow."
-        usual = beyond(max(abs(self.lowest), abs(self.highest)), self.unit)
-        if usual:
-            low, high = (_shown(value, self.unit) for value in usual)
-            wanted = f"{low} to {high}" if usual[0] else f"up to {high}"
-            lowest, highest = (_shown(value, self.unit) for value in (self.lowest, self.highest))
-            yield (
-                f"{self.name}: from {lowest} to {highest}, expected a largest magnitude of {wanted}:"
-                " is its unit right?"
-            )
-        yield from self._instrument()
-
-    def _instrument(self) -> Iterator[str]:
-        told, found = self.sensor, _shown(self.noise, self.unit)
-        # a slow signal rounded to steps looks like noise of up to half a step
-        usual = float(np.hypot(told.noise, told.resolution / 2))
-        if usual > 0 and self.noise > LOUD * usual:
-            yield f"{self.name}: noise of {found}, told {_shown(told.noise, self.unit)}."
-        step, wanted = _shown(self.step, self.unit), _shown(told.resolution, self.unit)
-        if told.resolution > 0 and self.step > COARSE * told.resolution:
-            yield f"{self.name}: steps of {step}, coarser than the resolution told, {wanted}."
-        elif told.resolution > 0 and 0 < self.step < FINE * told.resolution:
-            yield f"{self.name}: steps of {step}, finer than the resolution told, {wanted}."
-        elif told.resolution == 0 and self.noise > 0 and self.step > COUNTS * (self.highest - self.lowest):
-            yield f"{self.name}: steps of {step} without a resolution told."
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.recordings.signal_quality import SignalQuality, shown, signal_quality
 
 
 @dataclass(frozen=True)
@@ -122,7 +21,7 @@ class Quality:
     def remarks(self) -> list[str]:
         """Whole sentences, one for each thing that is not as it should be; none for a clean recording."""
         found = [*self.clock.remarks(), *(text for signal in self.signals for text in signal.remarks())]
-        still = [f"{s.name} ({_shown(s.lowest, s.unit)})" for s in self.signals if s.still]
+        still = [f"{s.name} ({shown(s.lowest, s.unit)})" for s in self.signals if s.still]
         return [*found, f"One value throughout: {', '.join(still)}."] if still else found
 
     def table(self) -> str:
@@ -137,49 +36,8 @@ class Quality:
 
 def examine(recording: Recording) -> Quality:
     """What can be told of a recording's quality from its data and what its meta file says."""
-    signals = tuple(_signal(recording, name) for name in recording.signals)
+    signals = tuple(signal_quality(recording, name) for name in recording.signals)
     return Quality(recording.source.name, clock.examine(recording), signals)
-
-
-def _signal(recording: Recording, name: str) -> SignalQuality:
-    values, sensor, time = recording[name], recording.sensor(name), recording.time
-    there = values[np.isfinite(values)]
-    return SignalQuality(
-        name=name,
-        unit=recording.units[name],
-        gaps=_fault(~np.isfinite(values), time),
-        clipped=_fault(clipped(values, sensor), time),
-        stuck=_fault(stuck(values, sensor), time),
-        dead=_fault(dead(recording, name), time),
-        step=step(values),
-        noise=noise(values, sensor),
-        sensor=sensor,
-        lowest=float(there.min()) if len(there) else float("nan"),
-        highest=float(there.max()) if len(there) else float("nan"),
-    )
-
-
-def _fault(bad: Mask, time: Array) -> Fault:
-    parts = stretches(bad)
-    # a stretch of one sample lasts until the next one
-    ends = np.append(time, 2 * time[-1] - time[-2])
-    longest = max((float(ends[part.stop] - time[part.start]) for part in parts), default=0.0)
-    first = float(time[parts[0].start]) if parts else float("nan")
-    return Fault(int(bad.sum()), float(bad.mean()), len(parts), first, longest)
-
-
-def _words(fault: Fault) -> str:
-    share = f"{100 * fault.share:.2g} %" if fault.share < 0.995 else "all"
-    parts = f"in {fault.parts} parts, " if fault.parts > 1 else ""
-    count = "1 sample" if fault.samples == 1 else f"{fault.samples} samples"
-    return f"{count} ({share}; {parts}first at {fault.first:.6g} s, longest {fault.longest:.3g} s)"
-
-
-def _shown(value: float, unit: str) -> str:
-    """A number in the unit a reader expects."""
-    text, factor = display(unit) or (unit, 1.0)
-    shown = f"{factor * value:.0f}" if 1e3 <= abs(factor * value) < 1e6 else f"{factor * value:.3g}"
-    return shown + ("" if text == "1" else f" {text}")
 
 
 def _row(signal: SignalQuality) -> tuple[str, ...]:
@@ -187,5 +45,5 @@ def _row(signal: SignalQuality) -> tuple[str, ...]:
     shares = (f"{100 * fault.share:.2g} %" if fault else "-" for fault in faults)
     told = (signal.sensor.resolution, signal.sensor.noise)
     pairs = zip((signal.step, signal.noise), told, strict=True)
-    seen = (f"{_shown(v, signal.unit)} ({_shown(t, signal.unit) if t else '-'})" for v, t in pairs)
+    seen = (f"{shown(v, signal.unit)} ({shown(t, signal.unit) if t else '-'})" for v, t in pairs)
     return (signal.name, *shares, *seen)

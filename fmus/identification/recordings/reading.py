@@ -14,9 +14,10 @@ from pathlib import Path
 from fmus.contract import ModelError
 from fmus.identification.recordings.conversion import conditions, seconds, sensor, signal
 from fmus.identification.recordings.files import DATA, read_table
-from fmus.identification.recordings.meta import Meta, load, read_meta, unit
+from fmus.identification.recordings.meta import Meta, read_meta, unit
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.recordings.series import read_series
+from fmus.identification.recordings.toml import load
 from fmus.units import in_si, parse
 
 __all__ = ["left_out", "read", "read_folder", "read_series", "require"]

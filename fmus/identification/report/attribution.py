@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmus.identification.report import shares
-from fmus.identification.report.prediction import Array, Signals
+from fmus.identification.report import shares, stacked
+from fmus.identification.report.prediction import Signals
 
 LEAST = 0.2  # share from which an effect is named
 CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be told from it
@@ -87,17 +87,17 @@ def explain(
     absorbed   what each identified parameter would change
     """
     noise = noise or {}
-    size = {name: _rms(values) for name, values in residual.items()}
+    size = {name: stacked.rms(values) for name, values in residual.items()}
     used = [n for n in residual if size[n] > ABOVE_NOISE * noise.get(n, 0.0)]
     quiet = tuple(n for n in residual if n not in used)
     if not used:
         return Explanation((), 0.0, 0.0, 1.0, (), quiet, _words((), 0.0, 0.0, 1.0))
-    r = _stack({n: residual[n] for n in used}, residual, size, used)
-    d = np.column_stack([_stack(change, residual, size, used) for change in effects.values()])
+    r = stacked.stack({n: residual[n] for n in used}, residual, size, used)
+    d = np.column_stack([stacked.stack(change, residual, size, used) for change in effects.values()])
     whole = float(r @ r)
-    rows = _rows(residual, used)
+    rows = stacked.rows(residual, used)
     if absorbed:
-        slope = np.column_stack([_stack(change, residual, size, used) for change in absorbed.values()])
+        slope = np.column_stack([stacked.stack(change, residual, size, used) for change in absorbed.values()])
         r, d = shares.without(slope, r), shares.without(slope, d)
     parameters = 1 - float(r @ r) / whole
     part = shares.explained(d, r) / whole
@@ -112,30 +112,6 @@ def explain(
     noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
     verdict = _words(ordered, float(part[-1]), parameters, noisy)
     return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, verdict)
-
-
-def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
-
-
-def _rows(residual: Signals, used: Sequence[str]) -> dict[str, slice]:
-    """Where each signal stands in the stacked rows."""
-    ends = np.cumsum([0, *(int(np.isfinite(residual[n]).sum()) for n in used)])
-    return {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
-
-
-def _stack(values: Signals, residual: Signals, size: Mapping[str, float], used: Sequence[str]) -> Array:
-    """Signals under each other, each over the size of its residual; a signal that is not there is zero.
-
-    Signals with many samples count as much as those with few.
-    """
-    pieces = []
-    for n in used:
-        known = np.isfinite(residual[n])
-        weight = 1 / (size[n] * np.sqrt(known.sum()))
-        pieces.append(values[n][known] * weight if n in values else np.zeros(int(known.sum())))
-    return np.concatenate(pieces)
 
 
 def _words(found: Sequence[Share], together: float, parameters: float, noise: float) -> str:

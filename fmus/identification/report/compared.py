@@ -17,6 +17,7 @@ from fmus.identification.report.captions import counterpart, origin, sentences
 from fmus.identification.report.content import Picture
 from fmus.identification.report.effects import changes, slopes
 from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
+from fmus.identification.report.trace_rows import FIGURES, Line, rows
 
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
 
@@ -46,7 +47,7 @@ class Compared:
     def nrmse(self) -> dict[str, float]:
         """Root mean square residual over the range of the measurement, of all signals that move."""
         found = {
-            name: traces.Line(name, self.units[name], self.measured[name], self.predicted[name]).nrmse
+            name: Line(name, self.units[name], self.measured[name], self.predicted[name]).nrmse
             for name in self.measured
             if name in self.predicted
         }
@@ -98,8 +99,8 @@ def figure(seen: Compared, joint: str, title: str = "") -> Figure:
     return traces.draw(
         title or f"{joint.capitalize()}: {recording.title}",
         recording.time,
-        traces.rows(joint, seen.measured, seen.predicted, seen.units),
-        number=traces.FIGURES[joint],
+        rows(joint, seen.measured, seen.predicted, seen.units),
+        number=FIGURES[joint],
         kinds=[recording.kind],
     )
 
@@ -111,7 +112,7 @@ def picture(seen: Compared, joint: str) -> Picture:
     text = sentences(
         f"Measured and predicted signals of the {joint} over {recording.title}, {held_out}",
         origin([recording.kind]),
-        counterpart(traces.FIGURES[joint]),
+        counterpart(FIGURES[joint]),
         f"Speeds: both angles differentiated by one filter, {1000 * WINDOW:.0f} ms wide",
         "Flows in the dead zone of the meter are left out",
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from fmus.identification.recordings.quality import SignalQuality, examine
+from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.recordings.resampling import evenly
+from fmus.identification.recordings.signal_quality import SignalQuality
 from fmus.identification.report.content import Channel, Quality
 
 

@@ -16,7 +16,8 @@ from markupsafe import Markup
 from fmus.identification.finding import Finding
 from fmus.identification.report import captions, figures, matrix, words
 from fmus.identification.report.content import Page
-from fmus.identification.report.style import embed, prose
+from fmus.identification.report.embedding import embed
+from fmus.identification.report.style import prose
 
 TEMPLATES = Path(__file__).with_name("templates")
 NAME = "identification"

@@ -14,8 +14,8 @@ from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
 from fmus.identification.finding import Curve, Panel
-from fmus.identification.report import captions, figures, matrix, style, traces
-from fmus.identification.report.traces import Line, Row
+from fmus.identification.report import captions, embedding, figures, matrix, style, trace_rows, traces
+from fmus.identification.report.trace_rows import Line, Row
 
 TIME = np.arange(0.0, 5.0, 0.005)
 
@@ -93,20 +93,20 @@ def test_a_large_cloud_keeps_the_page_small():
     """Fifty thousand points are a picture inside the SVG."""
     many = np.random.default_rng(0).standard_normal((2, 50_000))
     cloud = Panel("x", "y", (Curve("measured", *many),))
-    assert len(style.svg(drawn(cloud))) < style.SVG_LIMIT
+    assert len(embedding.svg(drawn(cloud))) < embedding.SVG_LIMIT
 
 
 def test_figures_are_reproducible_and_crisp():
     """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
-    one, other = (style.svg(figures.draw(finding())) for _ in range(2))
+    one, other = (embedding.svg(figures.draw(finding())) for _ in range(2))
     assert one == other
-    assert imread(io.BytesIO(style.png(figures.draw(finding())))).shape[1] > 1000
+    assert imread(io.BytesIO(embedding.png(figures.draw(finding())))).shape[1] > 1000
 
 
 def test_nothing_is_cut_off():
     """All labels lie inside the figure."""
     figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
-    style.png(figure)
+    embedding.png(figure)
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     for axes in figure.axes:
         box = axes.get_tightbbox(renderer).transformed(figure.transFigure.inverted())
@@ -118,7 +118,7 @@ def test_nothing_is_cut_off():
 
 def test_a_picture_of_simulated_data_says_so():
     """Inside the picture and in its caption, with the paper's figure."""
-    assert "not FERIC data" in style.svg(drawn(panel()))
+    assert "not FERIC data" in embedding.svg(drawn(panel()))
     told = captions.caption(finding(), ["simulation", "simulation"])
     assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
     assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
@@ -185,7 +185,7 @@ def test_traces_have_their_residual_below():
     assert error[0] == pytest.approx(-0.2)
     measured, predicted = pressure.lines
     assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
-    assert "cf. Fig. 10" in style.svg(figure)
+    assert "cf. Fig. 10" in embedding.svg(figure)
 
 
 def test_the_error_is_over_the_range():
@@ -199,9 +199,9 @@ def test_the_error_is_over_the_range():
 
 def test_rows_show_what_was_measured():
     """A joint without a flow meter has no row for flow."""
-    names = [n for signals in traces.SIGNALS["stick"].values() for n in signals]
+    names = [n for signals in trace_rows.SIGNALS["stick"].values() for n in signals]
     measured = {n: TIME for n in names if "flow" not in n}
-    found = traces.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
+    found = trace_rows.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
     assert [row.label for row in found] == ["command", "angle", "speed", "pressure"]
 
 
