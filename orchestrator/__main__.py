@@ -192,6 +192,14 @@ def validate(
     layout: Annotated[
         Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
     ] = None,
+    play: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Signals of the reference that go into the run beside its commands, such as"
+            " '*.supply_pressure'; repeatable.",
+        ),
+    ] = None,
     case: Case,
     steps: Steps,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
@@ -202,7 +210,7 @@ def validate(
     from orchestrator.commands.validate import validate as judged
 
     usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
-    options = case.options() | steps.options() | {"coupling": coupled.given()}
+    options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
     if not judged(system, case.scenario, reference, layout, out, usual=usual, **options):
         raise typer.Exit(1)
 

@@ -97,6 +97,7 @@ def _commands(folder: Path, out: Path, recordings: Sequence[Recording]) -> dict[
     told = {f"harvester build --parameters {out}": "FMUs with these numbers"}
     held_out = [r for r in recordings if r.procedure == MACHINE and r.use == "test"]
     for recording in held_out[:1]:
-        command = f"harvester validate --reference {folder / recording.source.name}"
+        supply = ' --play "*.supply_pressure"' if "swing.supply_pressure" in recording.signals else ""
+        command = f"harvester validate --reference {folder / recording.source.name}{supply}"
         told[command] = "their run against the recording that was held out"
     return told

@@ -18,6 +18,8 @@ DATE = "2026-11-20"  # of the last change of rig or model that changes recording
 CHANGE = "first version"  # ... and why
 # what `harvester validate` asks of a prediction of what was held out, NRMSE by group; others are only shown
 LIMITS = {"angle": 0.01, "pressure": 0.1}
+# one line feeds both drives, so one sensor knows the pressure of both
+SHARED = {"swing.supply_pressure": ("boom_stick.supply_pressure",)}
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
@@ -59,10 +61,12 @@ def description(experiment: Experiment, seed: int) -> Iterator[str]:
             limit = f'{{ metric = "nrmse", limit = {LIMITS[group]} }}' if group in LIMITS else '"none"'
             yield f"{group} = {limit}"
     for name in experiment.signals:
-        yield ""
-        yield f"[signals.{json.dumps(name)}]"
-        yield from (f'group = "{_group(name)}"' for _ in range(judged))
-        yield from _signal(experiment.instruments[name])
+        for known in (name, *SHARED.get(name, ())):
+            yield ""
+            yield f"[signals.{json.dumps(known)}]"
+            yield from (f"column = {json.dumps(name)}" for _ in range(known != name))
+            yield from (f'group = "{_group(name)}"' for _ in range(judged))
+            yield from _signal(experiment.instruments[name])
 
 
 def _group(signal: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from orchestrator.commands.begin import begins_elsewhere
 from orchestrator.commands.commands import BUILT, contents, given, simulated, there
 from orchestrator.commands.judge import another_model, judge
 from orchestrator.commands.played import played
+from orchestrator.errors import Problem
 from orchestrator.files.sidecar import write_facts
 from orchestrator.files.trace import Trace, write
 from orchestrator.runs.card import Card
@@ -20,7 +22,7 @@ from orchestrator.system.ssp import load
 from orchestrator.system.swap.lost import lost
 from orchestrator.validation import read_reference, summary
 from orchestrator.validation.layout import Layout, read_layout
-from orchestrator.validation.matching import by_variable
+from orchestrator.validation.matching import by_variable, once
 from orchestrator.validation.reference import Reference
 
 
@@ -32,6 +34,7 @@ def validate(
     out: Path,
     usual: tuple[Path, Path],
     rate: bool = True,
+    play: Sequence[str] = (),
     **options: Any,
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True when no limit is missed.
@@ -39,12 +42,15 @@ def validate(
     out     the folder of run.csv, report.html and report.json
     usual   reference and layout where none is given; that layout may name signals that the run lacks
     rate    with the ISO/TS 18571 rating
+    play    patterns of signals of the reference that go in, beside its commands, where there is no scenario
     """
+    if play and (scenario or not reference):
+        raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     against = read_reference(reference or usual[0])
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
-    commands = played(load(there(system)), against) if reference and not scenario else None
+    commands = played(load(there(system)), against, play) if reference and not scenario else None
     result = simulated(system, scenario or commands, trace, **options, everywhere=False)
     if reference and not scenario:
         result = _noted(result, _ran(commands))
@@ -57,6 +63,7 @@ def validate(
     write(result.trace, trace)
     write_facts(result, trace, given(scenario=scenario, **options))
     if len(result.system.components) == 1:
+        against = once(against)
         known = by_variable(result.trace, [*against.signals, *(signal for _, signal in shown.named)])
         result = replace(result, trace=known)
     if not layout:

@@ -15,7 +15,7 @@ from fmus.machine import FAMILIES
 from fmus.rig.plans import PLANS, experiment
 from fmus.rig.readme import readme
 from fmus.rig.recording import record
-from fmus.rig.writing import write
+from fmus.rig.writing import SHARED, write
 from orchestrator.validation import read_reference
 
 # one of each procedure; those on the machine are the short ones
@@ -57,7 +57,8 @@ def test_the_table_holds_every_step(name, tmp_path):
     e = experiment(name, "lumped")
     csv, toml = write(tmp_path, e, 2)
     table, told = pd.read_csv(csv), tomllib.loads(toml.read_text(encoding="utf-8"))
-    assert list(table) == ["time", *told["signals"]]
+    columns = [spec.get("column", signal) for signal, spec in told["signals"].items()]
+    assert list(table) == ["time", *dict.fromkeys(columns)]
     assert table["time"].to_numpy() == pytest.approx(e.time, abs=1e-12)  # twelve digits
     assert np.diff(e.time) == pytest.approx(1 / 200, abs=1e-9)  # rounding
     for signal, readings in record(e, 2).items():
@@ -74,7 +75,8 @@ def test_both_readers_read_it(name, tmp_path):
     csv, _ = write(tmp_path, e, 0)
     reference, recording = read_reference(csv), read_recording(csv)
     assert reference.about["kind"] == "simulation"
-    assert set(reference.signals) == set(recording.signals) == set(e.signals)
+    shared = {other for signal in e.signals for other in SHARED.get(signal, ())}
+    assert set(reference.signals) == set(recording.signals) == set(e.signals) | shared
     assert (recording.procedure, recording.use) == (e.procedure, e.use)
     for signal, true in e.signals.items():
         sensor = recording.sensor(signal)
