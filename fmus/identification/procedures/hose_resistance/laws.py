@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Drop = Callable[[Array, Mapping[str, float]], Array]
 
 TINY = 1e-30  # (m3/s)^4: no division by the variance of flows that are equal
+CLEARLY = 10.0  # difference of AIC that leaves the worse law without support: 5e-4 by chance
 LEAST = 4  # steps: with fewer the laws cannot be told apart
 
 
@@ -126,9 +127,12 @@ def _laws(given: StepMeans, transition_flow: float) -> HoseFit:
 
 
 def _zero(square: Regression, power: Regression, mixed: Regression) -> tuple[float, float]:
-    """Of the law that fits best, with its standard deviation; of the third only if the others do not fit."""
+    """Of the law that fits best, with its standard deviation.
+
+    The third counts only if it is clearly better: a small zero and a small laminar part look alike.
+    """
     best = min(square, power, key=lambda one: one.aic)
-    if best.misfit and mixed.aic < best.aic and mixed.seen("laminar_square"):
+    if mixed.aic < best.aic - CLEARLY and mixed["laminar_square"] > 0:
         best = mixed
     return best["zero"], best.sd("zero")
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
+from fmus.identification.procedures.shared.given import filled
 from fmus.identification.procedures.shared.step_means import SETTLE, SHORTEST, left_out, step_means
 from fmus.identification.recordings.masks import steady
 from fmus.identification.recordings.recording import Recording
@@ -99,8 +100,9 @@ def points(recordings: Sequence[Recording]) -> Points:
 
 
 def _of_one(recording: Recording) -> Points:
-    command, opens = recording["command"], _opens(recording)
-    parts = [one for one in steady(recording, "command", SETTLE, SHORTEST) if command[one.start] * opens > 0]
+    command, opens = filled(recording["command"]), _opens(recording)  # a command holds over a lost sample
+    whole = replace(recording, signals={**recording.signals, "command": command})
+    parts = [one for one in steady(whole, "command", SETTLE, SHORTEST) if command[one.start] * opens > 0]
     found = step_means(recording, parts)
     sign = np.where(found.drop < 0, -1.0, 1.0)
     along = sign * found.flow
