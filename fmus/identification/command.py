@@ -9,9 +9,9 @@ from time import perf_counter
 from fmus.contract import ModelError
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import beside, content, worst
-from fmus.identification.pipeline import identify
+from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.recordings.reading import left_out, read_folder
-from fmus.identification.recordings.resampling import evenly
+from fmus.identification.recordings.uniform import evenly, thinned
 from fmus.identification.report.compared import Compared
 from fmus.identification.report.data import quality, told
 from fmus.identification.report.page import write_page
@@ -42,7 +42,7 @@ def run(
     print(f"{folder}: {len(recordings)} recordings, {seconds:.0f} s")
     for line in (*told(qualities), *left_out(folder, recordings)):
         print(f"  {line}")
-    recordings = [evenly(r) for r in recordings]
+    recordings = [thinned(evenly(r)) if r.procedure == MACHINE else evenly(r) for r in recordings]
     found = identify(recordings, joint=joint, inertial=inertial, names=names, starts=starts, tell=print)
     tables = {"parameters": {name: e.number() for name, (e, _) in sorted(found.estimates.items())}}
     out.parent.mkdir(parents=True, exist_ok=True)

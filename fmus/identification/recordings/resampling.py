@@ -28,7 +28,7 @@ def uniform_rate(recording: Recording) -> float:
     time = recording.time
     if len(time) < 2:
         raise ModelError(f"{recording.source}: expected two or more samples, found {len(time)}")
-    off = _off(time)
+    off = periods_off(time)
     worst = int(np.argmax(off))
     if off[worst] > UNEVEN:
         raise ModelError(
@@ -38,19 +38,7 @@ def uniform_rate(recording: Recording) -> float:
     return float((len(time) - 1) / (time[-1] - time[0]))
 
 
-def evenly(recording: Recording) -> Recording:
-    """The recording on a uniform clock at its own rate, itself if it has one; what is missing becomes a gap.
-
-    Commands are interpolated as all else is: a simulation draws straight lines between its samples, and
-    holding the sample before would make half of them a period late.
-    """
-    time = recording.time
-    if len(time) < 2 or np.max(_off(time)) <= UNEVEN:
-        return recording
-    return resample(recording, 1 / period(time))
-
-
-def _off(time: Array) -> Array:
+def periods_off(time: Array) -> Array:
     """How far each stamp is off a uniform clock, in periods."""
     step = (time[-1] - time[0]) / (len(time) - 1)
     return np.asarray(np.abs(time - (time[0] + step * np.arange(len(time)))) / step)
@@ -135,9 +123,15 @@ def stretches(mask: Mask) -> list[slice]:
 
 
 def _quieter(sensor: Sensor, ratio: float) -> Sensor:
-    """The sensor behind the filter: white noise keeps the share that passes, nothing has steps any more."""
+    """The sensor behind the filter: white noise keeps the share that passes.
+
+    A converter's error is white only where noise of half a step moves the signal from step to step. An
+    encoder that hardly moves has the same error in all samples that the filter averages, and keeps it.
+    """
     sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
     _, response = scipy.signal.sosfreqz(sections, worN=4096)
     # forwards and back is |H|^2, so the power is |H|^4
     passed = float(np.sqrt(np.mean(np.abs(response) ** 4)))
+    if sensor.noise < sensor.resolution / 2:
+        return replace(sensor, noise=sensor.noise * passed)
     return replace(sensor, noise=sensor.sd * passed, resolution=0.0)

@@ -1,7 +1,7 @@
 """What can be done with the signals of a recording, in one place.
 
 parts        take, window, split, add, blank, bridged
-clock        period, uniform_rate, evenly, resample
+clock        period, uniform_rate, evenly, thinned, resample
 delay        delay, shift
 derivatives  derivatives, SavitzkyGolay, filter_for
 masks        good, good_all, dead, clipped, stretches, steady, averages, standard_error
@@ -21,7 +21,8 @@ from fmus.identification.recordings.masks import (
     standard_error,
     steady,
 )
-from fmus.identification.recordings.resampling import evenly, period, resample, stretches, uniform_rate
+from fmus.identification.recordings.resampling import period, resample, stretches, uniform_rate
+from fmus.identification.recordings.uniform import evenly, thinned
 
 __all__ = [
     "Averages",
@@ -48,6 +49,7 @@ __all__ = [
     "steady",
     "stretches",
     "take",
+    "thinned",
     "uniform_rate",
     "window",
 ]

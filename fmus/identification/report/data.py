@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.resampling import evenly
 from fmus.identification.recordings.signal_quality import SignalQuality
+from fmus.identification.recordings.uniform import FASTEST, evenly
 from fmus.identification.report.content import Channel, Quality
 
 
@@ -18,6 +18,10 @@ def quality(recording: Recording) -> Quality:
     if evenly(recording) is not recording:
         remarks.append(
             f"The clock: all signals are interpolated at {found.clock.rate:.6g} Hz; gaps stay gaps."
+        )
+    if found.clock.rate > 1.01 * FASTEST and recording.procedure == "machine":
+        remarks.append(
+            f"The clock: {found.clock.rate:.6g} Hz, filtered to {FASTEST:g} Hz to be fitted together."
         )
     return Quality(
         name=recording.source.name,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.signals import bridged, evenly, take, uniform_rate
+from fmus.identification.recordings.recording import Sensor
+from fmus.identification.recordings.signals import bridged, evenly, take, thinned, uniform_rate
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):
@@ -57,3 +58,31 @@ def test_jitter_is_taken_off(recording):
     found = evenly(replace(made, time=time, signals={"u": 3 * time}))
     assert uniform_rate(found) > 0
     np.testing.assert_allclose(found["u"], 3 * found.time, atol=1e-12)  # interpolation of a line: rounding
+
+
+def test_a_fast_recording_is_thinned(recording):
+    """From 5 kHz to 500 Hz: commands are held, the rest is filtered, its noise is told."""
+    rng = np.random.default_rng(4)
+    t = np.arange(20_000) / 5000
+    noisy = np.sin(2 * np.pi * t) + rng.normal(0, 0.1, t.size)
+    steps = np.where(t < 2, 0.0, 3.0)
+    made = recording(rate=5000.0, sensors={"x": Sensor(noise=0.1)}, x=noisy, boom_command=steps)
+    found = thinned(made, 500.0)
+    assert uniform_rate(found) == pytest.approx(500.0)  # rounding of stamps
+    assert set(found["boom_command"]) == {0.0, 3.0}
+    error = (found["x"] - np.sin(2 * np.pi * found.time))[50:-50]
+    # the standard error of a standard deviation of 1900 samples that the filter correlates a little: 3 %
+    assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.1)
+    assert found.sensor("x").sd < 0.04
+    assert thinned(found, 500.0) is found
+
+
+def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
+    """A count of 1 and a turn of 20 counts in 4 s: the error that is told is the one that is left."""
+    t = np.arange(20_000) / 5000
+    true = 5.0 * t
+    made = recording(rate=5000.0, sensors={"x": Sensor(resolution=1.0)}, x=np.round(true))
+    found = thinned(made, 500.0)
+    error = (found["x"] - 5.0 * found.time)[50:-50]
+    # a saw tooth of 20 periods, whose corners the filter rounds a little
+    assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.05)

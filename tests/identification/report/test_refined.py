@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,8 @@ from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.starts import Start, Starts
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.compared import compare
-from fmus.identification.report.data import quality
+from fmus.identification.report.content import Channel, Quality
+from fmus.identification.report.data import quality, told
 from fmus.identification.report.refined import refinement
 
 TIME = np.arange(0.0, 2.0, 0.005)
@@ -133,3 +135,22 @@ def test_the_quality_of_a_recording_is_told():
     assert not any("dead zone" in remark for remark in flow.remarks)
     assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
     assert found.faults == 0
+
+
+def test_what_is_told_in_short():
+    """Every fault on a line of its own; all dead zones, which are no faults, in one line with the largest."""
+    flow = Channel("flow", "m3/s", 0.0, 1.0, 0.0, dead=0.4)
+    faulty = Channel("pressure", "Pa", 0.0, 1.0, 0.0, remarks=("1 sample clipped.",))
+    asleep = Channel("other_flow", "m3/s", 0.0, 0.0, 0.0, dead=1.0)  # never moved: nothing to say
+    given = {"title": "", "procedure": "valve", "use": "train", "kind": "measurement"}
+    recordings = [
+        Quality(name=name, **given, duration=1.0, rate=200.0, channels=channels, remarks=remarks)
+        for name, channels, remarks in (
+            ("a.csv", (flow, asleep), ("The clock: late.",)),
+            ("b.csv", (faulty, replace(flow, dead=0.25)), ()),
+        )
+    ]
+    *faults, zones = told(recordings)
+    assert faults == ["a.csv: The clock: late.", "b.csv: pressure: 1 sample clipped."]
+    assert "2 recordings, at most 40 % of the samples (a.csv: flow)" in zones
+    assert list(told([])) == []

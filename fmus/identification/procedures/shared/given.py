@@ -12,7 +12,7 @@ from fmus.contract import ModelError
 from fmus.identification.recordings.noise import noise
 from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.resampling import evenly
+from fmus.identification.recordings.uniform import evenly
 from fmus.parameters import Number
 
 Array = NDArray[np.float64]
