@@ -5,7 +5,8 @@ Two ways: by their definitions with filtered derivatives and means of groups, as
 result goes to the machine: I ~ l/A and C ~ A l for its other lines.
 
 Validity: changes below the frequency of eq. (3), C_0/(2 pi l), above which a hose is no single lump: windows
-of four of its periods to each side pass what is below a quarter of it.
+of four of its periods to each side pass what is below a quarter of it. A clock with fewer than 2.5
+samples in such a period is refused.
 """
 
 from __future__ import annotations
