@@ -1,9 +1,10 @@
 """Instruments: what a logger stores of a true signal. A pure function of signal, instrument and seed.
 
-    reading = step round(clip(true + noise) / step)      0 where |true| is below the dead zone
+    reading = clip(step round((true + noise) / step))      0 where |true| is below the dead zone
 
-The noise is white and normal, before the converter. A 12-bit converter has 4096 codes, one of them for
-zero, so the highest value is one step below the end of its range. No filter: 200 Hz is the raw rate.
+The noise is white and normal, before the converter. Below its dead zone a turbine stands: the flow itself
+decides that, not the reading, and what stands has no noise. A 12-bit converter has 4096 codes, one of them
+for zero, so the highest value is one step below the end of its range. No filter: 200 Hz is the raw rate.
 """
 
 from __future__ import annotations

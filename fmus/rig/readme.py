@@ -37,7 +37,8 @@ Each NAME.csv is described by its NAME.toml: what was done, the columns with the
 {table}
 
 Commands are what the computer sent: known exactly. White noise, a step of the converter, a range and a
-dead zone are all that the instruments do: they have no error of zero or gain, no delay and no drift.
+dead zone are all that the instruments do: they have no error of zero or gain, no delay and no drift, dead
+zones have sharp ends, and the clock is exact. Real instruments are worse.
 """
 
 

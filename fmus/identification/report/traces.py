@@ -83,7 +83,7 @@ def _residuals(axes: Axes, time: Array, row: Row) -> None:
     for place, line in enumerate(row.lines):
         if line.predicted is not None:
             error = line.shown[1] * (line.measured - line.predicted)
-            largest = max(largest, float(np.nanmax(np.abs(error))))
+            largest = max(largest, float(np.nanmax(np.abs(error), initial=0.0)))
             axes.plot(*decimate(time, error), color=PALETTE.pair(place)[1], linewidth=0.8)
     axes.set_ylim(-1.15 * largest or -1, 1.15 * largest or 1)
     axes.set_ylabel(f"residual\n[{row.lines[0].shown[0]}]", color=PALETTE.ink, fontsize=8)

@@ -188,6 +188,13 @@ def test_traces_have_their_residual_below():
     assert "cf. Fig. 10" in embedding.svg(figure)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_flow_that_no_meter_saw_is_drawn():
+    """Always in the dead zone: the panel is empty, without a warning."""
+    panels = [Row("flow", (line(measured=np.full(TIME.size, np.nan)),))]
+    assert len(traces.draw("Swing", TIME, panels).axes) == 2
+
+
 def test_the_error_is_over_the_range():
     """NRMSE is the root mean square residual over the range of what was measured, gaps left out."""
     measured = np.array([0.0, 1.0, 2.0, np.nan, 4.0])

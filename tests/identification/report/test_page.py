@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,6 +84,16 @@ def test_a_page_without_refinement():
     found = render(page(refinement=None, explanation=None, qualities=(), commands={}))
     sections = {s.get("id") for s in html.fromstring(found).iter("section")}
     assert sections == {"parameters", "hose_resistance"}
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_parameter_has_no_correlation():
+    """A refinement of one parameter is shown without a matrix."""
+    one = page().refinement
+    assert one is not None
+    shown = render(page(refinement=replace(one, names=("head_mass",), correlation=np.ones((1, 1)))))
+    assert "Correlation of the estimates" not in shown
+    assert "Joint refinement" in shown
 
 
 def test_numbers_are_written_in_si(tmp_path):

@@ -87,6 +87,27 @@ def test_a_recording_drives_the_machine():
     np.testing.assert_allclose(found.supply_pressure, 2e7, atol=6e4)
 
 
+def test_gaps_of_a_command_are_bridged_or_refused():
+    """Ten lost samples change nothing; half a second, and a pose that nobody saw, are refused."""
+    time = np.arange(0.0, 2.0, 0.005)
+    ramp = np.interp(time, [0.5, 1.5], [0.0, 4.0])
+    angles = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
+    lost = {}
+    for name, gap in (("short", slice(200, 210)), ("long", slice(200, 300))):
+        lost[name] = ramp.copy()
+        lost[name][gap] = np.nan
+    signals = {**angles, **dict.fromkeys(COMMANDS.values(), lost["short"])}
+    recording = Recording(Path("x.csv"), "x", "machine", "test", {}, time, signals, {})
+    # straight lines through the samples may be off by this
+    np.testing.assert_allclose(drive(recording).commands["boom_command"], ramp, atol=STRAIGHT)
+    long = replace(recording, signals={**signals, COMMANDS["boom_command"]: lost["long"]})
+    with pytest.raises(ModelError, match=r"boom_command has no sample from 1 s to 1\.495 s"):
+        drive(long)
+    unseen = np.where(time < 1.0, np.nan, 0.0)
+    with pytest.raises(ModelError, match="swing_angle has no sample in its first"):
+        drive(replace(recording, signals={**signals, "manipulator.swing_angle": unseen}))
+
+
 def test_a_measured_supply_pressure_drives_the_machine():
     """A weak supply moves the boom more slowly; pump and engine are then no effect that could be missed."""
     weak = replace(a_drive(), supply_pressure=np.full(a_drive().time.size, 8e6))
