@@ -1,0 +1,42 @@
+"""The circle of the paper on a machine that the model is not: rig, identify, predict what was held out."""
+
+from __future__ import annotations
+
+import pytest
+
+from fmus.build import parts
+from fmus.identification.outcome import beside, explanation, worst
+from fmus.identification.pipeline import identify
+from fmus.identification.recordings.reading import read_folder
+from fmus.parameters import values, write
+from fmus.rig.command import rig
+
+pytestmark = pytest.mark.long  # the detailed machine at work takes half a minute
+
+
+def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
+    """With what was identified it meets the bars on a cycle held out, and the head is named as the cause."""
+    rig(tmp_path / "recordings", "detailed", 0, lambda _: None)
+    found = identify(read_folder(tmp_path / "recordings"))
+    assert not found.skipped
+    assert found.refined is not None
+    assert found.refined.converged
+    assert not found.refined.at_bound
+    seen = beside(found)
+    assert seen is not None
+    assert seen.recording.use == "test"
+    errors = {kind: error for kind, (_, error) in worst(seen).items()}
+    # the bars of the project: NRMSE over the range of the whole recording, worst signal of each kind
+    assert errors["angle"] < 0.01
+    assert errors["speed"] < 0.05
+    assert errors["pressure"] < 0.10
+    told = explanation(seen, found)
+    assert told is not None
+    assert told.named == "swinging head"
+    write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
+    usual, others = parts(tmp_path / "own.toml")
+    for sub in (*usual.values(), *others):
+        own = values(sub).p
+        for name, (estimate, _) in found.estimates.items():
+            if name in own:
+                assert own[name] == estimate.value
