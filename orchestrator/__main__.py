@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -374,6 +375,9 @@ def check(
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; a mistake becomes one line on stderr and exit status 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
     try:
         with ends_clean():
             status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)

@@ -7,15 +7,18 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.contract import ModelError
+from fmus.identification.finding import Finding
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import beside, content, worst
 from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.recordings.reading import left_out, read_folder
 from fmus.identification.recordings.uniform import evenly, thinned
+from fmus.identification.report import words
 from fmus.identification.report.compared import Compared
 from fmus.identification.report.data import quality, told
 from fmus.identification.report.page import write_page
 from fmus.parameters import write
+from fmus.units import display
 
 
 def run(
@@ -43,7 +46,9 @@ def run(
     for line in (*told(qualities), *left_out(folder, recordings)):
         print(f"  {line}")
     recordings = [thinned(evenly(r)) if r.procedure == MACHINE else evenly(r) for r in recordings]
-    found = identify(recordings, joint=joint, inertial=inertial, names=names, starts=starts, tell=print)
+    found = identify(
+        recordings, joint=joint, inertial=inertial, names=names, starts=starts, tell=print, show=_show
+    )
     tables = {"parameters": {name: e.number() for name, (e, _) in sorted(found.estimates.items())}}
     out.parent.mkdir(parents=True, exist_ok=True)
     write(out, tables)
@@ -56,6 +61,15 @@ def run(
         print(told_page.explanation.verdict)
     html, data = write_page(page, told_page)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - begun:.0f} s")
+
+
+def _show(finding: Finding) -> None:
+    """What a procedure found, a line for each parameter in the unit that a person reads."""
+    print(f"{finding.procedure}:")
+    for e in finding.estimates:
+        unit, factor = display(e.unit) or (e.unit, 1.0)  # in ASCII: no terminal has to know superscripts
+        value, low, high = (f"{factor * x:.{words.digits(e)}g}" for x in (e.value, e.low, e.high))
+        print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")
 
 
 def _predicted(shown: Compared) -> Iterator[str]:

@@ -37,6 +37,7 @@ FREE = (
     "stick_piston_damping",
 )
 UNKNOWN = 0.3  # relative sd of a number that nobody measured: literature and free choices are that far apart
+COMMANDS = ("swing_command", "boom_command", "stick_command")
 SMOOTH = {"supply_pressure": 20.0}  # s, or as long as it takes no more than the noise of the sensor off
 
 
@@ -49,6 +50,9 @@ def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] 
     for name in names:
         if name not in own:
             raise ModelError(f"{name} is to be refined, expected one of {', '.join(sorted(own))}")
+    for recording in recordings:
+        for command in COMMANDS:
+            _ = recording[signals()[command]]  # a drive without its command would be taken to stand still
     numbers = fixed(known)
     free = [own[name] for name in names]
     priors = {own[name]: _prior(known, name) for name in names}
@@ -93,14 +97,15 @@ def _prior(known: Known, name: str) -> tuple[float, float | None]:
 
 
 def _measured(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Outputs that every training recording has a sensor for."""
+    """Outputs that a training recording has a sensor for."""
     training = [r for r in recordings if r.use == "train"]
-    names = signals()
-    found = tuple(
-        n
-        for n in quantities(HARVESTER.outputs)
-        if training and all(names.get(n, n) in r.signals for r in training)
-    )
-    if not found:
+    if not training:
         raise ModelError("joint refinement: expected a recording of the machine to train with, found none")
+    names = signals()
+    outputs = [n for n in quantities(HARVESTER.outputs) if n in names]
+    found = tuple(n for n in outputs if any(names[n] in r.signals for r in training))
+    if not found:
+        wanted = ", ".join(names[n] for n in outputs)
+        source = training[0].source
+        raise ModelError(f"{source}: nothing to compare is measured, expected one of {wanted}")
     return found

@@ -76,6 +76,7 @@ def identify(
     names: Sequence[str] = machine.FREE,
     starts: int = 0,
     tell: Tell = lambda _: None,
+    show: Callable[[Finding], None] = lambda _: None,
 ) -> Identified:
     """Identify whatever the recordings allow.
 
@@ -84,6 +85,7 @@ def identify(
     inertial   also estimate inertial parameters by themselves, which the paper took from CAD
     names      parameters of the joint refinement
     starts     from how many random points to search again: does the result depend on where it began?
+    tell       takes a line about what happens, `show` what each procedure found
     """
     given = {r.procedure for r in recordings if r.use == "train"}
     unknown = sorted(given - {*PROCEDURES, MACHINE})
@@ -106,20 +108,30 @@ def identify(
             continue
         findings.append(finding)
         numbers = updated(numbers, finding.estimates)
-        tell(_line(finding))
+        show(finding)
     refined = _together(recordings, numbers, names, tell) if joint and MACHINE in given else None
     if refined is not None:
         numbers = updated(numbers, refined.estimates(names=parameters()))
     again = _again(refined, starts, tell) if refined is not None and starts else None
     if not findings and refined is None:
-        raise ModelError(f"nothing was identified: {'; '.join(f'{n}: {why}' for n, why in skipped.items())}")
+        raise ModelError(f"nothing was identified: {_nothing(given, joint)}")
     return Identified(tuple(recordings), tuple(findings), skipped, refined, again, numbers)
+
+
+def _nothing(given: set[str], joint: bool) -> str:
+    """Why there is no result."""
+    if not given:
+        return 'all recordings are held out, expected one with use = "train"'
+    if given == {MACHINE} and not joint:
+        return "there are only recordings of the whole machine, which the joint refinement needs"
+    return f"expected usable recordings of {', '.join(sorted(given))}"
 
 
 def _together(recordings: Sequence[Recording], known: Known, names: Sequence[str], tell: Tell) -> Refined:
     task = machine.problem([r for r in recordings if r.procedure == MACHINE], known, names)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in task.training)
-    tell(f"joint refinement: {len(task.free)} parameters, {len(task.outputs)} signals, {seconds:.0f} s")
+    tell(f"joint refinement: {len(task.free)} parameters, {len(task.outputs)} signals, {seconds:.0f} s;")
+    tell("  predictions over half a second first, then whole recordings, then their weights")
     found = refine(
         task,
         progress=lambda p: tell(f"  iteration {p.iteration}: {p.predicted:.2g} standard deviations to go"),
@@ -134,10 +146,3 @@ def _again(refined: Refined, count: int, tell: Tell) -> Starts:
     reached = round(found.share * count)
     tell(f"random starts: {reached} of {count} lead to the same result, on every fourth sample")
     return found
-
-
-def _line(finding: Finding) -> str:
-    told = ", ".join(
-        f"{e.name} {e.value:.4g} +- {(e.high - e.low) / 2:.2g} {e.unit}" for e in finding.estimates
-    )
-    return f"{finding.procedure}: {told}"

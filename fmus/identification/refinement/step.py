@@ -25,6 +25,7 @@ from fmus.identification.refinement.shooting import Evaluated, Shooting
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-5  # of z: when no change larger than that is trusted, the search gives up
+SHORTEST = 1e-4  # fraction of a step, likewise: steps as short as that creep
 LARGEST = 10.0  # of z: no more is ever asked for
 _STIFF = 1e6  # holds the start of a loose run where it is
 _ACCEPTED = 0.01  # share of the predicted fall of the level that a step has to bring
@@ -114,7 +115,7 @@ def search(
 ) -> tuple[Evaluated | None, Trust]:
     """The next point, nothing if no step leads closer, and what to trust from there on."""
     bounds, before = shooting.problem.bounds(), at.level()
-    while trust.size > SMALLEST:
+    while trust.size > SMALLEST and trust.length > SHORTEST:
         step = at.step(old.point.z, bounds, trust.size)
         whole = max(before - at.level(step.dz), 0.0)
         predicted = whole * trust.length * (2 - trust.length)

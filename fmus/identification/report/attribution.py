@@ -77,6 +77,7 @@ def explain(
     step: float,
     noise: Mapping[str, float] | None = None,
     absorbed: Mapping[str, Signals] | None = None,
+    small: Mapping[str, float] | None = None,
 ) -> Explanation:
     """Which effects the residual shows.
 
@@ -85,10 +86,11 @@ def explain(
     step       sample time [s]
     noise      standard deviation of a sample of each signal's sensor
     absorbed   what each identified parameter would change
+    small      root mean square of each signal's residual up to which it is good enough to be left alone
     """
-    noise = noise or {}
+    noise, small = noise or {}, small or {}
     size = {name: stacked.rms(values) for name, values in residual.items()}
-    used = [n for n in residual if size[n] > ABOVE_NOISE * noise.get(n, 0.0)]
+    used = [n for n in residual if size[n] > max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0))]
     quiet = tuple(n for n in residual if n not in used)
     if not used:
         return Explanation((), 0.0, 0.0, 1.0, (), quiet, _words((), 0.0, 0.0, 1.0))

@@ -19,6 +19,7 @@ from fmus.identification.report.effects import changes, slopes
 from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
 from fmus.identification.report.trace_rows import FIGURES, Line, rows
 
+SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
 
 
@@ -74,6 +75,10 @@ def predicted(recording: Recording, numbers: Mapping[str, float]) -> Compared:
     return compare(recording, predict(drive(recording), numbers))
 
 
+def _told(values: Array) -> bool:
+    return bool(np.isfinite(values).any())
+
+
 def attribute(
     seen: Compared, numbers: Mapping[str, float], identified: Iterable[str], given: Drive | None = None
 ) -> Explanation:
@@ -89,6 +94,7 @@ def attribute(
         changes(given, numbers),
         step=float(np.median(np.diff(given.time))),
         noise=seen.noise,
+        small={n: SMALL * float(np.nanmax(y) - np.nanmin(y)) for n, y in seen.measured.items() if _told(y)},
         absorbed=slopes(given, numbers, identified),
     )
 
