@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from fmus.contract import ModelError, Subsystem, quantities, symbolic
 from fmus.identification.recordings.gaps import bridged
-from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.refinement.guess import REST
 from fmus.identification.refinement.problem import Run
 from fmus.identification.refinement.smoothing import derivative, smoothed
+from fmus.identification.refinement.usable import changes, span_of, usable_samples
 from fmus.parameters import Values, values
 
 Array = NDArray[np.float64]
 
-_AROUND = 10  # samples about one that is clipped or dead that do not count either
-_MOVES = 5.0  # standard deviations of a slope, of a dozen signals: by chance once in 10^5 recordings
 _SPEED_WINDOW = 0.1  # s over which an angle is differentiated
 
 
@@ -35,7 +30,7 @@ class Mapped:
     compared   outputs that are only compared, such as speeds that nobody measured
     signals    input or output -> signal of the recordings; a name that is missing is its own
     smooth     input -> longest window [s] over which its noise is smoothed away
-    rest       states that stand still when a recording begins at rest; one that does not is told by its signals
+    rest       states that stand still when a recording begins at rest, which its outputs tell
     sd         output -> standard deviation, where the sensor does not tell
     """
 
@@ -72,7 +67,7 @@ class Mapped:
             weight=weight,
             compared=usable,
             scale=np.array(
-                [_range(column[there]) for column, there in zip(measured.T, usable.T, strict=True)]
+                [span_of(column[there]) for column, there in zip(measured.T, usable.T, strict=True)]
             ),
             guess=self._guess(recording),
             rest=tuple(self.rest) if self._at_rest(recording) else (),
@@ -152,35 +147,3 @@ def rates(sub: Subsystem) -> dict[str, str]:
         for j, b in enumerate(names)
         if i != j and ca.is_equal(model.dx[i], model.x[j], 2)
     }
-
-
-def usable_samples(recording: Recording, name: str) -> NDArray[np.bool_]:
-    """Samples that the instrument can have read, and all about them too: no gap, not clipped, not dead.
-
-    Near an end of the range noise decides which samples are good, and those left would be too high.
-    Where its neighbours are asked as well, it is hardly a sample's own noise that decides.
-    """
-    usable = good(recording, name)
-    lost = np.isfinite(recording[name]) & ~usable
-    return np.asarray(usable & ~binary_dilation(lost, iterations=_AROUND))
-
-
-def changes(recording: Recording, name: str) -> bool:
-    """Is the slope of a signal over the first moments more than its noise makes?"""
-    first = recording.time - recording.time[0] <= REST
-    usable = first & usable_samples(recording, name)
-    count, noise = int(usable.sum()), recording.sensor(name).sd
-    if count < 3:
-        return False
-    time = recording.time[usable] - recording.time[usable].mean()
-    spread = float(time @ time)
-    slope = float(time @ recording[name][usable]) / spread
-    return abs(slope) > _MOVES * noise / math.sqrt(spread)
-
-
-def _range(values: Array) -> float:
-    """What the NRMSE divides by: the range; the magnitude of what stands still."""
-    if not values.size:
-        return 1.0
-    span = float(np.ptp(values))
-    return span or float(np.max(np.abs(values))) or 1.0

@@ -47,7 +47,7 @@ class Options:
     memory        count residuals that last as one, so that slow ones do not outweigh fast ones
     """
 
-    iterations: int = 60
+    iterations: int = 100
     tolerance: float = 0.1
     model_error: bool = True
     memory: bool = True

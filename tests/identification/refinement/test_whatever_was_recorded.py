@@ -1,0 +1,77 @@
+"""Recordings that begin in motion, lack a signal, or do not say enough: a sensible result or one line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from identification.refinement.oscillator import TRUTH, problem, recording, run
+
+from fmus.contract import ModelError
+from fmus.identification import machine
+from fmus.identification.known import nominal
+from fmus.identification.recordings.recording import Recording, Sensor
+from fmus.identification.recordings.signals import window
+from fmus.identification.refinement.names import signals
+from fmus.identification.refinement.refine import refine
+
+COMMANDS = ("swing_command", "boom_command", "stick_command")
+
+
+def still(*outputs: str, use: str = "train", **more: float) -> Recording:
+    """A second in which nothing moves, seen by sensors of some outputs."""
+    names, noise = signals(), np.random.default_rng(0)
+    read = {names[n]: np.zeros(200) for n in COMMANDS}
+    read |= {names[n]: 1e6 + 1e4 * noise.standard_normal(200) for n in outputs}
+    read |= {names[n]: np.full(200, value) for n, value in more.items()}
+    sensors = {names[n]: Sensor("transducer", 1e4) for n in outputs}
+    time = np.arange(200) / 200
+    return Recording(Path(f"{use}.csv"), "", "machine", use, {}, time, read, {}, sensors)
+
+
+def test_a_recording_may_begin_in_motion() -> None:
+    """A speed that is not zero as the recording begins is not held to zero: the parameters stay right."""
+    moving = run(window(recording(), 2.5, 12.0))
+    found = refine(problem(moving))
+    assert (run(recording()).rest, moving.rest) == (("speed",), ())
+    assert found.converged
+    truth = np.log([TRUTH[name] for name in found.problem.names])
+    away = found.z - truth
+    # chi square with three degrees of freedom stays below 21 with 99.99 %
+    assert away @ np.linalg.solve(found.statistics.plain, away) < 21
+    held = refine(problem(replace(moving, rest=("speed",))))
+    away = held.z - truth
+    assert away @ np.linalg.solve(held.statistics.plain, away) > 21
+
+
+def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
+    """It is fitted where it was measured; elsewhere it has no weight, and no error is told."""
+    full, less = still("swing_pressure_a", "boom_head_pressure"), still("swing_pressure_a", use="test")
+    task = machine.problem([full, less], nominal())
+    assert task.outputs == ("swing_pressure_a", "boom_head_pressure")
+    assert task.training[0].weight.all()
+    assert task.held_out[0].weight.any(axis=0).tolist() == [True, False]
+    assert task.held_out[0].compared.any(axis=0).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("recordings", "told"),
+    [
+        ([still()], "train.csv: nothing to compare is measured, expected one of swing.swing_pressure_a, "),
+        ([still("swing_pressure_a", use="test")], "expected a recording of the machine to train with"),
+    ],
+)
+def test_what_says_nothing_is_told(recordings: list[Recording], told: str) -> None:
+    """No output measured, nothing to train with: one line."""
+    with pytest.raises(ModelError, match=told):
+        machine.problem(recordings, nominal())
+
+
+def test_a_command_has_to_be_recorded() -> None:
+    """A drive without its command would be taken to stand still; the line says which one."""
+    read = still("swing_pressure_a")
+    less = {n: s for n, s in read.signals.items() if n != signals()["boom_command"]}
+    with pytest.raises(ModelError, match=r"boom_stick\.boom_command is missing"):
+        machine.problem([replace(read, signals=less)], nominal())
