@@ -30,7 +30,7 @@ from fmus.identification.machine import FREE, problem
 from fmus.identification.recordings.reading import read
 from fmus.identification.recordings.signals import window
 from fmus.identification.refinement.differences import BlackBox
-from fmus.identification.refinement.model import Failed
+from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined

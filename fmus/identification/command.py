@@ -35,6 +35,8 @@ def run(
 
     out    parameters.toml to write
     page   folder of identification.html and .json
+
+    An interrupt writes the parameters that were found until then, and goes on as one.
     """
     if out.suffix != ".toml":
         raise ModelError(f"--out {out}: expected a file that ends in .toml")
@@ -52,6 +54,10 @@ def run(
     tables = {"parameters": {name: e.number() for name, (e, _) in sorted(found.estimates.items())}}
     out.parent.mkdir(parents=True, exist_ok=True)
     write(out, tables)
+    if found.interrupted:
+        count = len(tables["parameters"])
+        print(f"{out}: {count} parameter{'s' * (count > 1)}, as found until the interrupt; no report")
+        raise KeyboardInterrupt
     print(f"{out}: {len(tables['parameters'])} parameters with their 95 % intervals")
     shown = beside(found)
     told_page = content(folder, out, found, shown, qualities)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +21,7 @@ class Estimate:
 
     name   as in parameters.toml; `part.name` where parts declare different things by one name
     sd     one standard deviation
-    low, high   the interval, not always symmetrical
+    low, high   the interval, not always symmetrical; infinite where nothing tells
     note   how it was found, one line
     """
 
@@ -34,7 +35,8 @@ class Estimate:
 
     def number(self) -> Number:
         """The entry for parameters.toml."""
-        note = f"{self.note}; 95 % interval {self.low:.4g} to {self.high:.4g}"
+        low, high = (f"{end:.4g}" if math.isfinite(end) else "open" for end in (self.low, self.high))
+        note = f"{self.note}; 95 % interval {low} to {high}"
         return Number(self.value, self.unit, "identified", note, self.sd)
 
 

@@ -46,10 +46,7 @@ def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] 
 
     names   free parameters, as parameters.toml calls them
     """
-    own = {name: flat for flat, name in parameters().items()}
-    for name in names:
-        if name not in own:
-            raise ModelError(f"{name} is to be refined, expected one of {', '.join(sorted(own))}")
+    own = checked(names)
     for recording in recordings:
         for command in COMMANDS:
             _ = recording[signals()[command]]  # a drive without its command would be taken to stand still
@@ -75,6 +72,23 @@ def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] 
         held_out=tuple(runs["test"]),
         fixed=numbers,
     )
+
+
+def assumed(recordings: Sequence[Recording]) -> list[str]:
+    """What is not measured and taken as constant, a sentence each."""
+    names, usual = signals(), values(HARVESTER).u
+    without = [r.source.name for r in recordings if names["supply_pressure"] not in r.signals]
+    constant = f"{usual['supply_pressure'] / 1e5:g} bar"
+    return [f"{n}: the supply pressure is not measured, taken as {constant} throughout" for n in without]
+
+
+def checked(names: Sequence[str]) -> dict[str, str]:
+    """The parameters of the one block by the names of parameters.toml, if all `names` are among them."""
+    own = {name: flat for flat, name in parameters().items()}
+    for name in names:
+        if name not in own:
+            raise ModelError(f"{name} is to be refined, expected one of {', '.join(sorted(own))}")
+    return own
 
 
 def fixed(known: Known) -> Values:

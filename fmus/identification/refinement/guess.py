@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.refinement.model import Failed
+from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.problem import Run
 from fmus.identification.refinement.simulator import Simulator
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import ModelError, Subsystem
 from fmus.identification.refinement.columns import WIDTH
+from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.library import library
 from fmus.identification.refinement.reduced import reduce
 from fmus.identification.refinement.sources import sources
@@ -31,14 +32,6 @@ _WHY = (  # as in native/solver.h and native/sensitivities.c
     'requirement "{}" is violated',
     "an output or a derivative of one is not finite",
 )
-
-
-class Failed(Exception):
-    """The model could not be simulated: why, and the time [s] it reached."""
-
-    def __init__(self, why: str, time: float) -> None:
-        super().__init__(f"{why} at t = {time:.9g} s")
-        self.why, self.time = why, time
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ class Model:
         """
         time, inputs = _plain(time), _plain(inputs)
         n, nx, ny = time.size, len(self.states), len(self.outputs)
-        self._check(time, inputs)
+        self._check(x, p, time, inputs)
         columns = -(-(self._acting.size + nx) // WIDTH) * WIDTH if sensitivities else 0
         x, y, told = _plain(x).copy(), np.empty((n, ny)), np.zeros(3)
         slopes, ends = np.empty((n, ny, columns)), np.empty((nx, columns))
@@ -125,11 +118,15 @@ class Model:
         x_x, x_p = self._split(ends)
         return Piece(y, x, y_x, y_p, x_x, x_p, int(told[1]))
 
-    def _check(self, time: Array, inputs: Array) -> None:
-        expected = (time.size, len(self.inputs))
-        if inputs.shape != expected:
-            names = ", ".join(self.inputs)
-            raise ModelError(f"inputs have the shape {inputs.shape}, expected {expected}, of {names}")
+    def _check(self, x: Array, p: Array, time: Array, inputs: Array) -> None:
+        for what, found, expected, names in (
+            ("inputs", inputs, (time.size, len(self.inputs)), self.inputs),
+            ("states", x, (len(self.states),), self.states),
+            ("parameters", p, (len(self.free),), self.free),
+        ):
+            if np.shape(found) != expected:
+                told = f"{what} have the shape {np.shape(found)}, expected {expected}"
+                raise ModelError(f"{told}, of {', '.join(names)}" if names else told)
         if time.ndim != 1 or time.size == 0 or not (np.diff(time) > 0).all():
             raise ModelError("times of the samples do not increase, expected that they do")
 

@@ -14,19 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.refinement.guess import first_state, input_matrix
+from fmus.identification.refinement.failed import Failed
+from fmus.identification.refinement.guess import input_matrix
 from fmus.identification.refinement.identifiable import unidentified
 from fmus.identification.refinement.loss import Loss
-from fmus.identification.refinement.model import Failed, Model
+from fmus.identification.refinement.model import Model
 from fmus.identification.refinement.parallel import parallel
 from fmus.identification.refinement.priors import Priors, priors
-from fmus.identification.refinement.problem import Problem, Run
-from fmus.identification.refinement.residuals import Traces, whiteness
+from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.residuals import simulated, whiteness
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.shaken import by_inputs
 from fmus.identification.refinement.shooting import Shooting, cut
 from fmus.identification.refinement.simulator import Simulator
-from fmus.identification.refinement.solver import Options, Progress, Solution, minimise
+from fmus.identification.refinement.solver import INTERRUPTED, Options, Progress, Solution, minimise
 from fmus.identification.refinement.statistics import statistics
 
 Array = NDArray[np.float64]
@@ -69,7 +70,9 @@ def refine(
         threads,
     )
     held_out = [simulated(run, simulator, p) for run in problem.held_out]
-    found = statistics(solution, known, by_inputs(shooting, solution, known))
+    done = solution.reason != INTERRUPTED  # who interrupts does not wait for errors of inputs
+    noise = by_inputs(shooting, solution, known) if done else np.zeros((len(z), len(z)))
+    found = statistics(solution, known, noise)
     low, high = problem.bounds()
     return Refined(
         problem=problem,
@@ -138,15 +141,3 @@ def _check(problem: Problem, simulator: Simulator) -> None:
             raise ModelError(f"{problem.sub.name}: {what} of the simulator are {found}, expected {expected}")
     if not problem.training:
         raise ModelError(f"{problem.sub.name}: no recording to fit, expected at least one")
-
-
-def simulated(
-    run: Run, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
-) -> Traces:
-    """A pure simulation; without a start state from what the first samples show."""
-    inputs = input_matrix(run, simulator) if inputs is None else inputs
-    state = first_state(run, simulator, p, inputs) if start is None else start
-    try:
-        return Traces(run, simulator.segment(state, p, run.time, inputs, False).y)
-    except Failed:
-        return Traces(run, np.full(run.measured.shape, np.nan))

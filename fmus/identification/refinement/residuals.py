@@ -11,7 +11,10 @@ from scipy.signal import correlate
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
+from fmus.identification.refinement.failed import Failed
+from fmus.identification.refinement.guess import first_state, input_matrix
 from fmus.identification.refinement.problem import Run
+from fmus.identification.refinement.simulator import Simulator
 
 Array = NDArray[np.float64]
 
@@ -38,6 +41,18 @@ class Traces:
         some = self.run.compared.any(axis=0)
         power[some] = np.nanmean(error[:, some] ** 2, axis=0)
         return np.asarray(np.sqrt(power) / self.run.scale)
+
+
+def simulated(
+    run: Run, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+) -> Traces:
+    """A pure simulation; without a start state from what the first samples show."""
+    inputs = input_matrix(run, simulator) if inputs is None else inputs
+    state = first_state(run, simulator, p, inputs) if start is None else start
+    try:
+        return Traces(run, simulator.segment(state, p, run.time, inputs, False).y)
+    except Failed:
+        return Traces(run, np.full(run.measured.shape, np.nan))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -9,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.finding import Estimate
-from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.problem import Free, Problem
 from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.solver import Progress
-from fmus.identification.refinement.statistics import Statistics
+from fmus.identification.refinement.statistics import VAGUE, Statistics
 
 Array = NDArray[np.float64]
+
+_OPEN = math.log(1000)  # half width in logarithms: a factor of a thousand either way is no interval
 
 
 @dataclass(frozen=True)
@@ -68,19 +71,20 @@ class Refined:
         how = "errors over segments" if chosen else "errors of independent residuals"
         runs = len(self.problem.training)
         note = f"joint refinement of {len(self.z)} parameters on {runs} recording{'s' * (runs > 1)}, {how}"
+        note += "" if self.converged else f"; the search did not converge: {self.reason}"
         bounds = self.problem.bounds()
         found = []
         for j, free in enumerate(self.problem.free):
             z = float(self.z[j])
-            ends = [max(bounds[0][j], z - width * sd[j]), min(bounds[1][j], z + width * sd[j])]
+            low, high = _interval(free, z, float(sd[j]), width, (bounds[0][j], bounds[1][j]))
             found.append(
                 Estimate(
                     name=(names or {}).get(free.name, free.name),
                     value=free.value_of(z),
                     unit=free.unit,
                     sd=float(sd[j]) * free.slope(z),
-                    low=free.value_of(min(float(ends[0]), 700.0)),
-                    high=free.value_of(min(float(ends[1]), 700.0)),
+                    low=low,
+                    high=high,
                     note=note + "; at its bound" * (free.name in self.at_bound),
                 )
             )
@@ -94,3 +98,14 @@ class Refined:
             }
             for use, traces in (("train", self.training), ("test", self.held_out))
         }
+
+
+def _interval(
+    free: Free, z: float, sd: float, width: float, bounds: tuple[float, float]
+) -> tuple[float, float]:
+    """Both ends of a value's interval: a bound if it is nearer; nothing tells where it is hopelessly wide."""
+    reach = width * sd
+    if sd > VAGUE / 2 or (free.log and reach > _OPEN):
+        reach = math.inf
+    low, high = max(bounds[0], z - reach), min(bounds[1], z + reach)
+    return free.value_of(low), free.value_of(high)

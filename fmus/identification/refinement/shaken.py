@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.refinement.model import Failed
+from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.priors import Priors
 from fmus.identification.refinement.problem import Run
 from fmus.identification.refinement.shooting import Shooting

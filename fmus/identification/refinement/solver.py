@@ -9,8 +9,9 @@ import numpy as np
 
 from fmus.identification.refinement.priors import Priors
 from fmus.identification.refinement.scales import Scales, seen
-from fmus.identification.refinement.shooting import Evaluated, Point, Shooting
-from fmus.identification.refinement.step import Linear, Trust, decrement, linear, search
+from fmus.identification.refinement.segments import Evaluated, Point
+from fmus.identification.refinement.shooting import Shooting
+from fmus.identification.refinement.step import STUCK, Linear, Trust, decrement, linear, search
 
 INTERRUPTED = "interrupted"
 CLOSED = 1e-4  # nominal values: gaps between segments that do not count
@@ -112,7 +113,7 @@ def minimise(
                 wanted = options.scales(now, far)
             found, trust = search(shooting, now, at, priors, wanted, trust)
             if found is None:
-                reason = "no step leads closer"
+                reason = STUCK
                 break
             now, scales = found, wanted
             at = linear(now, now, priors, shooting.loose)

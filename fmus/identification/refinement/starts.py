@@ -13,11 +13,11 @@ from fmus.identification.refinement.problem import Problem, Run
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.simulator import Simulator
-from fmus.identification.refinement.solver import Options
+from fmus.identification.refinement.solver import INTERRUPTED, Options
 
 Array = NDArray[np.float64]
 
-SPREAD = 0.25  # of z: half width of the range of a start without prior
+SPREAD = 0.25  # of z: half width of the range of a start, unless two standard deviations of a prior are more
 _SAME = 1.0  # standard deviations within which two results are the same
 
 
@@ -40,13 +40,15 @@ class Start:
 class Starts:
     """All of them.
 
-    share    of the starts that led to the reference
-    spread   per parameter: standard deviation over these starts' results, relative to the value
+    share         of the starts that led to the reference
+    spread        per parameter: standard deviation over these starts' results, relative to the value
+    interrupted   were there to be more?
     """
 
     starts: tuple[Start, ...]
     share: float
     spread: dict[str, float]
+    interrupted: bool = False
 
 
 def from_random_starts(
@@ -61,7 +63,7 @@ def from_random_starts(
     threads: int = 2,
     progress: Callable[[Start], None] | None = None,
 ) -> Starts:
-    """Search again from `count` starts: in the priors, without one within `spread` about the value.
+    """Search again from `count` starts, within `spread` about the value or in a wider prior.
 
     The data are thinned to every fourth sample or so; the reference is the result on the same data,
     begun at the optimum.
@@ -71,22 +73,32 @@ def from_random_starts(
     options = Options(iterations=iterations, model_error=any(refined.floor.values()))
 
     def search(z: Array) -> Refined:
-        return refine(problem, simulator, threads=threads, options=options, start=z)
+        one = refine(problem, simulator, threads=threads, options=options, start=z)
+        if one.reason == INTERRUPTED:  # which ends all of them, not this one
+            raise KeyboardInterrupt
+        return one
 
-    best = search(refined.z)
     rng = np.random.default_rng(seed)
-    found, ends = [], []
-    for _ in range(count):
-        z = random_start(problem, rng, spread)
-        start, end = _compared(problem, z, best, search)
-        found.append(start)
-        if start.apart < _SAME and end is not None:
-            ends.append(end)
-        if progress:
-            progress(start)
-    deviation = np.std(ends, axis=0) if ends else np.full(len(problem.free), np.nan)
-    relative = np.abs(deviation * problem.slopes(best.z) / problem.values_of(best.z))
-    return Starts(tuple(found), len(ends) / count, dict(zip(problem.names, relative.tolist(), strict=True)))
+    found: list[Start] = []
+    ends: list[Array] = []
+    interrupted = False
+    try:
+        best = search(refined.z)
+        for _ in range(count):
+            start, end = _compared(problem, random_start(problem, rng, spread), best, search)
+            found.append(start)
+            if start.apart < _SAME and end is not None:
+                ends.append(end)
+            if progress:
+                progress(start)
+    except KeyboardInterrupt:
+        interrupted = True
+    middle = refined.problem.values_of(refined.z)
+    deviation = np.std(ends, axis=0) if ends else np.full(len(middle), np.nan)
+    slopes = refined.problem.slopes(refined.z)
+    relative = np.abs(deviation * slopes) / np.where(middle == 0, np.nan, np.abs(middle))
+    spreads = dict(zip(problem.names, relative.tolist(), strict=True))
+    return Starts(tuple(found), len(ends) / max(1, len(found)), spreads, interrupted)
 
 
 def _compared(
@@ -102,11 +114,14 @@ def _compared(
 
 
 def random_start(problem: Problem, rng: np.random.Generator, spread: float) -> Array:
-    """z drawn from the priors, or evenly from a range about the value, inside the bounds."""
+    """z drawn evenly from a range about the value, or from a prior that reaches farther, inside the bounds.
+
+    A narrow prior pulls the search back all the same; starts as narrow would say nothing about the search.
+    """
     middle = problem.search()
     sd = np.array([f.z_sd for f in problem.free])
     drawn = middle + np.where(
-        np.isfinite(sd),
+        np.isfinite(sd) & (2 * sd > spread),
         np.clip(rng.standard_normal(len(sd)), -2, 2) * np.where(np.isfinite(sd), sd, 0),
         rng.uniform(-spread, spread, len(sd)),
     )

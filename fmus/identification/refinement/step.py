@@ -17,13 +17,15 @@ from scipy.optimize import lsq_linear
 
 from fmus.identification.refinement.condense import Condensed, condense
 from fmus.identification.refinement.factor import triangular
-from fmus.identification.refinement.model import Failed
+from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.priors import Priors
 from fmus.identification.refinement.scales import Scales
-from fmus.identification.refinement.shooting import Evaluated, Shooting
+from fmus.identification.refinement.segments import Evaluated
+from fmus.identification.refinement.shooting import Shooting
 
 Array = NDArray[np.float64]
 
+STUCK = "no step leads closer"
 SMALLEST = 1e-5  # of z: when no change larger than that is trusted, the search gives up
 SHORTEST = 1e-4  # fraction of a step, likewise: steps as short as that creep
 LARGEST = 10.0  # of z: no more is ever asked for

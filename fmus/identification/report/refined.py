@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fmus.identification.refinement.advice import advice
 from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.starts import Start as Begun
@@ -41,9 +42,7 @@ def refinement(
         else "from the noise of the sensors: residuals are independent of each other",
         **(facts or {}),
     }
-    remarks = [f"{names.get(n, n)} ended at its bound." for n in refined.at_bound]
-    if not refined.converged:
-        remarks.insert(0, f"The search did not converge: {refined.reason}.")
+    remarks = [*advice(refined), *(f"{names.get(n, n)} ended at its bound." for n in refined.at_bound)]
     return Refinement(
         names=tuple(names.get(n, n) for n in problem.names),
         correlation=found.correlation,

@@ -61,6 +61,8 @@ def interval(estimate: Estimate) -> str:
 
 def _aligned(end: float, estimate: Estimate) -> str:
     """An end of the interval with as many decimals as the value."""
+    if math.isinf(end):
+        return "open"
     if not math.isfinite(end) or not end or not estimate.value:
         return number(end)
     shift = math.floor(math.log10(abs(in_unit(estimate.value, estimate.unit)))) - math.floor(

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from fmus.contract import ModelError, Quantity, Scalar, Subsystem
-from fmus.identification.refinement.model import Failed, Model
+from fmus.identification.refinement.failed import Failed
+from fmus.identification.refinement.model import Model
 from fmus.parameters import Values
 
 
@@ -223,9 +224,13 @@ def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], told
 
 
 def test_samples_are_checked() -> None:
-    """Inputs of another shape and clocks that stand still are refused."""
+    """Arrays of another shape, which C would read beyond, and clocks that stand still are refused."""
     toy, x0 = model(), np.array([0.1, 0.8])
     with pytest.raises(ModelError, match=r"inputs have the shape \(35, 2\), expected \(35, 1\), of drive"):
         toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
+    with pytest.raises(ModelError, match=r"states have the shape \(1,\), expected \(2,\), of lag, size"):
+        toy.segment(x0[:1], toy.p0, TIME, DRIVE[:, None])
+    with pytest.raises(ModelError, match=r"parameters have the shape \(4,\), expected \(5,\), of seed"):
+        toy.segment(x0, toy.p0[:4], TIME, DRIVE[:, None])
     with pytest.raises(ModelError, match="do not increase"):
         toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])

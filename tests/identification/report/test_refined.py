@@ -78,7 +78,8 @@ def test_a_refinement_is_told_in_the_names_of_the_page():
 def test_a_search_that_did_not_converge_says_so():
     """The first remark of the section."""
     found = refinement(refined(converged=False, reason="40 iterations"))
-    assert found.remarks[0] == "The search did not converge: 40 iterations."
+    assert found.remarks[0].startswith("The search did not converge: 40 iterations were not enough.")
+    assert "--free" in found.remarks[0]  # what to do
 
 
 def test_random_starts_are_compared():

@@ -1,0 +1,115 @@
+"""Ctrl-C while `harvester identify` works: what was found until then is written."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.identification import command, joint, steps
+from fmus.identification.finding import Estimate, Finding
+from fmus.identification.known import nominal
+from fmus.identification.pipeline import identify
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.starts import Starts
+from orchestrator.__main__ import main
+
+VALVE = Recording(Path("valve.csv"), "", "valve", "train", {}, np.arange(9.0), {}, {})
+MACHINE = replace(VALVE, source=Path("machine.csv"), procedure="machine")
+AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
+
+
+class Procedure:
+    """Finds one parameter, or is interrupted."""
+
+    def __init__(self, interrupted: bool) -> None:
+        self.interrupted = interrupted
+
+    def identify(self, *_: object) -> Finding:
+        """The valve."""
+        if self.interrupted:
+            raise KeyboardInterrupt
+        return Finding("valve", "Valve", 5, (AREA,), ())
+
+
+def interrupt(*_: object, **__: object) -> None:
+    """Whatever was to be done."""
+    raise KeyboardInterrupt
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Only a valve, found at once."""
+    monkeypatch.setattr(steps, "PROCEDURES", {"valve": Procedure(False)})
+    return monkeypatch
+
+
+def test_a_finished_procedure_is_kept(quick):
+    """An interrupt in the joint refinement, before there is any point to keep, leaves the valve."""
+    quick.setattr(steps, "together", interrupt)
+    found = identify([VALVE, MACHINE])
+    assert found.interrupted
+    assert list(found.estimates) == ["valve_area"]
+    assert found.known["swing.valve_area"].value == AREA.value
+    assert identify([VALVE]).interrupted is False
+
+
+def test_nothing_found_is_an_interrupt(quick):
+    """There is nothing to write, and an earlier file stays as it is."""
+    quick.setattr(steps, "PROCEDURES", {"valve": Procedure(True)})
+    with pytest.raises(KeyboardInterrupt):
+        identify([VALVE])
+
+
+def test_an_interrupted_search_is_not_begun_again(quick):
+    """The best point so far is kept; random starts are not gone through one interrupt after the other."""
+
+    class Best:
+        reason = "interrupted"
+
+        def estimates(self, **_: object) -> tuple[Estimate, ...]:
+            return (replace(AREA, value=3e-5),)
+
+    quick.setattr(steps, "together", lambda *_: Best())
+    quick.setattr(steps, "again", lambda *_: pytest.fail("begun again"))
+    found = identify([VALVE, MACHINE], starts=4)
+    assert found.interrupted
+    assert found.known["swing.valve_area"].value == 3e-5
+
+
+def test_interrupted_starts_keep_the_result(quick):
+    """The refinement was done; the starts that were compared are told."""
+    refined = Refined.__new__(Refined)
+    object.__setattr__(refined, "reason", "converged")
+    quick.setattr(Refined, "estimates", lambda *_, **__: (AREA,))
+    quick.setattr(steps, "together", lambda *_: refined)
+    quick.setattr(joint, "from_random_starts", lambda *_, **__: Starts((), 0.0, {}, interrupted=True))
+    found = identify([VALVE, MACHINE], starts=4)
+    assert found.interrupted
+    assert found.refined is refined
+
+
+def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
+    """parameters.toml of what was found, one line about it, exit status 130 as in other commands."""
+    quick.chdir(tmp_path)
+    quick.setattr(steps, "together", interrupt)
+    for name, value in {
+        "read_folder": lambda _: [VALVE, MACHINE],
+        "quality": lambda _: None,
+        "told": lambda _: [],
+        "left_out": lambda *_: [],
+        "evenly": lambda r: r,
+        "thinned": lambda r: r,
+    }.items():
+        quick.setattr(command, name, value)
+    assert main(["identify", "mine"]) == 130
+    out, err = capsys.readouterr()
+    assert err == "harvester: interrupted\n"
+    assert out.splitlines()[-1] == "parameters.toml: 1 parameter, as found until the interrupt; no report"
+    table = tomllib.loads(Path("parameters.toml").read_text(encoding="utf-8"))["parameters"]["valve_area"]
+    assert (table["value"], table["unit"]) == (AREA.value, nominal()["swing.valve_area"].unit)
+    assert not Path("build/identification.html").exists()
