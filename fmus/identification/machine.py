@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 
 from fmus.contract import ModelError, quantities
 from fmus.harvester import HARVESTER
@@ -87,7 +88,8 @@ def checked(names: Sequence[str]) -> dict[str, str]:
     own = {name: flat for flat, name in parameters().items()}
     for name in names:
         if name not in own:
-            raise ModelError(f"{name} is to be refined, expected one of {', '.join(sorted(own))}")
+            near = get_close_matches(name, own, 1) or [", ".join(sorted(own))]
+            raise ModelError(f"{name} is to be refined, expected a parameter of the machine: {near[0]}")
     return own
 
 
