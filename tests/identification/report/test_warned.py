@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from fmus.identification.report.warned import CHECK, warnings
 from identification.report.test_refined import NAMES, refined, traces
+
+from fmus.identification.report.warned import CHECK, warnings
 
 
 def test_nothing_is_warned_of_where_all_is_well():
