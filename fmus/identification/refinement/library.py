@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import hashlib
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -43,7 +45,22 @@ def _file(code: Mapping[str, str]) -> Path:
     digest = hashlib.sha256(" ".join((version("ziglang"), sys.platform, *FLAGS, _processor())).encode())
     for name in sorted(code):
         digest.update(f"{name}\0{code[name]}\0".encode())
-    kept = store() / f"refined-{digest.hexdigest()[:32]}{SUFFIX}"
+    name = f"refined-{digest.hexdigest()[:32]}{SUFFIX}"
+    try:
+        return _made(code, store() / name)
+    except OSError:  # a store that cannot be written to keeps nothing
+        return _made(code, _own() / name)
+
+
+@cache
+def _own() -> Path:
+    """A folder for this process alone."""
+    folder = Path(tempfile.mkdtemp(prefix="harvester-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _made(code: Mapping[str, str], kept: Path) -> Path:
     if kept.is_file():
         return kept
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +71,9 @@ def _file(code: Mapping[str, str]) -> Path:
         command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "all.c", "-o", kept.name, "-lm"]
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
-            raise ModelError(f"the C compiler failed with exit status {run.returncode}\n{run.stderr}")
+            told = run.stderr.strip().splitlines() or ["it says nothing"]
+            reason = next((line for line in told if "error: " in line), told[-1])
+            raise ModelError(f"the C compiler failed with exit status {run.returncode}: {reason}")
         with suppress(OSError):  # somebody else was faster, and uses it already
             made.replace(kept)
     return kept

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.contract import ModelError, Quantity, Scalar, Subsystem
+from fmus.identification.refinement import library
 from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.model import Model
 from fmus.parameters import Values
@@ -234,3 +235,10 @@ def test_samples_are_checked() -> None:
         toy.segment(x0, toy.p0[:4], TIME, DRIVE[:, None])
     with pytest.raises(ModelError, match="do not increase"):
         toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])
+
+
+def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:
+    """Where the store should be is a file: the model is compiled all the same, for this process."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(library, "store", lambda: tmp_path / "file" / "store")
+    assert model(("lag",)).segment(np.zeros(1), model().p0, TIME, DRIVE[:, None]).steps > 0
