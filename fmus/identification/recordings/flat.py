@@ -16,11 +16,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.noise import ORDER, noise, noise_in_motion, step
 from fmus.identification.recordings.recording import Array, Mask, Sensor
 
 CHANCE = 1e-3  # of a false alarm in one recording
 LEAST = 1e-3  # least probability of two equal samples, for what a logger does that we do not know
+TOO_LARGE = 3.0  # times the noise seen, from which the noise told is not believed
+WHITE = 0.7  # of the fourth difference's noise: what the sixth one has left of it
 NOISY = 0.5  # P above which equal samples tell nothing; a slow encoder looks like 0.6
 
 
@@ -57,7 +59,28 @@ def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
     width = sensor.resolution or step(values)
     seen = noise(values, sensor)
     own = math.sqrt(max(seen**2 - width**2 / 12, 0.0)) if seen > 0 else 0.0
+    if overstated(values, sensor):
+        return width, own
+    if not sensor.noise > 0 and not _white(values, sensor):
+        return width, 0.0
     return width, max(sensor.noise, own)
+
+
+def overstated(values: Array, sensor: Sensor) -> bool:
+    """Is the noise told much larger than any that the signal shows where it is not held?
+
+    A step of the converter hides noise of up to half of it.
+    """
+    moving = noise_in_motion(values, sensor)
+    if math.isnan(moving):
+        return False
+    return sensor.noise > TOO_LARGE * math.hypot(moving, sensor.resolution / 2)
+
+
+def _white(values: Array, sensor: Sensor) -> bool:
+    """Is what looks like noise white? A smooth signal, such as a command, leaves less to each difference."""
+    high, low = (noise_in_motion(values, sensor, order) for order in (ORDER, ORDER - 2))
+    return high > WHITE * low
 
 
 def _idle(values: Array, sensor: Sensor) -> Mask:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import correlate
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.flat import clipped
+from fmus.identification.recordings.flat import clipped, stuck
 from fmus.identification.recordings.recording import Array, Mask, Recording
 
 ENOUGH = 0.5  # share of a stretch that has to be good for an average
@@ -19,10 +19,17 @@ EARLY = 1e-9  # s: what rounding of stamps may add to a settling time
 
 
 def good(recording: Recording, name: str) -> Mask:
-    """Where a signal is there, not clipped and out of its sensor's dead zone, shape (n,)."""
+    """Where a signal is there, not clipped, not stuck and out of its sensor's dead zone, shape (n,)."""
     values, sensor = recording[name], recording.sensor(name)
     there: Mask = np.isfinite(values) & ~clipped(values, sensor)
-    return there & ~dead(recording, name)
+    return there & ~frozen(recording, name) & ~dead(recording, name)
+
+
+def frozen(recording: Recording, name: str) -> Mask:
+    """Where a signal is stuck; a command may stand still."""
+    if name.endswith("command"):
+        return np.zeros(len(recording.time), dtype=bool)
+    return stuck(recording[name], recording.sensor(name))
 
 
 def dead(recording: Recording, name: str) -> Mask:

@@ -9,7 +9,6 @@ import numpy as np
 from fmus.identification.recordings.recording import Array, Sensor
 
 ORDER = 6  # of the difference: passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
-GAIN = math.sqrt(math.comb(2 * ORDER, ORDER))  # sd of the difference over the sd of white noise
 MAD = 0.6744897501960817  # median of |x| over the sd of a normal x
 LEVELS = 8  # fewer different values are no converter's steps
 MOVES = 0.02  # share of samples that differ from the one before, below which steps are those of a command
@@ -21,17 +20,37 @@ def noise(values: Array, sensor: Sensor | None = None) -> float:
     The median of the sixth difference: it does not see a smooth signal, nor what less than half of the
     recording does. Samples in the dead zone are left out.
     """
-    kept = values
-    if sensor is not None and sensor.dead_zone > 0:
-        kept = np.where(np.abs(values) <= sensor.dead_zone, np.nan, values)
-    difference = np.abs(np.diff(kept, ORDER))
+    difference = np.abs(np.diff(_out_of_dead_zone(values, sensor), ORDER))
     difference = difference[np.isfinite(difference)]
     if len(difference) < 4 * ORDER:
         return math.nan
-    found = float(np.median(difference)) / (MAD * GAIN)
+    found = _spread(difference, ORDER)
     # below this it is rounding of the numbers, not noise
     floor = 1e-12 * float(np.nanmax(np.abs(values)))
     return found if found > floor else 0.0
+
+
+def noise_in_motion(values: Array, sensor: Sensor | None = None, order: int = ORDER) -> float:
+    """The noise where a signal is not held: a stuck stretch, however long, or an encoder at rest has none.
+
+    NaN if there are too few such samples.
+    """
+    kept = _out_of_dead_zone(values, sensor)
+    difference = np.abs(np.diff(kept, order))
+    difference = difference[np.isfinite(difference) & (difference > 0)]
+    if len(difference) < 4 * order:
+        return math.nan
+    return _spread(difference, order)
+
+
+def _out_of_dead_zone(values: Array, sensor: Sensor | None) -> Array:
+    if sensor is None or not sensor.dead_zone > 0:
+        return values
+    return np.where(np.abs(values) <= sensor.dead_zone, np.nan, values)
+
+
+def _spread(difference: Array, order: int) -> float:
+    return float(np.median(difference)) / (MAD * math.sqrt(math.comb(2 * order, order)))
 
 
 def step(values: Array) -> float:

@@ -23,7 +23,7 @@ def read_series(
     rate: float = 1.0,
     units: Mapping[str, str] | None = None,
     delimiter: str | None = None,
-    decimal: str = ".",
+    decimal: str | None = None,
     skip_lines: int = 0,
     title: str = "",
 ) -> Recording:
@@ -32,7 +32,7 @@ def read_series(
     columns     our name -> place from 0 in a text file without names, or name of a column or MATLAB variable
     rate        samples per second [Hz]
     units       unit of each column; "1" if there is none
-    delimiter   of a text file; None: found in its first line of numbers
+    delimiter, decimal   of a text file; None: found in its first lines
     """
     path, units = Path(path), units or {}
     stray = [name for name in units if name not in columns]
@@ -55,7 +55,7 @@ def read_series(
 
 
 def _plain(
-    path: Path, columns: Mapping[str, int | str], delimiter: str | None, decimal: str, skip_lines: int
+    path: Path, columns: Mapping[str, int | str], delimiter: str | None, decimal: str | None, skip_lines: int
 ) -> dict[str, Array]:
     """Columns of a file without meta by name or place."""
     kind, names = path.suffix.lower(), {str(place) for place in columns.values()}
@@ -65,17 +65,43 @@ def _plain(
     if kind in (".mat", ".parquet"):
         table = read_table(path, names, {})
     else:
-        split = delimiter or _delimiter(path, decimal, skip_lines)
-        table = read_text(path, names, split, decimal, skip_lines, named=not by_place)
+        lines = _first_lines(path, skip_lines)
+        point = decimal or ("," if _has_comma(lines) and delimiter != "," else ".")
+        split = delimiter or _delimiter(lines, point)
+        if by_place and lines:
+            _refuse_names(path, lines[0], split, skip_lines + 1)
+        table = read_text(path, names, split, point, skip_lines, named=not by_place)
     return {name: table.columns[str(place)] for name, place in columns.items()}
 
 
-def _delimiter(path: Path, decimal: str, skip_lines: int) -> str:
-    """What separates the columns of the first line: ; or , or white space."""
+def _first_lines(path: Path, skip_lines: int) -> list[str]:
+    """Those that tell how the file is written, the first with names or numbers."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise ModelError(f"{path}: expected a file of numbers, found {found}")
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = [line for _, line in zip(range(skip_lines + 1), file, strict=False)]
-    line = lines[-1] if len(lines) > skip_lines else ""
+        return [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST)]
+
+
+def _has_comma(lines: Sequence[str]) -> bool:
+    """Is a comma the decimal sign? It is if something else separates the cells."""
+    cells = [re.split(r"[;\s]+", line.strip(" ;")) for line in lines]
+    return any(
+        len(row) > 1 and any("," in cell for cell in row) and all(map(COMMA.fullmatch, row)) for row in cells
+    )
+
+
+def _delimiter(lines: Sequence[str], decimal: str) -> str:
+    """What separates the columns of the first line: ; or , or white space."""
+    line = lines[0] if lines else ""
     return next((mark for mark in ";," if mark in line and mark != decimal), r"\s+")
+
+
+def _refuse_names(path: Path, line: str, delimiter: str, number: int) -> None:
+    """Places count in a file without names: a first row without any number has names."""
+    cells = [cell.strip(' "') for cell in re.split(delimiter, line)]
+    if all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAPS for cell in cells):
+        raise ModelError(
+            f"{path}: line {number}: expected numbers, found names: give those of the columns, "
+            f"such as {cells[0]!r}, not their places"
+        )

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmus.identification.recordings.flat import clipped, stuck
-from fmus.identification.recordings.masks import dead
-from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.flat import clipped, overstated
+from fmus.identification.recordings.masks import dead, frozen
+from fmus.identification.recordings.noise import noise, noise_in_motion, step
 from fmus.identification.recordings.plausible import beyond
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from fmus.identification.recordings.resampling import stretches
@@ -44,6 +44,7 @@ class SignalQuality:
     """One signal; numbers in SI.
 
     step, noise   estimated from the data; step 0: none to be seen
+    moving        noise where the signal is not held; overstated: much more is told
     sensor        what is told
     lowest, highest   of the samples
     """
@@ -56,6 +57,8 @@ class SignalQuality:
     dead: Fault
     step: float
     noise: float
+    moving: float
+    overstated: bool
     sensor: Sensor
     lowest: float
     highest: float
@@ -82,7 +85,10 @@ class SignalQuality:
                 f" signal's own extreme."
             )
         if self.stuck:
-            yield f"{self.name}: {_words(self.stuck)} stuck at one value, which its noise would not allow."
+            yield (
+                f"{self.name}: {_words(self.stuck)} stuck at one value, which its noise would not"
+                " allow, not used."
+            )
         usual = beyond(max(abs(self.lowest), abs(self.highest)), self.unit)
         if usual:
             low, high = (shown(value, self.unit) for value in usual)
@@ -100,6 +106,12 @@ class SignalQuality:
         usual = float(np.hypot(told.noise, told.resolution / 2))
         if usual > 0 and self.noise > LOUD * usual:
             yield f"{self.name}: noise of {found}, told {shown(told.noise, self.unit)}."
+        if self.overstated:
+            seen = shown(self.moving, self.unit)
+            yield (
+                f"{self.name}: noise told {shown(told.noise, self.unit)}, much larger than what is seen,"
+                f" {seen}: the signal counts for too little."
+            )
         step, wanted = shown(self.step, self.unit), shown(told.resolution, self.unit)
         if told.resolution > 0 and self.step > COARSE * told.resolution:
             yield f"{self.name}: steps of {step}, coarser than the resolution told, {wanted}."
@@ -117,10 +129,12 @@ def signal_quality(recording: Recording, name: str) -> SignalQuality:
         unit=recording.units[name],
         gaps=_fault(~np.isfinite(values), time),
         clipped=_fault(clipped(values, sensor), time),
-        stuck=_fault(stuck(values, sensor), time),
+        stuck=_fault(frozen(recording, name), time),
         dead=_fault(dead(recording, name), time),
         step=step(values),
         noise=noise(values, sensor),
+        moving=noise_in_motion(values, sensor),
+        overstated=overstated(values, sensor),
         sensor=sensor,
         lowest=float(there.min()) if len(there) else float("nan"),
         highest=float(there.max()) if len(there) else float("nan"),

@@ -14,12 +14,12 @@ from fmus.identification.refinement.guess import REST
 
 Array = NDArray[np.float64]
 
-_AROUND = 10  # samples about one that is clipped or dead that do not count either
+_AROUND = 10  # samples about one that is clipped, stuck or dead that do not count either
 _MOVES = 5.0  # standard deviations of a slope, of a dozen signals: by chance once in 10^5 recordings
 
 
 def usable_samples(recording: Recording, name: str) -> NDArray[np.bool_]:
-    """Samples that the instrument can have read, and all about them too: no gap, not clipped, not dead.
+    """Samples that the instrument can have read, and all about them too: no gap, not clipped, stuck or dead.
 
     Near an end of the range noise decides which samples are good, and those left would be too high.
     Where its neighbours are asked as well, it is hardly a sample's own noise that decides.

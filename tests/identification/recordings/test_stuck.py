@@ -1,0 +1,95 @@
+"""A stuck stretch is found and not used; what may stand still is used."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.identification.recordings.masks import good
+from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.recording import Recording, Sensor
+from fmus.identification.refinement.usable import usable_samples
+
+SIZE = 4000
+T = np.arange(SIZE) / 200
+GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)
+
+
+def rounded(values, step):
+    return np.round(values / step) * step
+
+
+def made(sensor, values, name="pressure"):
+    return Recording(
+        Path("run.csv"), "", "machine", "train", {}, T, {name: values}, {name: "1"}, {name: sensor}
+    )
+
+
+def gauge(noise=0.1):
+    rng = np.random.default_rng(1)
+    return rounded(150 + 80 * np.sin(1.3 * T) + rng.normal(0, noise, SIZE), GAUGE.resolution)
+
+
+def remarks(recording):
+    return " ".join(text for text in examine(recording).remarks() if not text.startswith("The clock"))
+
+
+@pytest.mark.parametrize("stop", [1100, 3800])
+def test_stuck_samples_are_not_used(stop):
+    """A gauge that keeps its value for half a second, or for most of the recording, tells nothing then."""
+    values = gauge()
+    values[1000:stop] = values[1000]
+    recording = made(GAUGE, values)
+    used = good(recording, "pressure")
+    assert not used[1000:stop].any()
+    # a neighbour may be equal by chance
+    assert used[:990].all()
+    assert used[stop + 10 :].all()
+    # the refinement leaves ten samples about it out, too
+    usable = usable_samples(recording, "pressure")
+    assert not usable[990 : stop + 10].any()
+    assert usable[:980].all()
+    assert "stuck at one value" in remarks(recording)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
+def test_an_encoder_at_rest_is_used(noise):
+    """An encoder that stands still for most of the time is not stuck, whatever noise is told."""
+    step = 0.044
+    moving = np.clip(T - 5, 0, 4) * 20
+    quiet = np.random.default_rng(2).normal(0, 0.005, SIZE)
+    recording = made(Sensor(noise=noise, resolution=step), rounded(moving + quiet, step), "angle")
+    assert good(recording, "angle").all()
+    assert "stuck" not in remarks(recording)
+
+
+def test_commands_and_dead_zones_may_stand_still():
+    """A command that follows a sine and holds, and a meter at zero in its dead zone, are not stuck."""
+    command = made(Sensor(), np.where(T < 10, 5 * np.sin(T), 5.0), "swing.swing_command")
+    assert good(command, "swing.swing_command").all()
+    rng = np.random.default_rng(3)
+    flow = 100 * np.sin(0.5 * T) + rng.normal(0, 0.3, SIZE)
+    flow[np.abs(flow) < 10] = 0.0
+    meter = made(Sensor(noise=0.3, dead_zone=10.0), flow, "flow")
+    assert np.array_equal(good(meter, "flow"), flow != 0)
+    assert "stuck" not in remarks(meter)
+
+
+def test_smooth_signals_without_noise_may_stand_still():
+    """A simulated angle that moves and then rests has no noise to judge by."""
+    recording = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
+    assert good(recording, "angle").all()
+
+
+def test_noise_told_far_too_large_is_told():
+    """A typed 100 for 0.1: no ordinary sample is called stuck, and the number is asked for."""
+    recording = made(replace(GAUGE, noise=100.0), gauge())
+    assert good(recording, "pressure").all()
+    text = remarks(recording)
+    assert "stuck" not in text
+    assert "noise told 100, much larger than what is seen" in text
+    small = made(replace(GAUGE, noise=0.001), gauge(1.0))
+    assert "told 0.001" in remarks(small)
+    assert good(small, "pressure").all()
+    assert "noise" not in remarks(made(GAUGE, gauge()))
