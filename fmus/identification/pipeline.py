@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fmus.contract import ModelError
-from fmus.identification import machine
+from fmus.identification import expected, machine
 from fmus.identification.finding import Estimate, Finding
 from fmus.identification.known import Known, nominal, plain
 from fmus.identification.recordings.recording import Recording
@@ -74,9 +74,11 @@ def identify(
     given = {r.procedure for r in recordings if r.use == "train"}
     unknown = sorted(given - {*PROCEDURES, MACHINE})
     if unknown:
-        expected = ", ".join((*PROCEDURES, MACHINE))
-        raise ModelError(f"[experiment] procedure is {unknown[0]!r}, expected one of {expected}")
+        wanted = ", ".join((*PROCEDURES, MACHINE))
+        raise ModelError(f"[experiment] procedure is {unknown[0]!r}, expected one of {wanted}")
     machine.checked(names)
+    for remark in expected.remarks(recordings):
+        tell(remark)
     steps = Steps(recordings, dict(known or nominal()), tell, show)
     interrupted = False
     try:

@@ -16,7 +16,7 @@ def test_the_example_of_the_docs_is_read(tmp_path):
     (tmp_path / "valve_pa.csv").write_text("t,U,P1,P2,Q\n0,1,2,3,4\n5,1,2,3,4\n", encoding="utf-8")
     found = read(tmp_path / "valve_pa.csv")
     assert list(found.signals) == ["command", "pressure_in", "pressure_out", "flow"]
-    assert (found.procedure, found.word("edge"), found.number("length")) == ("valve", "P-A", 4.0)
+    assert (found.procedure, dict(found.conditions)) == ("valve", {"edge": "P-A"})
 
 
 def test_every_procedure_and_function_of_the_docs_exists():

@@ -1,0 +1,71 @@
+"""A misspelt name of a recording is not left out without a word."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.contract import ModelError
+from fmus.identification import expected
+from fmus.identification.pipeline import identify
+from fmus.identification.procedures import valve
+from fmus.identification.recordings.recording import Recording
+from fmus.identification.refinement.names import signals
+
+
+def made(procedure, names, **conditions):
+    time = np.arange(3.0)
+    return Recording(
+        Path("run.csv"),
+        "",
+        procedure,
+        "train",
+        conditions,
+        time,
+        dict.fromkeys(names, time),
+        dict.fromkeys(names, "1"),
+    )
+
+
+@pytest.mark.parametrize("procedure", ["machine", "damping"])
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("manipulator.boom_angel", "manipulator.boom_angle"),
+        ("swing_pressure_a", "swing.swing_pressure_a"),
+        ("Manipulator.Swing_Angle", "manipulator.swing_angle"),
+        ("boom_stick.suply_pressure", "boom_stick.supply_pressure"),
+    ],
+)
+def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
+    """One line with the file, the signal and what may be meant, before anything is identified."""
+    with pytest.raises(ModelError) as caught:
+        identify([made(procedure, [*signals().values(), wrong])])
+    message = str(caught.value)
+    assert message == f"run.csv: signal {wrong} is no input or output of the machine, expected {right}"
+
+
+def test_a_signal_unlike_any_is_named():
+    """A temperature, or a spare channel of a bench, is no mistake: it is said that it is not used."""
+    (text,) = expected.remarks([made("machine", [*signals().values(), "oil_temperature"])])
+    assert text == "run.csv: no signal of the machine, not used: oil_temperature"
+    (text,) = expected.remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
+    assert text == "run.csv: no signal of valve, not used: oil_temperature"
+    (text,) = expected.remarks([made("valve", ["pressure_inn"])])
+    assert "pressure_inn (misspelt pressure_in?)" in text
+
+
+def test_whatever_the_machine_shows_may_be_recorded():
+    """All that a procedure or the refinement reads raises no remark."""
+    assert expected.remarks([made("machine", signals().values(), tank_pressure=1e5)]) == []
+    assert expected.remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
+
+
+@pytest.mark.parametrize(
+    ("procedure", "wrong", "right"),
+    [("valve", "Edge", "edge"), ("hose_resistance", "lenght", "length"), ("damping", "Joint", "joint")],
+)
+def test_a_misspelt_condition_is_refused(procedure, wrong, right):
+    """A key of [experiment] that differs by case or a letter from one that counts."""
+    with pytest.raises(ModelError, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
+        expected.remarks([made(procedure, [], **{wrong: "x"})])
