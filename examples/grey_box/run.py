@@ -1,7 +1,6 @@
 """Fits valve, chamber and bending arm to a file of valve command and pressure without units; see README.md.
 
-python examples/grey_box/run.py                            # crane.txt, which lies beside it
-python examples/grey_box/run.py actuator.mat "X(1,:)" y    # command and pressure by their names in the file
+python examples/grey_box/run.py [FILE COMMAND PRESSURE [PICTURE]]    # columns by name, or by place from 0
 """
 
 import sys
@@ -16,7 +15,7 @@ from fmus.identification.recordings.signals import blank, good, split
 from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
 
-HERE = Path(__file__).parent
+CRANE = Path(__file__).with_name("crane.txt")
 START = dict(area_up=0.3, full_up=0.5, area_down=0.3, full_down=0.5, dead_band=0.05, lag=3.0, supply=3.0)
 START |= dict(friction=1.0, stiffness=2.0, inertia=10.0)
 STATES = ["pressure", "spool", "force", "speed"]
@@ -34,26 +33,29 @@ def rates(x, u, p):
     return dict(pressure=pressure, spool=(u.command - x.spool) / p.lag, force=force, speed=speed)
 
 
-def main(path=HERE / "crane.txt", command=0, pressure=1):
+def main(path=CRANE, command=0, pressure=1, picture=""):
     data = read_series(path, {"command": command, "pressure": pressure})
     bad = ~good(data, "pressure")  # gaps, and where the sensor is at its end
     data, peaks = in_peaks(blank(data, "pressure", bad))
     model = unitless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
     found = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
     for e in found.estimates():
-        print(f"{e.name:10} {e.value:8.4f}, 95 %: {e.low:.4f} to {e.high:.4f}")
-    print(f"{bad.sum()} samples masked; search {found.reason}", *found.unidentified, sep="\n")
+        print(
+            f"{e.name:10} {e.value:8.4f}, 95 %:", f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"
+        )
+    print(f"{bad.sum()} samples masked; search ended: {found.reason}", *found.unidentified, sep="\n")
     plt.figure(figsize=(12, 4))
     plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
     for half, t in (("fit", found.training[0]), ("held out", found.held_out[0])):
         share, whole = t.nrmse()[0], abs(t.run.scale[0] * peaks["pressure"])
-        print(f"{half}: RMSE {share * whole:.3f} in the file's numbers, NRMSE {100 * share:.1f} % of range")
+        poor = ": the model does not fit, are the columns right?" * (not share < 0.1)
+        print(f"{half}: RMSE {share * whole:.3f} in the file's numbers, NRMSE {100 * share:.1f} %{poor}")
         plt.plot(t.run.time, t.y * peaks["pressure"], label=half)
     plt.legend()
-    plt.savefig(HERE / f"{data.source.stem}.png", dpi=80)
+    plt.savefig(picture or f"{data.source.stem}.png", dpi=80)
 
 
 try:
     main(*(int(word) if word.isdigit() else word for word in sys.argv[1:]))
 except ModelError as error:
-    sys.exit(f"error: {error}")
+    sys.exit(f"error: {error}" + " (run.py FILE COMMAND PRESSURE)" * (len(sys.argv) < 4))

@@ -27,14 +27,12 @@ CRANE = EXAMPLE / "crane.txt"
 
 
 def printed(folder: Path, *arguments: str) -> str:
-    """Output of a copy of the example, which draws beside itself."""
-    script = folder / "run.py"
-    script.write_text((EXAMPLE / "run.py").read_text(encoding="utf-8"), encoding="utf-8")
+    """Output of the example, run in a folder, where it draws."""
     given, output = sys.argv, io.StringIO()
-    sys.argv = [str(script), *arguments]
+    sys.argv = [str(EXAMPLE / "run.py"), *arguments]
     try:
-        with contextlib.redirect_stdout(output):
-            runpy.run_path(str(script))
+        with contextlib.chdir(folder), contextlib.redirect_stdout(output):
+            runpy.run_path(sys.argv[0])
     finally:
         sys.argv = given
         plt.close("all")
@@ -127,11 +125,39 @@ def test_columns_by_place(folder, told):
     assert printed(folder, str(folder / "three.csv"), "2", "0") == told
 
 
+def test_names_and_decimal_commas(folder, told):
+    """A table as a German office writes it leads to the same output; the picture goes where it is told."""
+    rows = [";".join(f"{v:.6f}" for v in row) for row in np.loadtxt(CRANE)]
+    text = "\n".join(["Stellsignal;Druck", *rows]).replace(".", ",")
+    (folder / "office.csv").write_text(text, encoding="utf-8")
+    picture = folder / "elsewhere.png"
+    assert printed(folder, str(folder / "office.csv"), "Stellsignal", "Druck", str(picture)) == told
+    assert picture.is_file()
+    assert not (folder / "office.png").exists()
+
+
+def test_a_model_that_does_not_fit_says_so(folder, told):
+    """Noise instead of a pressure: open intervals, and a line that doubts the columns; not for the crane."""
+    noise = np.random.default_rng(1).standard_normal(400)
+    np.savetxt(folder / "noise.txt", np.column_stack([np.sin(0.1 * np.arange(400)), noise]), "%.4f")
+    found = printed(folder, str(folder / "noise.txt"))
+    assert re.search(r"^held out: .*the model does not fit", found, re.MULTILINE)
+    assert re.search(r"^\w+ +[\d.]+, 95 %: open$", found, re.MULTILINE)
+    assert "does not fit" not in told
+    assert "open" not in told
+
+
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
         ("words.txt", "1 2\n3 x\n", "line 2: column '1': expected a number, found 'x'"),
         ("empty.txt", "", "expected two or more rows of numbers, found an empty file"),
+        (
+            "names.csv",
+            "Stellsignal;Druck\n1;2\n3;4\n",
+            "line 1: expected numbers, found names: give those of the columns, such as 'Stellsignal', "
+            "not their places",
+        ),
         ("still.txt", "0 1\n0 2\n0 3\n", "command is 0 throughout or a gap, expected one that moves"),
     ],
 )
@@ -140,7 +166,7 @@ def test_bad_file_is_told_in_one_line(folder, name, content, expected):
     (folder / name).write_text(content)
     with pytest.raises(SystemExit) as ended:
         printed(folder, str(folder / name))
-    assert ended.value.code == f"error: {folder / name}: {expected}"
+    assert ended.value.code == f"error: {folder / name}: {expected} (run.py FILE COMMAND PRESSURE)"
 
 
 # ------------------------------------------------------------------ models without units

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,11 @@ from fmus.identification.recordings.conversion import signal
 from fmus.identification.recordings.files import read_table
 from fmus.identification.recordings.meta import unit
 from fmus.identification.recordings.recording import Array, Recording
-from fmus.identification.recordings.text import read_text
+from fmus.identification.recordings.text import GAPS, read_text
 from fmus.units import in_si
+
+FIRST = 50  # lines that are looked at before a file is read
+COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 
 
 def read_series(
@@ -99,7 +104,8 @@ def _delimiter(lines: Sequence[str], decimal: str) -> str:
 
 def _refuse_names(path: Path, line: str, delimiter: str, number: int) -> None:
     """Places count in a file without names: a first row without any number has names."""
-    cells = [cell.strip(' "') for cell in re.split(delimiter, line)]
+    mark = delimiter if len(delimiter) > 1 else re.escape(delimiter)
+    cells = [cell.strip(' "') for cell in re.split(mark, line)]
     if all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAPS for cell in cells):
         raise ModelError(
             f"{path}: line {number}: expected numbers, found names: give those of the columns, "

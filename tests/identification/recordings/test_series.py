@@ -66,3 +66,14 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
         read_series(path, columns, **options)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["0,5;1\n1;-2,5e1\n", "0,5 1\n1 -2,5e1\n", "0.5,1\n1,-25\n", "0.5 1\n1 -25\n"]
+)
+def test_a_decimal_comma_is_found(tmp_path, text):
+    """Commas inside cells that something else separates are decimal; between cells they separate."""
+    (tmp_path / "a.txt").write_text(text)
+    found = read_series(tmp_path / "a.txt", {"u": 0, "y": 1})
+    np.testing.assert_array_equal(found["u"], [0.5, 1.0])
+    np.testing.assert_array_equal(found["y"], [1.0, -25.0])
