@@ -13,10 +13,12 @@ from fmus.identification.outcome import beside, content, worst
 from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.recordings.reading import left_out, read_folder
 from fmus.identification.recordings.uniform import evenly, thinned
+from fmus.identification.refinement.names import parameters, signals
 from fmus.identification.report import words
 from fmus.identification.report.compared import Compared
 from fmus.identification.report.data import quality, told
 from fmus.identification.report.page import write_page
+from fmus.identification.report.warned import warnings
 from fmus.parameters import write
 from fmus.units import display
 
@@ -65,6 +67,8 @@ def run(
         print(line)
     if told_page.explanation:
         print(told_page.explanation.verdict)
+    for line in warnings(found.refined, parameters(), signals()) if found.refined else ():
+        print(f"warning: {line}")
     html, data = write_page(page, told_page)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - begun:.0f} s")
 

@@ -84,6 +84,25 @@ def test_the_joint_refinement_returns_the_machine(capsys):
 
 
 @pytest.mark.usefixtures("here")
+def test_swapped_levers_are_warned_of(capsys):
+    """A model that cannot follow its own training data says so, and what to look at."""
+    for file in Path("mine").glob("*.toml"):
+        if file.stem != "machine_train_1":
+            file.unlink()
+    toml = Path("mine/machine_train_1.toml")
+    text = toml.read_text(encoding="utf-8") + "\n[time]\nstop = 6.0\n"
+    text = text.replace('[time]\nunit = "s"\n', "", 1).replace("stop = 6.0", 'unit = "s"\nstop = 6.0')
+    boom, stick = "boom_stick.boom_command", "boom_stick.stick_command"
+    for own, other in ((boom, stick), (stick, boom)):
+        text = text.replace(f'[signals."{own}"]', f'[signals."{own}"]\ncolumn = "{other}"')
+    toml.write_text(text, encoding="utf-8")
+    assert main(["identify", "mine", "--starts", "0", "--free", "valve_area"]) == 0
+    printed = capsys.readouterr().out
+    assert "warning: " in printed
+    assert "which lever moves which joint" in printed
+
+
+@pytest.mark.usefixtures("here")
 def test_what_cannot_be_found_does_not_hinder_the_rest(capsys):
     """A broken experiment is told in one line, and everything else is identified."""
     for file in Path("mine").glob("*.toml"):
