@@ -1,7 +1,6 @@
 """Fits valve, chamber and bending arm to a file of valve command and pressure without units; see README.md.
 
-python examples/grey_box/run.py [FILE COMMAND PRESSURE [PICTURE]]    # columns by name, or by place from 0
-"""
+python examples/grey_box/run.py [FILE COMMAND PRESSURE [PICTURE]]  # columns by name or by place from 0"""
 
 import sys
 from pathlib import Path
@@ -40,9 +39,8 @@ def main(path=CRANE, command=0, pressure=1, picture=""):
     model = unitless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
     found = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
     for e in found.estimates():
-        print(
-            f"{e.name:10} {e.value:8.4f}, 95 %:", f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"
-        )
+        known = f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"
+        print(f"{e.name:10} {e.value:8.4f}, 95 %: {known}")
     print(f"{bad.sum()} samples masked; search ended: {found.reason}", *found.unidentified, sep="\n")
     plt.figure(figsize=(12, 4))
     plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
