@@ -45,6 +45,7 @@ def add(recording: Recording, name: str, values: Array, unit: str, sensor: Senso
         recording,
         signals={**recording.signals, name: values},
         units={**recording.units, name: unit},
+        told_units={key: told for key, told in recording.told_units.items() if key != name},
         sensors=sensors if sensor is None else {**sensors, name: sensor},
     )
 

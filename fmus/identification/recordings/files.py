@@ -21,6 +21,4 @@ def read_table(data: Path, names: Collection[str], file: Mapping[str, Any]) -> T
         return read_parquet(data, names)
     if kind == ".mat":
         return read_mat(data, names)
-    return read_text(
-        data, names, file.get("delimiter", ","), file.get("decimal", "."), file.get("skip_lines", 0)
-    )
+    return read_text(data, names, file.get("delimiter"), file.get("decimal"), file.get("skip_lines", 0))

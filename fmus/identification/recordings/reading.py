@@ -48,6 +48,7 @@ def read(path: Path | str) -> Recording:
         units={name: in_si(unit(spec["unit"], name)) for name, spec in meta.signals.items()},
         sensors={name: found for name, spec in meta.signals.items() if (found := sensor(spec))},
         kind=meta.kind,
+        told_units={name: spec["unit"] for name, spec in meta.signals.items()},
     )
     return _inside(recording, meta.time.get("start", -math.inf), meta.time.get("stop", math.inf))
 
@@ -86,7 +87,7 @@ def require(recording: Recording, signals: Mapping[str, str]) -> None:
         recording[name]
         if parse(recording.units[name]).exponents != parse(wanted).exponents:
             raise ModelError(
-                f"{recording.source}: signal {name} is in {recording.units[name]}, expected {wanted}"
+                f"{recording.source}: signal {name} is in {recording.unit_in_words(name)}, expected {wanted}"
             )
 
 

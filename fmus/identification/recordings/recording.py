@@ -52,6 +52,7 @@ class Recording:
     signals      each of shape (n,); NaN where there is no sample
     units        SI unit of each signal
     sensors      instrument of each signal, where told
+    told_units   unit of each signal as the file has it, for messages
     kind         where it comes from: "measurement", "simulation" or "published", as [reference] says
     """
 
@@ -65,6 +66,7 @@ class Recording:
     units: Mapping[str, str]
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     kind: str = "measurement"
+    told_units: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
         """One signal, shape (n,)."""
@@ -78,6 +80,12 @@ class Recording:
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; one that knows nothing if none is told."""
         return self.sensors.get(name, Sensor())
+
+    def unit_in_words(self, name: str) -> str:
+        """The unit of a signal as its file has it, and what it is in SI."""
+        unit = self.units[name]
+        told = self.told_units.get(name, unit)
+        return unit if told == unit else f"{told} ({unit})"
 
     def number(self, name: str) -> float:
         """A condition that is a number, in SI units."""

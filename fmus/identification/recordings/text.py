@@ -24,23 +24,23 @@ GAPS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where ther
 def read_text(
     path: Path,
     names: Collection[str],
-    delimiter: str = ",",
-    decimal: str = ".",
+    delimiter: str | None = None,
+    decimal: str | None = None,
     skip_lines: int = 0,
     named: bool = True,
 ) -> Table:
     """Columns of a text file by name.
 
     named        the first row has the names; else they are "0", "1", ...
-    delimiter    one character, or r"\\s+" for any white space
+    delimiter    one character, or r"\\s+" for any white space; by default a comma
+    decimal      a point or a comma; by default a point
     skip_lines   lines before the names, or before the first numbers
     """
-    if decimal not in (".", ",") or delimiter == decimal or (len(delimiter) != 1 and delimiter != r"\s+"):
-        raise ModelError(
-            f"{path}: expected a one-character delimiter and decimal . or ,, found {delimiter!r}, {decimal!r}"
-        )
+    origin = "the default" if delimiter is None else "as told"
+    delimiter, decimal = delimiter or ",", decimal or "."
+    _marks(path, delimiter, decimal, origin)
     text = _text(path)
-    _separated(text, path, delimiter, skip_lines)
+    _separated(text, path, delimiter, skip_lines, origin)
     frame = _cells(text, path, delimiter, skip_lines)
     header = [f"{i}" for i in frame]
     if named:
@@ -72,14 +72,28 @@ def _text(path: Path) -> str:
         raise ModelError(f"{path}: expected a file of numbers, found {error.strerror}") from None
 
 
-def _separated(text: str, path: Path, delimiter: str, skip_lines: int) -> None:
+def _marks(path: Path, delimiter: str, decimal: str, origin: str) -> None:
+    """Refuse marks that cannot be, or that cannot be told apart; origin: where the delimiter is from."""
+    if decimal not in (".", ","):
+        raise ModelError(f"{path}: [file] decimal is {decimal!r}, expected '.' or ','")
+    if len(delimiter) != 1 and delimiter != r"\s+":
+        raise ModelError(f"{path}: [file] delimiter is {delimiter!r}, expected one character such as ';'")
+    if delimiter == decimal:
+        raise ModelError(
+            f"{path}: [file] decimal is {decimal!r}, expected another delimiter than it,"
+            f' found {delimiter!r} ({origin}): set delimiter = ";"'
+        )
+
+
+def _separated(text: str, path: Path, delimiter: str, skip_lines: int, origin: str) -> None:
     """Refuse a first row without the delimiter that has another one."""
     row = next(iter(text.splitlines()[skip_lines : skip_lines + 1]), "")
     found = next((mark for mark in ";\t," if mark in row), None)
     if found and len(delimiter) == 1 and delimiter not in row:
+        shown = found.replace("\t", r"\t")
         raise ModelError(
-            f"{path}: line {skip_lines + 1}: expected cells separated by {delimiter!r}, found {found!r}:"
-            " tell it as delimiter"
+            f"{path}: line {skip_lines + 1}: expected cells separated by {delimiter!r} ({origin}),"
+            f' found {found!r}: set delimiter = "{shown}" in [file]'
         )
 
 
@@ -130,7 +144,7 @@ def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: s
         bad = values.index(None)
         found = repr(cells[bad].strip())
         if decimal == "." and _number(cells[bad].replace(",", ".")) is not None:
-            found += ": tell its comma as decimal"
+            found += ': set decimal = "," in [file]'
         raise ModelError(f"{where.format(rows[bad])}: expected a number, found {found}")
     return finite(np.array(values, dtype=np.float64), rows, where)
 

@@ -100,8 +100,8 @@ class Mapped:
                     f"{recording.source}: {name} is to be fitted, expected an output of {self.sub.name}"
                 )
         for name, q in declared.items():
-            found = recording.units.get(self._name(name), q.unit)
-            if found != q.unit:
+            if recording.units.get(self._name(name), q.unit) != q.unit:
+                found = recording.unit_in_words(self._name(name))
                 raise ModelError(f"{recording.source}: {self._name(name)} is in {found}, expected {q.unit}")
 
     def _sd(self, recording: Recording, name: str) -> float:

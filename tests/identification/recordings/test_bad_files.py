@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.reading import read, read_folder
+from fmus.identification.recordings.reading import read, read_folder, require
 
 
 def refused(path, *parts):
@@ -37,7 +37,7 @@ def lines(csv, number, text):
         ("20,0,True,1", ("line 6", "column 'P1'", "a number", "'True'")),
         ("20,0,2.5", ("line 6", "expected 4 cells, found 3")),
         ("20,0,2.5,1,1", ("line 6", "expected 4 cells, found 5")),
-        ('20,0,"2,5",1', ("line 6", "column 'P1'", "a number", "'2,5'", "its comma as decimal")),
+        ('20,0,"2,5",1', ("line 6", "column 'P1'", "a number", "'2,5'", 'set decimal = ","')),
         (",0,2.5,1", ("line 6", "column 't'", "expected a time, found none")),
         ("15,0,2.5,1", ("line 6", "column 't'", "increasing times", "15 after 15")),
         ("14.5,0,2.5,1", ("line 6", "column 't'", "increasing times", "14.5 after 15")),
@@ -62,13 +62,33 @@ def test_bad_files_of_text(csv):
     refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
     for mark, shown in ((";", "';'"), ("\t", "'\\t'")):
         csv.write_text(good.replace(",", mark), encoding="utf-8")
-        refused(csv, "a.csv", "line 1", "cells separated by ','", f"found {shown}", "as delimiter")
+        refused(csv, "a.csv", "line 1", "separated by ',' (the default)", f"found {shown}: set delimiter = ")
     csv.write_text("t,U,P1,Q\n0,0,0,0\n", encoding="utf-8")
     refused(csv, "a.csv", "two or more rows of numbers, found 1")
     csv.write_text("", encoding="utf-8")
     refused(csv, "a.csv", "two or more rows of numbers, found an empty file")
     csv.write_text(good.replace("\n0.0,", '\n"0.0,', 1), encoding="utf-8")
     refused(csv, "a.csv", "expected a text file of columns", "found")
+
+
+def test_marks_that_cannot_be_told_apart(csv):
+    """A decimal comma needs another delimiter: where the one that was found is from, and what to do."""
+    meta = csv.with_suffix(".toml")
+    good = meta.read_text(encoding="utf-8")
+    for told, found in (("", "','"), ('delimiter = ","', "','")):
+        meta.write_text(f'{good}\n[file]\ndecimal = ","\n{told}\n', encoding="utf-8")
+        origin = "as told" if told else "the default"
+        refused(csv, "a.csv", "decimal is ','", f'found {found} ({origin}): set delimiter = ";"')
+    meta.write_text(f'{good}\n[file]\ndecimal = "."\ndelimiter = ";;"\n', encoding="utf-8")
+    refused(csv, "a.csv", "delimiter is ';;'", "one character")
+
+
+def test_the_message_on_a_wrong_dimension_has_the_word_of_the_file(csv):
+    """A flow in lpm3: the reader looks for that word, not for the SI unit that it became."""
+    meta = csv.with_suffix(".toml")
+    meta.write_text(meta.read_text(encoding="utf-8").replace("L/min", "lpm3"), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"signal flow is in lpm3 \(m9/s3\), expected m3/s"):
+        require(read(csv), {"flow": "m3/s"})
 
 
 def test_bad_parquet(csv, columns):
