@@ -49,6 +49,11 @@ def _sentence(group: list[Free], bond: Array, data: Array) -> str:
     if len(names) == 1:
         sd = float(np.sqrt(data[0, 0]))
         told = "do not show it" if sd > 0.5 * VAGUE else f"leave it open by {100 * sd:.0f} %"
+        if group[0].sd is not None:
+            return (
+                f"{names[0]}: these recordings alone {told}; its interval is that of what was known before, "
+                "such as from the bench"
+            )
         return f"{names[0]}: the data {told}"
     listed = ", ".join(names[:-1]) + f" and {names[-1]}"
     if len(names) == 2 and dimension == 1 and all(f.log for f in group):

@@ -30,6 +30,13 @@ from fmus.identification.report.style import (
 FLAT_LABEL = 16  # letters that fit beside a residual
 CLOUD = 1500  # points: a larger cloud is drawn as a picture inside the SVG
 MARKS = ("o", "s", "^", "D")
+# mark and dashes of the first, second ... curve that is only compared
+COMPARED: tuple[tuple[str, Any], ...] = (
+    ("D", DASHES),
+    ("v", (0, (1.5, 1.5, 1.5, 4))),
+    ("<", (0, (9, 3))),
+    (">", (0, (3, 1, 1, 1, 1, 1))),
+)
 
 
 def is_residual(panel: Panel) -> bool:
@@ -87,9 +94,11 @@ def style(curve: Curve, place: int, *, joined: bool, several: bool) -> dict[str,
         return (
             _marks("x", colour, face=colour, size=6) if drawn else _line(colour, 1.5, DOTS if joined else "-")
         )
-    colour = PALETTE.pair(1)[1] if curve.kind == "compared" else PALETTE.pair(2)[1]
-    other = "D" if curve.kind == "compared" else "P"
-    dashes = DASHES if curve.kind == "compared" else (0, (6, 1.5, 1, 1.5))
+    if curve.kind == "compared":
+        other, dashes = COMPARED[place % len(COMPARED)]
+        colour = PALETTE.pair((1, 3, 2, 0)[place % len(COMPARED)])[1]
+    else:
+        other, dashes, colour = "P", (0, (6, 1.5, 1, 1.5)), PALETTE.pair(2)[1]
     return _marks(other, colour, face="none", size=5) if drawn else _line(colour, 1.3, dashes)
 
 

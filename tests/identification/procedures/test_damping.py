@@ -90,19 +90,32 @@ def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected()
     assert abs(left) < 0.2 * abs(lost)
 
 
-def test_dry_friction_is_told_and_taken_into_b():
-    """A constant force against the motion, hidden in the head pressure, raises B and is found beside it."""
-    clean, dry = recording("boom", seed=2), 1500.0
+def with_dry(dry):
+    """A constant force against the motion, hidden in the head pressure."""
+    clean = recording("boom", seed=2)
     velocity = np.gradient(recording("boom")["manipulator.boom_angle"], clean.time)
     area = np.pi / 4 * KNOWN["boom_stick.boom_bore"].value ** 2
     name = "boom_stick.boom_head_pressure"
     pressure = clean[name] + dry * np.tanh(velocity / 1e-3) / area
-    finding = identify([replace(clean, signals={**clean.signals, name: pressure})], KNOWN)
+    return identify([replace(clean, signals={**clean.signals, name: pressure})], KNOWN)
+
+
+def test_dry_friction_is_told_and_taken_into_b():
+    """A constant force against the motion raises B and is found beside it."""
+    dry = 1500.0
+    finding = with_dry(dry)
     assert finding.estimates[0].value > 1.2 * truth("boom")
     friction = next(e for e in finding.others if e.name.startswith("dry friction"))
     assert friction.value == pytest.approx(dry, rel=0.1)  # where the sign changes it is rounded
     assert any("dry friction" in text for text in finding.remarks)
     assert any("lacks something" in text for text in finding.remarks)
+
+
+def test_a_force_that_pushes_is_not_called_friction():
+    """The same force along the motion: no negative friction among the numbers, a remark instead."""
+    finding = with_dry(-1500.0)
+    assert not any(e.name.startswith("dry friction") for e in finding.others)
+    assert any("no law of friction" in text for text in finding.remarks)
 
 
 def test_doubt_about_a_known_parameter_widens_the_interval():

@@ -59,6 +59,14 @@ def test_kinds_of_curves_differ_without_colour():
     assert len(seen) == len(labels)
 
 
+@pytest.mark.parametrize("joined", [True, False])
+def test_compared_curves_differ_without_colour(joined):
+    """Each of several curves that are only compared has marks or dashes of its own."""
+    curves = tuple(Curve(f"law {k}", TIME[:9], k + TIME[:9], "compared", line=joined) for k in range(4))
+    lines = drawn(Panel("flow", "x", curves)).axes[0].lines
+    assert len({(line.get_marker(), str(line._dash_pattern)) for line in lines}) == 4
+
+
 def test_measured_and_fitted_lines_differ_without_colour():
     """Two lines: the measurement broad and solid, the fit thin and dotted."""
     curves = (Curve("m", TIME, np.sin(TIME), line=True), Curve("f", TIME, np.cos(TIME), "fit", line=True))

@@ -75,10 +75,12 @@ def _others(one: JointDamping) -> list[Estimate]:
     """A dry friction, and B by these recordings alone where that is another interval."""
     name, unit = one.contact.parameter, one.contact.unit
     dry, sd, _ = one.dry
-    alone = symmetrical(f"{name}, the rest known exactly", one.value, unit, one.sd, "by the recordings alone")
-    return [
-        *([alone] if one.doubt.matters else []),
-        symmetrical(
-            f"dry friction beside {name}", dry, one.contact.resistance_unit, sd, "as one more unknown of (13)"
-        ),
-    ]
+    found = []
+    if one.doubt.matters:
+        label = f"{name}, the rest known exactly"
+        found.append(symmetrical(label, one.value, unit, one.sd, "by the recordings alone"))
+    if dry > 0:  # one that pushes is no friction: a remark tells of it where it is clear
+        label = f"dry friction beside {name}"
+        force = one.contact.resistance_unit
+        found.append(symmetrical(label, dry, force, sd, "as one more unknown of (13)"))
+    return found

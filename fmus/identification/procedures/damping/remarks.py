@@ -72,8 +72,14 @@ def _printed(one: JointDamping) -> str:
 
 def _dry(one: JointDamping) -> list[str]:
     dry, sd, left = one.dry
-    if not np.isfinite(sd) or dry < SEEN * sd:  # one that pushes is no friction
+    if not np.isfinite(sd) or abs(dry) < SEEN * sd:
         return []
+    if dry < 0:
+        return [
+            "resistance grows more than in proportion to the speed: dry friction beside B would be negative, "
+            "which is no law of friction. Something else moves the residual, such as a number that is taken "
+            "as known."
+        ]
     return [
         f"the residual has the sign of the speed. A dry friction of {dry:.3g} +- {sd:.2g} "
         f"{one.contact.resistance_unit} beside a damping of {left:.4g} {one.contact.unit} fits better; the "
