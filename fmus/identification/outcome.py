@@ -17,6 +17,7 @@ from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.compared import Compared, attribute, picture, predicted
 from fmus.identification.report.content import Page, Parameter, Picture, Quality, Refinement
 from fmus.identification.report.refined import refinement
+from fmus.identification.report.warned import warnings
 from fmus.machine import SUBSYSTEMS
 
 PICTURED = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third
@@ -57,6 +58,7 @@ def content(
         pictures=tuple(_pictures(shown)) if shown else (),
         commands=_commands(folder, out, found.recordings),
         remarks=tuple(f"{name}: {why}." for name, why in found.skipped.items()),
+        warnings=tuple(warnings(found.refined, parameters(), signals())) if found.refined else (),
     )
 
 

@@ -13,16 +13,15 @@ squares. Alone: only effect k is there. Together: the mean over all orders in wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from fmus.identification.report import shares, stacked
 from fmus.identification.report.prediction import Signals
+from fmus.identification.report.verdict import LEAST, nothing, verdict
 
-LEAST = 0.2  # share from which an effect is named
-CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be told from it
 ABOVE_NOISE = 1.5  # times the sensor's noise: a residual below shows nothing
 MEMORY = 0.5  # s: over which neighbouring samples of a residual are taken to depend on each other
 
@@ -93,7 +92,8 @@ def explain(
     used = [n for n in residual if size[n] > max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0))]
     quiet = tuple(n for n in residual if n not in used)
     if not used:
-        return Explanation((), 0.0, 0.0, 1.0, (), quiet, _words((), 0.0, 0.0, 1.0))
+        only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
+        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing(only_small))
     r = stacked.stack({n: residual[n] for n in used}, residual, size, used)
     d = np.column_stack([stacked.stack(change, residual, size, used) for change in effects.values()])
     whole = float(r @ r)
@@ -112,35 +112,5 @@ def explain(
     )
     ordered = tuple(sorted(found, key=lambda s: -s.alone))
     noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    verdict = _words(ordered, float(part[-1]), parameters, noisy)
-    return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, verdict)
-
-
-def _words(found: Sequence[Share], together: float, parameters: float, noise: float) -> str:
-    """The result in whole sentences."""
-    if not found:
-        return "The residual is not above the noise of the sensors: it shows no effect."
-    first = found[0]
-    if first.alone < LEAST:
-        told = (
-            f"None of the effects explains the residual: the largest share is {_percent(first.alone)} "
-            f"({first.effect}), all effects together explain {_percent(together)}."
-        )
-    else:
-        told = (
-            f"The residual shows one effect most: {first.effect}, {_percent(first.alone)} of it, "
-            f"{first.coefficient:.2g} times as strong as in the variant. "
-            f"All effects together explain {_percent(together)}."
-        )
-        close = [s.effect for s in found[1:] if s.alone >= CLOSE * first.alone]
-        if close:
-            told += f" The data hardly tell it from {' and '.join(close)}."
-    if parameters > LEAST / 2:
-        told += f" Other values of the identified parameters would take {_percent(parameters)}."
-    if noise > LEAST / 2:
-        told += f" {_percent(noise)} is noise of the sensors."
-    return told
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+    told = verdict(ordered, float(part[-1]), parameters, noisy)
+    return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, told)

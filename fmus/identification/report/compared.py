@@ -18,8 +18,8 @@ from fmus.identification.report.content import Picture
 from fmus.identification.report.effects import changes, slopes
 from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
 from fmus.identification.report.trace_rows import FIGURES, Line, rows
+from fmus.identification.report.verdict import SMALL
 
-SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
 
 

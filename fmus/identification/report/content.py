@@ -142,6 +142,7 @@ class Page:
     pictures   measured and predicted traces
     commands   how to go on: command -> what it does
     remarks    what the reader must know first, whole sentences
+    warnings   what makes the numbers doubtful and what to check, whole sentences
     """
 
     title: str
@@ -155,3 +156,4 @@ class Page:
     pictures: tuple[Picture, ...] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()

@@ -10,7 +10,9 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from fmus.identification.refinement.identifiable import unidentified
 from fmus.identification.refinement.loss import Loss, weights
+from fmus.identification.refinement.problem import Free
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import Traces, whiteness
 from fmus.identification.refinement.scales import correlation_time
@@ -75,6 +77,16 @@ def test_prior_decides_where_the_data_are_silent() -> None:
     # the data add nothing: prior to rounding of the information
     assert (loss.value, loss.sd) == (pytest.approx(1.0, abs=1e-3), pytest.approx(0.1, rel=1e-2))
     assert found.unidentified  # said of the data alone
+
+
+def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
+    """A parameter that the data do not tell: with a number known before, its interval is that one's."""
+    told = {
+        sd: unidentified((Free("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0] for sd in (None, 0.1)
+    }
+    # the root of 0.6
+    assert told[None] == "loss: the data leave it open by 77 %"
+    assert told[0.1].startswith("loss: these recordings alone leave it open by 77 %; its interval is that of")
 
 
 def test_outliers_pull_less_with_a_robust_loss() -> None:

@@ -78,6 +78,7 @@ def test_white_noise_shows_no_effect(effects):
     found = explain(noise, effects, step=STEP)
     assert found.named == ""
     assert found.verdict.startswith("None of the effects")
+    assert "a cause that is not in the list" in found.verdict  # nobody said that it is noise
     # five columns explain five of some thousand samples by chance
     assert found.together < 0.02
 
@@ -90,7 +91,16 @@ def test_a_residual_within_the_noise_of_the_sensors_is_left_out(effects):
     found = explain(residual, effects, step=STEP, noise=size)
     assert found.quiet == tuple(residual)
     assert (found.named, found.shares) == ("", ())
-    assert "not above the noise" in found.verdict
+    assert found.verdict.startswith("Nothing is left to explain")
+    assert "range" not in found.verdict
+
+
+def test_a_small_residual_needs_no_effect(effects):
+    """Far above perfect sensors, but below what matters: the prediction is called as good as that."""
+    residual = noisy(effects["swinging head"], 0.0)
+    found = explain(residual, effects, step=STEP, small=dict.fromkeys(residual, np.inf))
+    assert (found.named, found.shares) == ("", ())
+    assert "0.1 % of its range" in found.verdict
 
 
 def test_what_parameters_can_take_is_no_effect(drive, effects):

@@ -79,6 +79,15 @@ def test_figures_follow_the_theme(text):
     assert re.search(r"color: #1c2024|stroke: #1c2024", text) is None
 
 
+def test_doubts_stand_above_the_numbers(text):
+    """A block with every warning before the tiles; none where there is nothing to warn of."""
+    shown = html.fromstring(render(page(warnings=("At a bound.", "Check."))))
+    (block,) = shown.xpath("//header/div[@class='warning']")
+    assert [row.text for row in block.iter("li")] == ["At a bound.", "Check."]
+    assert block.xpath("following-sibling::div[@class='tiles']")
+    assert not html.fromstring(text).xpath("//*[@class='warning']")
+
+
 def test_a_page_without_refinement():
     """Only procedures: what was not done is not shown."""
     found = render(page(refinement=None, explanation=None, qualities=(), commands={}))
