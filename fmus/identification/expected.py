@@ -21,11 +21,7 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "damping": ("joint", "tank_pressure"),
     MACHINE: ("tank_pressure",),
 }
-ALSO: Mapping[str, tuple[str, ...]] = {
-    "hose_dynamics": ("command",),
-    "motor_leakage": ("command",),
-    "hose_resistance": ("command",),
-}
+ALSO: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # recorded by a bench, needed by nobody
 # likeness from which a name is taken for a misspelling of another; names of the machine have much in common
 ALIKE, ALIKE_ON_MACHINE = 0.8, 0.85
 

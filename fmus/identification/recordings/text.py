@@ -37,7 +37,8 @@ def read_text(
     skip_lines   lines before the names, or before the first numbers
     """
     origin = "the default" if delimiter is None else "as told"
-    delimiter, decimal = delimiter or ",", decimal or "."
+    delimiter = "," if delimiter is None else delimiter
+    decimal = "." if decimal is None else decimal
     _marks(path, delimiter, decimal, origin)
     text = _text(path)
     _separated(text, path, delimiter, skip_lines, origin)

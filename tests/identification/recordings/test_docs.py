@@ -3,8 +3,12 @@
 import re
 from pathlib import Path
 
+from fmus.identification.expected import CONDITIONS, OF_MACHINE
+from fmus.identification.procedures.balance import motion
 from fmus.identification.recordings import meta, signals
 from fmus.identification.recordings.reading import read
+from fmus.identification.refinement.names import signals as names
+from fmus.identification.steps import PROCEDURES
 
 TEXT = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
 
@@ -24,3 +28,17 @@ def test_every_procedure_and_function_of_the_docs_exists():
     assert all(f"`{name}`" in TEXT for name in meta.PROCEDURES)
     for cells in re.findall(r"^\| (`[a-z_A-Z`, ]+) \| ", TEXT[TEXT.index("## Signals") :], re.MULTILINE):
         assert all(hasattr(signals, name) for name in re.findall(r"`(\w+)`", cells))
+
+
+def test_the_table_of_experiments_is_that_of_the_code():
+    """Each row names the signals and conditions that the procedure reads; the machine's names exist."""
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", TEXT[TEXT.index("## Experiments") :], re.MULTILINE))
+    for procedure, conditions in CONDITIONS.items():
+        assert all(
+            name in rows[procedure] for name in conditions if name not in ("length", "diameter", "density")
+        )
+        if procedure not in OF_MACHINE:
+            assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].SIGNALS)
+    told = set(re.findall(r"`((?:swing|boom_stick|manipulator)\.\w+)`", TEXT)) - {"manipulator.boom_angel"}
+    assert told <= set(names().values())
+    assert set(motion.SIGNALS) <= told
