@@ -94,7 +94,8 @@ def test_random_starts_are_compared():
 
 def machine() -> Recording:
     """A boom that moves, with a flow meter that has a dead zone."""
-    flow = 3e-4 * np.sin(np.pi * TIME)
+    noise = 5e-6 * np.random.default_rng(0).standard_normal(TIME.size)
+    flow = 3e-4 * np.sin(np.pi * TIME) + noise
     signals = {"manipulator.boom_angle": 0.1 * np.sin(np.pi * TIME), "boom_stick.boom_head_flow": flow}
     units = {"manipulator.boom_angle": "rad", "boom_stick.boom_head_flow": "m3/s"}
     sensors = {"boom_stick.boom_head_flow": Sensor("turbine", 5e-6, dead_zone=1e-4)}
