@@ -7,6 +7,14 @@ import pytest
 from fmus.interrupt import held
 
 
+@pytest.fixture(autouse=True)
+def _python_s_own_handler():
+    """A process that was started in the background ignores Ctrl-C; these tests need Python's handler."""
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, usual)
+
+
 def test_an_interrupt_waits_for_the_end_of_the_block():
     """What runs is not disturbed, and the interrupt is not lost; later ones end at once again."""
     usual = signal.getsignal(signal.SIGINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from pathlib import Path
 
 import pytest
 
@@ -103,24 +104,26 @@ def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
 
 
 @pytest.mark.parametrize(
-    ("options", "versions", "platforms"),
+    ("options", "versions", "platforms", "numbers"),
     [
-        ([], (2, 3), (host(),)),
-        (["--fmi", "3", "--platform", "all"], (3,), tuple(PLATFORMS)),
+        ([], (2, 3), (host(),), None),
+        (["--fmi", "3", "--platform", "all"], (3,), tuple(PLATFORMS), None),
         (
             ["--fmi", "2", "--platform", "aarch64-linux", "--platform", "host"],
             (2,),
             {"aarch64-linux", host()},
+            None,
         ),
+        (["--parameters", "own.toml"], (2, 3), (host(),), Path("own.toml")),
     ],
 )
-def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms):
-    """Both versions for this machine, or what the options say."""
+def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms, numbers):
+    """Both versions for this machine with the numbers of the parts, or what the options say."""
     asked = []
     monkeypatch.setattr("fmus.build.build_machine", lambda *arguments: asked.append(arguments) or [])
     assert main(["build", "--out", str(tmp_path), *options]) == 0
-    assert [(folder, fmi, set(names)) for folder, fmi, names in asked] == [
-        (tmp_path, versions, set(platforms))
+    assert [(folder, fmi, set(names), own) for folder, fmi, names, own in asked] == [
+        (tmp_path, versions, set(platforms), numbers)
     ]
 
 

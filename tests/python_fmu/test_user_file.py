@@ -88,7 +88,7 @@ def test_the_description_is_complete(tmp_path):
         ((STEP, "return State(y=1e400 * 0)"), "y is nan at t = 0.001 s, expected a finite number"),
         ((OBSERVE, "return Outputs(y=2.0, z=0.0)"), "observe() gave y = 2, which as a state is 0"),
         (("class Lag(Model)", "class Lag"), "lag.py defines none, expected one class of Model"),
-        (('Quantity("N", "Force", ', 'Quantity("lbf", "Force", '), "lbf"),
+        (('Quantity("N", "Force", ', 'Quantity("dyn", "Force", '), "dyn"),
         (
             ('w: Annotated[float, Quantity("1", "Share")]', "w: float"),
             "a field of Inputs is not declared as Annotated",
