@@ -119,7 +119,7 @@ def _sum(ends: list[tuple[Refined | None, float]]) -> str:
 
 def _search(given: Problem, simulator: object, threads: int, z: np.ndarray) -> Refined | None:
     try:
-        return refine(given, simulator, threads=threads, start=z)  # type: ignore[arg-type]
+        return refine(given, simulator, threads=threads, start=z)
     except ModelError:
         return None  # it cannot be simulated from there
 

@@ -25,11 +25,11 @@ __all__ = ["MACHINE", "PROCEDURES", "Identified", "identify"]
 class Identified:
     """What was found.
 
-    findings   of the procedures that had recordings
-    skipped    procedure -> why it found nothing
-    refined    the joint refinement, None without recordings of the whole machine
-    starts     the same search from other start points, None if it was not asked for
-    known      all numbers of the machine, found ones in the place of the files'
+    findings      of the procedures that had recordings
+    skipped       procedure -> why it found nothing
+    refined       the joint refinement, None without recordings of the whole machine
+    starts        the same search from other start points, None if it was not asked for
+    known         all numbers of the machine, found ones in the place of the files'
     interrupted   would there have been more?
     """
 
@@ -91,15 +91,15 @@ def identify(
         interrupted = True
     if not steps.findings and steps.refined is None:
         raise ModelError(f"nothing was identified: {_nothing(given, joint)}")
-    found = (
-        tuple(recordings),
-        tuple(steps.findings),
-        steps.skipped,
-        steps.refined,
-        steps.starts,
-        steps.numbers,
+    return Identified(
+        recordings=tuple(recordings),
+        findings=tuple(steps.findings),
+        skipped=steps.skipped,
+        refined=steps.refined,
+        starts=steps.starts,
+        known=steps.numbers,
+        interrupted=interrupted,
     )
-    return Identified(*found, interrupted)
 
 
 def _nothing(given: set[str], joint: bool) -> str:

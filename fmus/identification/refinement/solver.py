@@ -105,7 +105,8 @@ def minimise(
                 progress(history[-1])
             wanted = options.scales(now, far)
             settled = wanted.change(scales) < SETTLED
-            if left < LOOSE if shooting.loose else settled and not far and options.done(now, left):
+            met = settled and not far and options.done(now, left)
+            if left < LOOSE if shooting.loose else met:
                 reason = ""
                 break
             if far and settled and left < 1:

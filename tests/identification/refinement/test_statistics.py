@@ -99,7 +99,7 @@ def test_outliers_pull_less_with_a_robust_loss() -> None:
     sd = clean.statistics.sd(False)
     away = {}
     for loss in ("linear", "huber", "soft_l1"):
-        kind: Loss = loss  # type: ignore[assignment]
+        kind: Loss = loss
         away[loss] = float(np.max(np.abs(refine(spoiled, loss=kind).z - clean.z) / sd))
     # all outliers lie on one side, so that some of their pull remains with any convex loss
     assert away["huber"] < away["linear"] / 2
@@ -121,7 +121,7 @@ def test_residuals_are_white_only_if_the_model_is_right() -> None:
     assert right.white
     assert right.ljung_box > 1e-3  # one in a thousand would be less
     fixed = problem(run(recording()), free=("stiffness", "damping"))
-    numbers = replace(fixed.fixed, p={**TRUTH, "gain": 3.0})  # type: ignore[type-var]
+    numbers = replace(fixed.fixed, p={**TRUTH, "gain": 3.0})
     wrong = refine(replace(fixed, fixed=numbers))
     told = wrong.whiteness["position"]
     assert not told.white

@@ -43,7 +43,7 @@ def finding(**more: object) -> Finding:
     """What a procedure found about a hose."""
     said = ("1 of 30 steps is masked.", "A <b>remark</b> & more.")
     given = {"procedure": "hose_resistance", "title": "Hose resistance", "figure": 6, "remarks": said}
-    return Finding(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})  # type: ignore[arg-type]
+    return Finding(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})
 
 
 def page(**more: object) -> Page:
@@ -72,7 +72,7 @@ def page(**more: object) -> Page:
         "explanation": seen,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
-    return Page(**{**given, **more})  # type: ignore[arg-type]
+    return Page(**{**given, **more})
 
 
 __all__ = ["AREA", "finding", "page", "panel", "residual"]

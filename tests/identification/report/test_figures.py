@@ -115,7 +115,7 @@ def test_nothing_is_cut_off():
     """All labels lie inside the figure."""
     figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
     embedding.png(figure)
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    renderer = figure.canvas.get_renderer()
     for axes in figure.axes:
         box = axes.get_tightbbox(renderer).transformed(figure.transFigure.inverted())
         assert box.x0 > -1e-3
