@@ -1,22 +1,27 @@
-"""Builds the machine: FMUs of its parts and levers, their system `harvester.ssp`, and all in one FMU."""
+"""Builds the machine: FMUs of its parts, levers and controller, their systems, and the machine in one FMU."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import copyfile
 
+from fmus.boom_stick import BOOM_STICK
 from fmus.contract import ModelError, Subsystem
+from fmus.controller import CONTROLLER, controller
+from fmus.controller.numbers import OWN
 from fmus.export.build import build_all
 from fmus.files import shipped
 from fmus.harvester import whole
 from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
 from fmus.manipulator import MANIPULATOR
+from fmus.parameters import read
 from fmus.poses import NOMINAL, POSES, pose_set
 from fmus.scenarios import WORK_CYCLE_STOP
-from fmus.sets import read_set, with_numbers
-from fmus.system import write_system
+from fmus.sets import Set, read_set, with_numbers
+from fmus.swing import SWING
+from fmus.system import write_control, write_system
 
 STEP = 1e-3  # default communication step [s]
 SUBFOLDERS = {2: "", 3: "fmi3"}  # of the files by version of FMI
@@ -37,21 +42,27 @@ def build_machine(
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
 ) -> list[Path]:
-    """Write the FMUs of the machine, its levers and the whole, harvester.ssp, and all variants; their paths.
+    """Write all FMUs, of parts, whole, levers and controller, and both systems; their paths.
 
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.platforms`; by default the one this runs on
     parameters  a set of numbers (`fmus.sets`) in place of those of the parts
     """
     own, others = parts(parameters)
-    subs = [*own.values(), whole({name: own[name] for name in SUBSYSTEMS}), *others]
+    steering = controller_of(own, parameters)
+    subs = [*own.values(), steering, whole({name: own[name] for name in SUBSYSTEMS}), *others]
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     under = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
     for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, under).items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         usual = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
-        paths += [*built, write_system(folders[fmi], fmus, STEP, fmi, own[MANIPULATOR.name]), *usual]
+        arm, oil = own[MANIPULATOR.name], own[BOOM_STICK.name]
+        systems = (
+            write_system(folders[fmi], fmus, STEP, fmi, arm),
+            write_control(folders[fmi], fmus, STEP, fmi, arm, oil),
+        )
+        paths += [*built, *systems, *usual]
     return paths
 
 
@@ -60,11 +71,21 @@ def parts(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Su
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
     if parameters is None:
         return dict(ALL), others
-    given = read_set(parameters, [*ALL.values(), *others])
+    given = read_set(parameters, [*ALL.values(), CONTROLLER, *others])
     own, new = (pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_numbers(MANIPULATOR, given)))
     start = {n: value for n, value in new.items() if value != own[n]}  # other masses, other holding forces
     usual = {n: with_numbers(sub, given, start) for n, sub in ALL.items()}
     return usual, [with_numbers(sub, given, start) for sub in others]
+
+
+def controller_of(own: Mapping[str, Subsystem], parameters: Path | None = None) -> Subsystem:
+    """The controller of a machine of these parts, with its gains or `controller.NAME` of a set."""
+    made = controller(*(own[name] for name in (SWING.name, BOOM_STICK.name, MANIPULATOR.name)))
+    if parameters is None:
+        return made
+    given = read(parameters)["parameters"]
+    mine: Set = {n: v for n, v in given.items() if n in OWN or n.startswith(f"{made.name}.")}
+    return with_numbers(made, mine)
 
 
 def _copied(fmu: Path, variant: str) -> Path:

@@ -21,11 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, column, quantities, symbolic
+from fmus.controller import CONTROLLER
+from fmus.controller.example import spells
 from fmus.export.interface import interface
 from fmus.export.proof import STEP, data_file, parameter_set
 from fmus.harvester import HARVESTER
 from fmus.levers import LEVERS
-from fmus.machine import COMMAND_WIRES, CONNECTIONS, FAMILIES, INPUTS, SUBSYSTEMS, SUPPLY_WIRES
+from fmus.levers.variables import AXES
+from fmus.machine import (
+    COMMAND_WIRES,
+    CONNECTIONS,
+    CONTROL_WIRES,
+    FAMILIES,
+    INPUTS,
+    SUBSYSTEMS,
+    SUPPLY_WIRES,
+)
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 from fmus.tables import write_csv
@@ -54,7 +65,10 @@ def machine() -> dict[str, Array]:
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=TOLERANCE)
     known |= dict(zip(model.output_names, outputs.T, strict=True))
     known |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
-    known |= {target: known[source] for source, target in (*CONNECTIONS, *SUPPLY_WIRES) if source in known}
+    wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
+    known |= {target: known[source] for source, target in wires if source in known}
+    known |= {f"controller.{n}": samples for n, samples in spells(time).items()}
+    known |= {f"controller.{n}_lever": known[f"levers.{n}_command"] for n in AXES}
     return {name: samples[::2] for name, samples in (known | driven).items()}
 
 
@@ -139,7 +153,12 @@ def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Arr
 def main() -> None:
     """Write the experiments of all variants, of the levers and of the whole."""
     known = machine()
-    for sub in (*(v for variants in FAMILIES.values() for v in variants.values()), LEVERS, HARVESTER):
+    for sub in (
+        *(v for variants in FAMILIES.values() for v in variants.values()),
+        LEVERS,
+        CONTROLLER,
+        HARVESTER,
+    ):
         write_reference(sub, known)
 
 

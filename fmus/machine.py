@@ -10,6 +10,7 @@ import numpy as np
 from fmus import boom_stick, manipulator, supply, swing
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import ModelError, Subsystem
+from fmus.controller import CONTROLLER
 from fmus.levers import LEVERS
 from fmus.manipulator import MANIPULATOR
 from fmus.supply import SUPPLY
@@ -62,6 +63,23 @@ COMMAND_WIRES: Wires = tuple(
     (f"levers.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
+)
+
+# from the controller, where it stands in the place of the levers; and what it measures
+CONTROL_WIRES: Wires = (
+    *((source.replace(LEVERS.name, CONTROLLER.name), target) for source, target in COMMAND_WIRES),
+    *(
+        (f"manipulator.{axis}_{kind}", f"controller.{axis}_{kind}")
+        for kind in ("angle", "speed")
+        for axis in ("swing", "boom", "stick")
+    ),
+    *((f"swing.swing_pressure_{port}", f"controller.swing_pressure_{port}") for port in "ab"),
+    *(
+        (f"boom_stick.{axis}_{side}_pressure", f"controller.{axis}_{side}_pressure")
+        for axis in ("boom", "stick")
+        for side in ("head", "rod")
+    ),
+    *((f"supply.{line}_pressure", f"controller.{line}_pressure") for line in ("supply", "tank")),
 )
 
 # from and to the supply; without them the drives see an ideal source

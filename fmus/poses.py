@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
+from fmus.controller import inverse
+from fmus.controller.numbers import start_pressures
+from fmus.controller.paths import PATHS, Route, start
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -57,3 +61,25 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
             f"boom_stick.{joint}_holding_force": force,
         }
     return found
+
+
+def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
+    """The pose whose tip is the first point of a path."""
+    radius, height, swing = start(path)
+    return Pose(*inverse.joints(radius, height, values(manipulator).p), swing)
+
+
+def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:
+    """The poses by name, and the one at the start of each path."""
+    return {**POSES, **{name: path_pose(path, manipulator) for name, path in PATHS.items()}}
+
+
+def controller_set(
+    pose: Pose, manipulator: Subsystem = MANIPULATOR, boom_stick: Subsystem = BOOM_STICK
+) -> dict[str, float]:
+    """A pose with what the controller measures in it, for tools that pass nothing on at initialisation."""
+    found = pose_set(pose, manipulator)
+    known = {n.partition(".")[2]: v for n, v in found.items() if n.startswith(f"{boom_stick.component}.")}
+    measured = {"swing_angle": pose.swing, "boom_angle": pose.boom, "stick_angle": pose.stick}
+    measured |= start_pressures(boom_stick, known)
+    return found | {f"controller.{n}": value for n, value in measured.items()}

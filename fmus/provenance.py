@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from fmus.contract import ModelError, Subsystem, quantities
+from fmus.controller import CONTROLLER
 from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
 
@@ -55,7 +56,11 @@ def show(name: str | None = None, source: str | None = None) -> None:
 
     The levers' program is no number of the machine; it has a table of its own.
     """
-    known = {**ALL, **{sub.name: sub for variants in FAMILIES.values() for sub in variants.values()}}
+    known = {
+        **ALL,
+        CONTROLLER.name: CONTROLLER,
+        **{sub.name: sub for variants in FAMILIES.values() for sub in variants.values()},
+    }
     if name is not None and name not in known:
         raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(known)}")
     if source is not None and source not in SOURCES:

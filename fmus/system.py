@@ -1,22 +1,30 @@
-"""harvester.ssp: the machine, its supply and its levers as connected FMUs, with poses and programs."""
+"""harvester.ssp: the machine, its supply and its levers as connected FMUs, with poses and programs.
+
+harvester_control.ssp: the controller in the place of the levers, with poses and starts of paths.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
+from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.export.ssp import write_ssp
 from fmus.levers import LEVERS
-from fmus.machine import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES
+from fmus.machine import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY_WIRES
 from fmus.manipulator import MANIPULATOR
-from fmus.poses import NOMINAL, POSES, pose_set
+from fmus.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 
 NAME = "harvester"
 # some tools initialise in the order of the file: holding forces and supply pressure come first
 ORDER = ("manipulator", "supply", "boom_stick", "swing", "levers")
 COLUMNS = (("levers", "supply"), ("boom_stick", "swing"), ("manipulator",))
+CONTROL = "harvester_control"
+CONTROL_STOP = 20.0  # s
+CONTROL_ORDER = (*ORDER[:-1], "controller")
+CONTROL_COLUMNS = (("controller", "supply"), *COLUMNS[1:])
 VERSIONS = {2: "1.0", 3: "2.0"}  # of SSP, by the version of FMI
 
 
@@ -39,6 +47,32 @@ def write_system(
         sets=parameter_sets(manipulator),
         bound=(NOMINAL, DEFAULT),
         columns=COLUMNS,
+        version=VERSIONS[fmi],
+    )
+
+
+def write_control(
+    folder: Path,
+    fmus: Mapping[str, Path],
+    step: float,
+    fmi: int = 2,
+    manipulator: Subsystem = MANIPULATOR,
+    boom_stick: Subsystem = BOOM_STICK,
+) -> Path:
+    """Write harvester_control.ssp, as `write_system`; it stands until the controller is driven."""
+    return write_ssp(
+        Path(folder) / f"{CONTROL}.ssp",
+        CONTROL,
+        {name: fmus[name] for name in CONTROL_ORDER},
+        CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES,
+        stop=CONTROL_STOP,
+        step=step,
+        sets={
+            name: controller_set(pose, manipulator, boom_stick)
+            for name, pose in controlled_poses(manipulator).items()
+        },
+        bound=(NOMINAL,),
+        columns=CONTROL_COLUMNS,
         version=VERSIONS[fmi],
     )
 

@@ -37,8 +37,10 @@ def nodes(
 ) -> MotorNodes:
     """Solve the port nodes of eq. (9a) (corrections E1, E2), G = 1/R:
 
-    [G1 + G_in + G_ex   -G_in           ] [P1]   [G1 P_c1 + G_ex P_t - D w]
-    [-G_in              G2 + G_in + G_ex] [P2] = [G2 P_c2 + G_ex P_t + D w]
+        [G1 + G_in + G_ex   -G_in           ] [P1]   [G1 P_c1 + G_ex P_t - D w]
+        [-G_in              G2 + G_in + G_ex] [P2] = [G2 P_c2 + G_ex P_t + D w]
+
+    with the pressures P_c of the lines, P_t of the tank, and the flow D w that the motor takes.
     """
     g1, g2 = 1 / line_resistance_1, 1 / line_resistance_2
     g_in, g_ex = 1 / internal_resistance, 1 / external_resistance

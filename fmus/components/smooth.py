@@ -50,6 +50,12 @@ def unlimited(s: Scalar, width: Scalar) -> Scalar:
     return s - width**2 / (4 * s)
 
 
+def s_curve(z: Scalar) -> Scalar:
+    """From 0 at z = 0 to 1 at z = 1, twice continuously differentiable."""
+    z = ca.fmin(ca.fmax(z, 0), 1)
+    return z**3 * (10 - 15 * z + 6 * z**2)
+
+
 def direction(speed: Scalar, width: Scalar) -> Scalar:
     """Sign of a speed, rounded: speed / sqrt(speed^2 + width^2)."""
     return speed / ca.sqrt(speed**2 + width**2)

@@ -1,9 +1,11 @@
 """A virtual test rig: the paper's experiments on the model, recorded with the paper's instruments.
 
-from fmus.rig import experiments, record, write
+    from fmus.rig import experiments, record, write
 
-for experiment in experiments("detailed"):       # simulated once, kept in memory
-    write(folder, experiment, seed=0)            # noise and converters: nothing is simulated again
+    for experiment in experiments("detailed"):       # simulated once, kept in memory
+        write(folder, experiment, seed=0)            # noise and converters: nothing is simulated again
+
+The command is `harvester rig`.
 """
 
 from fmus.rig.plans import MACHINES, Machine, experiments

@@ -1,0 +1,197 @@
+"""The controller written once more from docs/control.md: plain NumPy, other ways to the same numbers.
+
+Where the project multiplies out, this solves: the damped inverse and the steadied pressures are linear
+systems, the command is found by bisection on the valve's curve, places are complex numbers. Nothing of
+`fmus` is used; names of sections are those of docs/control.md.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace as Group
+
+import numpy as np
+from scipy.optimize import brentq
+
+AXES = ("swing", "boom", "stick")
+
+
+def r(z, w):
+    """The ramp of docs/equations.md, section 2."""
+    s = min(max(z / w, 0.0), 1.0)
+    return w * (s**3 - s**4 / 2) + max(z - w, 0.0)
+
+
+def m(z, w):
+    return (z + np.sqrt(z**2 + w**2)) / 2
+
+
+def clip(z, low, high):
+    return min(max(z, low), high)
+
+
+def rise(z):
+    z = clip(z, 0, 1)
+    return z**3 * (10 - 15 * z + 6 * z**2)
+
+
+class Arm:
+    """Points in the plane of the arm as complex numbers, radius + i height."""
+
+    def __init__(self, boom: float, stick: float, p: Group) -> None:
+        turn, pitch = np.exp(1j * boom), np.exp(1j * (boom + stick))
+        self.upper = turn * complex(p.stick_pivot_x, p.stick_pivot_z)
+        self.lower = pitch * p.stick_length
+        self.tip = complex(p.boom_pivot_x, p.boom_pivot_z) + self.upper + self.lower
+        links = 1j * (self.upper + self.lower), 1j * self.lower  # d tip / d angle
+        self.jacobian = np.array([[c.real for c in links], [c.imag for c in links]])
+        self.pistons, self.arms = [0.0], [1.0]
+        for name, angle in (("boom", boom), ("stick", stick)):
+            base, pin = (
+                complex(getattr(p, f"{name}_{n}_x"), getattr(p, f"{name}_{n}_z")) for n in ("base", "pin")
+            )
+            moved = np.exp(1j * angle) * pin
+            length = abs(moved - base)
+            self.pistons.append(length - getattr(p, f"{name}_closed_length"))
+            self.arms.append((np.conj(moved - base) * 1j * moved).real / length)
+
+    def velocity(self, boom: float, stick: float) -> np.ndarray:
+        return self.jacobian @ [boom, stick]
+
+
+def oil(name: str, piston: float, p: Group) -> Group:
+    """Areas, capacitances, hose and valve of one actuator."""
+    prefix = "swing_" if name == "swing" else ""
+    valve = {n: getattr(p, f"{prefix}valve_{n}") for n in ("dead_band", "full_command", "transition_flow")}
+    valve["rounding"] = getattr(p, f"{prefix}valve_command_rounding")
+    rho = getattr(p, f"{prefix}density")
+    discharge, area = (getattr(p, f"{prefix}valve_{n}") for n in ("discharge_coefficient", "area"))
+    valve["k_valve"] = discharge * area * np.sqrt(2 / rho)
+    if name == "swing":
+        d, c = p.motor_displacement * p.gear_ratio, p.line_capacitance
+        return Group(a=np.array([d, d]), c=np.array([c, c]), hose=p.line_turbulent_resistance, **valve)
+    bore, rod, dead, hose = (
+        getattr(p, f"{name}_{n}") for n in ("bore", "rod", "dead_volume", "hose_capacitance")
+    )
+    a = np.pi / 4 * np.array([bore**2, bore**2 - rod**2])
+    volume = dead + a * np.array([piston, getattr(p, f"{name}_stroke") - piston])
+    return Group(a=a, c=hose + volume / p.bulk_modulus, hose=getattr(p, f"{name}_hose_resistance"), **valve)
+
+
+def references(x: Group, u: Group, p: Group) -> Group:
+    """Section reference: angles, joint speeds, rates of the states, errors and shares."""
+    e, f = clip(u.engaged, 0, 1), clip(u.follow, 0, 1)
+    q = np.array([x.reference_swing, x.reference_boom, x.reference_stick])
+    q_m = np.array([u.swing_angle, u.boom_angle, u.stick_angle])
+    w_m = np.array([u.swing_speed, u.boom_speed, u.stick_speed])
+    arm, machine = Arm(*q[1:], p), Arm(*q_m[1:], p)
+    at = np.array([arm.tip.real, arm.tip.imag, q[0]])
+    d = np.array([u.path_radius, u.path_height, u.path_angle]) - at
+    size = d[0] ** 2 + d[1] ** 2 + (at[0] * d[2]) ** 2
+    drawn = p.follow_gain * d / np.sqrt(1 + p.follow_gain**2 * size / p.follow_speed**2)
+    asked = np.array([u.radial_velocity, u.vertical_velocity, u.swing_velocity])
+    levers = np.array([x.radial_lever, x.vertical_lever, x.turning_lever])
+    v = levers + f * (asked - levers + drawn)
+    sine = (np.conj(arm.upper) * arm.lower).imag / abs(arm.upper) / abs(arm.lower)
+    damping = p.singular_damping * max(0, 1 - sine**2 / (p.singular_share**2 + 1e-12))
+    j = arm.jacobian
+    joints = j.T @ np.linalg.solve(j @ j.T + damping**2 * np.eye(2), v[:2])
+    speeds = np.array([v[2], *joints])
+    y = arm.arms * speeds
+    limit = np.array([getattr(p, f"{n}_speed_limit") for n in AXES])
+    use = (((y / limit) ** 8).sum() + 1e-32) ** (1 / 8)
+    ends = 1e-32
+    for i, name in ((1, "boom"), (2, "stick")):
+        stroke = getattr(p, f"{name}_stroke")
+        for left, out in (
+            (stroke - p.stroke_margin - arm.pistons[i], y[i]),
+            (arm.pistons[i] - p.stroke_margin, -y[i]),
+        ):
+            ends += (max(0, out) / (p.stroke_gain * r(left, 1e-3) + 1e-6)) ** 8
+    ends = ends ** (1 / 8)
+    share = 1 / (1 + r((use**8 + ends**8 + 1e-24) ** (1 / 8) - 0.9, 0.2))
+    errors = np.array([q[0] - q_m[0], *(np.array(arm.pistons) - machine.pistons)[1:]])
+    scale = np.array([p.swing_error_limit, p.piston_error_limit, p.piston_error_limit])
+    wait = p.feedback * ((errors / scale) ** 2).sum()
+    share *= 1 - rise((wait - 0.25) / 0.75)
+    own = share * speeds + p.return_rate * r(wait - 1, 0.5) * (q_m - q)
+    there = np.array([machine.tip.real, machine.tip.imag, q_m[0]])
+    moving = np.array([*machine.velocity(*w_m[1:]), w_m[0]])
+    return Group(
+        e=e, arm=arm, errors=errors, at=at, there=there, use=use, ends=ends, share=share,
+        wait=np.sqrt(wait + 1e-12) - 1e-6,
+        speeds=e * share * speeds + (1 - e) * w_m,
+        rates=e * own + (1 - e) * (w_m + (q_m - q) / p.tracking_time),
+        levers=e * (asked - levers) / p.lever_time + (1 - e) * (moving - levers) / p.tracking_time,
+    )  # fmt: skip
+
+
+def volts(opening: float, o: Group, foot: float) -> float:
+    """Section command: the valve's curve turned round by bisection."""
+    size = np.sqrt(opening**2 + foot**2)
+    value = size * r(o.full_command - o.dead_band, o.rounding)
+    z = brentq(lambda volt: r(volt, o.rounding) - value, 0.0, 2 * o.full_command, xtol=1e-14, rtol=1e-14)
+    return opening / size * (o.dead_band + z)
+
+
+def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
+    """Sections drive and command of one actuator: rates of its states."""
+    name, b, error = AXES[i], ref.speeds[i], ref.errors[i]
+    o = oil(name, ref.arm.pistons[i], p)
+    late, h, load = (getattr(x, f"{name}_{n}") for n in ("late_speed", "gain", "load"))
+    ports = ("pressure_a", "pressure_b") if name == "swing" else ("head_pressure", "rod_pressure")
+    pressure = np.array([getattr(u, f"{name}_{n}") for n in ports])
+    speed = ref.arm.arms[i] * (b + p.lead_time * (b - late) / p.lead_filter_time)
+    k, side = (o.a**2 / o.c).sum(), np.array([1, -1])
+    swinging = o.a * side @ pressure - load
+    v = speed + p.feedback * (p.position_gain * error + h * speed - p.damping_rate * swinging / k)
+    head, rod = np.linalg.solve([o.a * side, o.c / o.a], [load, (pressure * o.c / o.a).sum()])
+    s, t = u.supply_pressure, u.tank_pressure
+    by, w = o.a / o.c, 2e5
+    up, down = (
+        o.k_valve / k * by @ np.sqrt([m(z, w) for z in drops])
+        for drops in ((s - head, rod - t), (head - t, s - rod))
+    )
+    fixed = 0.0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
+    forces = o.a[0] * p.nominal_supply_pressure - fixed, o.a[1] * p.nominal_supply_pressure + fixed
+    plain = [o.k_valve * np.sqrt(m(z, w * o.a[0]) / (o.a**3).sum()) for z in forces]
+    full = [n + p.feedback * (known - n) for n, known in zip(plain, (up, down), strict=True)]
+    mean, area = sum(full) / 2, o.a.mean()
+    size = v**2 / np.sqrt(v**2 + 1e-8)
+    spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
+    gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
+    y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
+    laminar = (1 + o.transition_flow**2 / ((area * v) ** 2 + (p.foot_share * area * mean) ** 2)) ** 0.25
+    wide = y * laminar / np.sqrt(1 - o.hose * o.k_valve**2 * min(y**2, 1))
+    had = wide - r(wide - 0.95, 0.1)
+    had += r(-had - 0.95, 0.1)
+    lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)
+    target = lever + x.coordination * (volts(had, o, p.foot_share) - lever)
+    slow, most = p.learning_share * getattr(p, f"{name}_speed_limit"), p.gain_limit
+    learn = p.integral_gain * error - (wide - had) * mean / p.unwinding_time
+    learn *= speed / (speed**2 + slow**2)
+    over = (r(h - most, most / 10) - r(-h - most, most / 10)) / p.unwinding_time
+    taught = ref.e * p.feedback * (learn / np.sqrt(1 + (learn / 2) ** 2) - over)
+    return {
+        f"{name}_command": (target - getattr(x, f"{name}_command")) / p.amplifier_time,
+        f"reference_{name}": ref.rates[i],
+        f"{name}_gain": taught - (1 - ref.e) * h / p.tracking_time,
+        f"{name}_load": swinging / p.load_time,
+        f"{name}_late_speed": (b - late) / p.lead_filter_time,
+    }
+
+
+def written(x: Group, u: Group, p: Group) -> tuple[dict[str, float], dict[str, float]]:
+    """Rates of the states and outputs."""
+    ref = references(x, u, p)
+    rates = {n: v for i in range(3) for n, v in drive(i, ref, x, u, p).items()}
+    rates |= dict(zip(("radial_lever", "vertical_lever", "turning_lever"), ref.levers, strict=True))
+    rates["coordination"] = (ref.e - x.coordination) / p.blend_time
+    here, there = (np.array([a * np.cos(g), a * np.sin(g), h]) for a, h, g in (ref.at, ref.there))
+    shown = {f"{n}_command": getattr(x, f"{n}_command") for n in AXES}
+    shown |= {f"{n}_command_rate": rates[f"{n}_command"] for n in AXES}
+    shown |= {f"reference_{n}": v for n, v in zip(("radius", "height", "angle"), ref.at, strict=True)}
+    apart = ref.at - ref.there
+    shown |= {f"{n}_error": v for n, v in zip(("radial", "vertical", "angle"), apart, strict=True)}
+    shown["tip_error"] = np.sqrt(((here - there) ** 2).sum() + 1e-12) - 1e-6
+    uses = {"speed_use": ref.use, "stroke_use": ref.ends, "wait_use": ref.wait, "reference_share": ref.share}
+    return rates, shown | uses
