@@ -29,6 +29,10 @@ class Ended(Problem):
     reached = float("nan")
 
 
+class Stopped(Exception):
+    """The user ended a command early; tells what is kept of its work."""
+
+
 class UnknownSignal(Problem, KeyError):
     """A name that no signal has; a KeyError too, because traces are looked up like mappings."""
 

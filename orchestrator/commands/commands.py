@@ -9,8 +9,8 @@ from typing import Any
 
 from orchestrator.coupling.grid import RECORD, communication_step, thinned
 from orchestrator.errors import Problem
-from orchestrator.files.sidecar import write_facts
 from orchestrator.files.trace import Trace, check_suffix, write
+from orchestrator.runs.sidecar import write_facts
 from orchestrator.runs.simulation import Interrupted, Result, RunFailed
 from orchestrator.runs.simulation import run as simulate
 from orchestrator.system.ssp import load

@@ -42,6 +42,8 @@ class Case:
     parameters: Annotated[
         list[str] | None,
         typer.Option(
+            "--parameters",
+            "--pose",
             metavar="SET",
             help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
         ),

@@ -25,6 +25,14 @@ def whole(text: str) -> int:
     return _read(text, int, "a whole number")
 
 
+def positive(text: str) -> int:
+    """A whole number above zero from the text of an option."""
+    found = _read(text, int, "a whole number above 0")
+    if found < 1:
+        raise typer.BadParameter(f"expected a whole number above 0, got {text!r}")
+    return found
+
+
 def _read(text: str, kind: Callable[[str], T], expected: str) -> T:
     try:
         return kind(text)

@@ -14,9 +14,9 @@ from orchestrator.commands.commands import BUILT, contents, given, simulated, th
 from orchestrator.commands.judge import another_model, judge
 from orchestrator.commands.played import played
 from orchestrator.errors import Problem
-from orchestrator.files.sidecar import write_facts
 from orchestrator.files.trace import Trace, write
 from orchestrator.runs.card import Card
+from orchestrator.runs.sidecar import write_facts
 from orchestrator.runs.simulation import Result
 from orchestrator.system.ssp import load
 from orchestrator.system.swap.lost import lost

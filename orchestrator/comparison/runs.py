@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.errors import Problem
-from orchestrator.files.sidecar import Facts, facts, read_facts
 from orchestrator.files.trace import Trace, read
+from orchestrator.runs.sidecar import Facts, facts, read_facts
 from orchestrator.runs.simulation import Result
 from orchestrator.validation.reference import read_reference
 

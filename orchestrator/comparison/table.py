@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.comparison.compare import CONSTANT, USUAL, Comparison
 from orchestrator.comparison.runs import Run
-from orchestrator.files.sidecar import Facts
+from orchestrator.runs.sidecar import Facts
 from orchestrator.validation import wording
 from orchestrator.validation.compare import Row
 

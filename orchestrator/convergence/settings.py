@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
-from orchestrator.coupling.settings import MASTERS, Coupling
 from orchestrator.errors import Problem, suggest
+from orchestrator.settings import MASTERS, Coupling
 from orchestrator.system.swap.uses import uses
 from orchestrator.system.system import System
 

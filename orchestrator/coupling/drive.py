@@ -13,7 +13,7 @@ from orchestrator.errors import Problem, Unsupported, suggest
 from orchestrator.files.trace import Trace
 from orchestrator.system.interface import Value, Variable
 from orchestrator.system.system import Port, System
-from orchestrator.system.units import Linear
+from orchestrator.units import Linear
 
 LARGEST = 2**31 - 1  # of whole numbers in a run
 MUCH, LEAST = 1e-3, 1e-6  # of the range of a column: change of its slope, times the gap between samples

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from orchestrator.coupling.masters.plan import Plan
 from orchestrator.coupling.network import Network
-from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.signal import DRIVEN, NO_SLOPE
+from orchestrator.settings import Coupling
 
 SHOWN = 4  # names in a list
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
-from orchestrator.system.units import BASES, IDENTITY, Linear, Unit
+from orchestrator.units import BASES, IDENTITY, Linear, Unit
 
 Element = Any  # lxml ships no types
 

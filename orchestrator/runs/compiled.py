@@ -21,6 +21,7 @@ from orchestrator.runs.recorder import Recorder
 
 SAMPLE = 20  # steps after which it is known what the components cost
 WORTH = 2e-5  # [s] per step: less than that is not worth waking threads, which takes some 5e-6 s
+CORES = os.cpu_count() or 1  # for the components of one run
 PATIENCE = 0.1  # [s], the longest time between two looks at the keyboard
 
 
@@ -65,6 +66,7 @@ class Compiled(March):
         self.look()
         run = self._run
         run.recorder.filled, run.monitor.rows = self._recorder.filled, self._monitor.rows
+        run.total = self.total
         verdict = self._march(ctypes.byref(run))
         self._recorder.filled, self._monitor.rows = run.recorder.filled, run.monitor.rows
         self.t, self.done, self.steps, self.passes = run.t, run.done, run.steps, run.all_passes
@@ -81,7 +83,7 @@ class Compiled(March):
         self._decides = False
         each = [part.busy / self.steps for part in self._parts]
         if sum(each) - max(each) > WORTH:
-            self._run.threads = min(os.cpu_count() or 1, len(each))
+            self._run.threads = min(CORES, len(each))
 
     def close(self) -> None:
         """End the threads."""
@@ -145,4 +147,4 @@ class Compiled(March):
         run.event_count = len(times.events)
         run.shortest = np.inf
         run.start, run.step, run.t, run.patience = times.start, times.step, times.start, PATIENCE
-        run.total, run.keeps, run.goes_back = times.steps, self.keeps, self.goes_back
+        run.keeps, run.goes_back = self.keeps, self.goes_back

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from orchestrator.coupling.drive import Drive
 from orchestrator.coupling.grid import Grid
@@ -14,7 +15,6 @@ from orchestrator.coupling.masters import plan
 from orchestrator.coupling.network import Network
 from orchestrator.coupling.pace import Pace
 from orchestrator.coupling.remarks import remarks
-from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.sweep import Sweep
 from orchestrator.errors import Ended, Problem
 from orchestrator.runs.card import Card
@@ -25,6 +25,7 @@ from orchestrator.runs.marching import marching
 from orchestrator.runs.progress import Progress
 from orchestrator.runs.recorder import Recorder
 from orchestrator.runs.result import Interrupted, Result, RunFailed
+from orchestrator.settings import Coupling
 from orchestrator.slaves.slave import Slave
 from orchestrator.system.bonds import Bond, find_bonds, named_bond
 from orchestrator.system.system import Component, System
@@ -32,6 +33,16 @@ from orchestrator.system.system import Component, System
 CAUTIOUS = 1e-3  # of the first adaptive step, where it cannot be repeated and so has to be good at once
 
 Opener = Callable[[Component], Slave]
+
+
+class Opened(NamedTuple):
+    """What a run works with once all FMUs are initialised."""
+
+    network: Network
+    sweep: Sweep
+    recorder: Recorder
+    monitor: Monitor
+    march: March
 
 
 @dataclass
@@ -49,6 +60,14 @@ class Job:
 
     def run(self, times: Grid, progress: bool) -> Result:
         """Open all FMUs, run, close them whatever happens."""
+        with self.opened(times) as machine, Progress(times.stop - times.start, progress) as bar:
+            notes = (*remarks(machine.network, machine.sweep.plan, self.coupling), *machine.sweep.notes)
+            loop = _Loop(machine.network, machine.recorder, machine.monitor, times, bar, notes)
+            return self._carry_out(loop, machine.march)
+
+    @contextmanager
+    def opened(self, times: Grid, recording: type[Recorder] = Recorder) -> Iterator[Opened]:
+        """All FMUs open and initialised, ready for the first step; closed at the end whatever happens."""
         chosen = None if self.record is None else [self.system.port(name) for name in self.record]
         _check_single(self.system)
         with ExitStack() as stack:
@@ -62,14 +81,11 @@ class Job:
             initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
             sweep.begin(times.start)
             monitor = Monitor(network, self._bonds(network))
-            recorder = Recorder(network, times, chosen)
-            bar = stack.enter_context(Progress(times.stop - times.start, progress))
-            notes = (*remarks(network, sweep.plan, self.coupling), *sweep.notes)
-            loop = _Loop(network, recorder, monitor, times, bar, notes)
+            recorder = recording(network, times, chosen)
             stack.callback(network.forget)
             march = marching(self.native, network, sweep, times, recorder, monitor, *self._pace(sweep, times))
             stack.callback(march.close)
-            return self._carry_out(loop, march)
+            yield Opened(network, sweep, recorder, monitor, march)
 
     def stricter(self) -> Job:
         """An adaptive run with a tenth of the tolerance."""

@@ -21,6 +21,7 @@ class March:
 
     t          the communication point that is reached [s]
     done       how many steps of the grid are done
+    total      of how many; who looks in between may raise it
     steps      communication steps that were taken and stand
     passes     passes over all components, of all steps
     repeated   steps that did not stand
@@ -47,7 +48,7 @@ class March:
         self._by_energy, self._tolerance = by_energy, tolerance
         self.notes: tuple[str, ...] = ()
         self.look: Callable[[], None] = lambda: None
-        self.t = times.start
+        self.t, self.total = times.start, times.steps
         self.done = self.steps = self.passes = self.repeated = 0
         self.shortest, self.longest = float("inf"), 0.0
         iterates = sweep.plan.passes > 1 and len(sweep.plan.repeated) > 0
@@ -69,7 +70,7 @@ class March:
     def block(self) -> None:
         """Go on until as many points are to be recorded as fit into a block, or to the end."""
         self._lost = False
-        while self.done < self._times.steps and self._recorder.filled < BLOCK and not self._monitor.full:
+        while self.done < self.total and self._recorder.filled < BLOCK and not self._monitor.full:
             self.look()
             self._next()
             if self._lost:  # whoever looks at the record will end the run

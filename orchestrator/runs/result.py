@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace
 from orchestrator.runs.card import Card
+from orchestrator.settings import Coupling
 from orchestrator.slaves.log import Message
 from orchestrator.system.system import System
 

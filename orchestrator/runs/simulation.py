@@ -8,13 +8,13 @@ from pathlib import Path
 
 from orchestrator.coupling.drive import Drive, drive
 from orchestrator.coupling.grid import divided, free_grid, grid
-from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.estimate import estimated
 from orchestrator.runs.job import Job, Opener, guarded
 from orchestrator.runs.result import Interrupted, Result, RunFailed
+from orchestrator.settings import Coupling
 from orchestrator.slaves.slave import Slave
 from orchestrator.system.interface import Value
 from orchestrator.system.parameters import with_sets

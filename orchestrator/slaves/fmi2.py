@@ -24,8 +24,12 @@ TYPES: dict[str, Any] = {
 
 
 class Fmi2:
-    """See `orchestrator.slaves.standard.Standard`."""
+    """See `orchestrator.slaves.standard.Standard`.
 
+    kind   of the instance: 0 for model exchange, 1 for co-simulation
+    """
+
+    kind = 1
     prefix, state, thaw, slopes = "fmi2", "FMUstate", "DeSerialize", "GetRealOutputDerivatives"
     types = TYPES
     results: tuple[Any, ...] = ()
@@ -42,7 +46,8 @@ class Fmi2:
         """The handle of a new instance."""
         create = library.function("fmi2Instantiate", ctypes.c_void_p)
         resources = (folder / "resources").as_uri().encode()
-        given = 1, self._interface.guid.encode(), resources, ctypes.byref(self._callbacks), 0, int(verbose)
+        guid, callbacks = self._interface.guid.encode(), ctypes.byref(self._callbacks)
+        given = self.kind, guid, resources, callbacks, 0, int(verbose)
         handle: int | None = create(self._name, *given)
         return handle
 

@@ -5,22 +5,29 @@ from __future__ import annotations
 import ctypes
 import shutil
 import tempfile
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import ClassVar
 
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.slaves.calls import Calls
 from orchestrator.slaves.library import Library
 from orchestrator.slaves.log import ERROR, Log
-from orchestrator.slaves.standard import STANDARDS
+from orchestrator.slaves.standard import STANDARDS, Open
 from orchestrator.system.interface import Interface
 
 LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
 class Instance:
-    """An instance from its instantiation to its end."""
+    """An instance from its instantiation to its end.
+
+    standards   how each version of FMI is spoken; another kind of instance has its own
+    """
+
+    standards: ClassVar[Mapping[int, Open]] = STANDARDS
 
     def __init__(self, name: str, interface: Interface, fmu: Location) -> None:
         self.name, self.interface, self.log = name, interface, Log(name)
@@ -38,7 +45,7 @@ class Instance:
             self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
             fmu.extract(folder)
         library = Library(folder, self.interface.identifier, self._label, self.interface.fmi)
-        self._fmi = STANDARDS[self.interface.fmi](self.interface, self.log)
+        self._fmi = self.standards[self.interface.fmi](self.interface, self.log)
         self.calls = Calls(library, self._fmi.prefix, self.log)
         self._undo.callback(self.calls.unless_fatal, library.close)
         self._undo.callback(self._fmi.release)

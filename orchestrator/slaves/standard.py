@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from orchestrator.slaves.calls import Calls
 from orchestrator.slaves.fmi2 import Fmi2
@@ -41,4 +41,5 @@ class Standard(Protocol):
     def stepped(self, calls: Calls, status: int) -> None: ...
 
 
-STANDARDS: dict[int, Callable[[Interface, Log], Standard]] = {2: Fmi2, 3: Fmi3}
+Open: TypeAlias = Callable[[Interface, Log], Standard]
+STANDARDS: Mapping[int, Open] = {2: Fmi2, 3: Fmi3}

@@ -11,7 +11,7 @@ from orchestrator.files.archive import Location
 from orchestrator.system.description import read_interface
 from orchestrator.system.interface import Value, Variable
 from orchestrator.system.system import Component, Connection, Port, System
-from orchestrator.system.units import Linear, conversion
+from orchestrator.units import Linear, conversion
 
 SOURCES = ("output", "calculatedParameter")
 TARGETS = ("input", "parameter")

@@ -10,7 +10,7 @@ from typing import Any
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.system.interface import KINDS, Interface, Variable
-from orchestrator.system.units import BASES, Unit
+from orchestrator.units import BASES, Unit
 
 SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.errors import Unsupported
-from orchestrator.system.units import Unit
+from orchestrator.units import Unit
 
 Value = float | int | bool | str
 

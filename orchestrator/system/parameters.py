@@ -12,7 +12,7 @@ from orchestrator.files.xml import parse
 from orchestrator.system.ssv import Entry, entries
 from orchestrator.system.swap.lost import lost
 from orchestrator.system.system import System, coerce, settable
-from orchestrator.system.units import conversion
+from orchestrator.units import conversion
 
 FOLDER, SUFFIX = "resources", ".ssv"
 

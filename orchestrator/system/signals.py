@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from orchestrator.errors import Problem
 from orchestrator.system.system import Component, Port, System
-from orchestrator.system.units import Unit
+from orchestrator.units import Unit
 
 KINDS = ("input", "output", "parameter")
 WIDTH = 100  # characters

@@ -11,7 +11,7 @@ from orchestrator.files.archive import Location
 from orchestrator.files.xml import Element, child, children, flag, local, number, parse, transformation, units
 from orchestrator.system.interface import FLOATS
 from orchestrator.system.suggestion import Suggestion, read_suggestion
-from orchestrator.system.units import Linear, Unit
+from orchestrator.units import Linear, Unit
 
 SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
 SINKS = ("input", "parameter", "structuralParameter")

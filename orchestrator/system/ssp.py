@@ -15,8 +15,8 @@ from orchestrator.system.assembly import connection, open_component
 from orchestrator.system.ssd import SINKS, Flat, Node, read_ssd
 from orchestrator.system.ssv import apply
 from orchestrator.system.system import Connection, Inlet, Outlet, Port, System
-from orchestrator.system.units import IDENTITY, Linear, Unit
 from orchestrator.system.wires import Wire, find_wires
+from orchestrator.units import IDENTITY, Linear, Unit
 
 DEFINITION = "SystemStructure.ssd"
 

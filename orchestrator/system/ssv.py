@@ -11,8 +11,8 @@ from orchestrator.files.xml import Element, child, children, flag, local, parse,
 from orchestrator.system.interface import KINDS, Value
 from orchestrator.system.ssd import Binding, Flat, Node
 from orchestrator.system.system import Port, System, coerce
-from orchestrator.system.units import IDENTITY, Linear, Unit, conversion
 from orchestrator.system.wires import Wire
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 
 class Entry(NamedTuple):

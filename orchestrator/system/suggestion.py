@@ -21,10 +21,10 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, NamedTuple
 
-from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
 from orchestrator.files.xml import Element, children, local
+from orchestrator.settings import Coupling
 
 TYPE = "harvester-cosim"
 PLACES = ("DefaultExperiment",), ("System",), ()  # of the annotations, from the root

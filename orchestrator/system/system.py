@@ -8,11 +8,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orchestrator.coupling.settings import Coupling, chosen
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
+from orchestrator.settings import Coupling, chosen
 from orchestrator.system.interface import Interface, Value, Variable
-from orchestrator.system.units import IDENTITY, Linear, Unit, conversion
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 FEW = 4  # names that fit into a message
 
@@ -124,6 +124,14 @@ class System:
             each = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in same)
             raise Problem(f"{name} names inputs in different units: {each}")
         return tuple((port, self._given(port)) for port in same or [self.port(name)])
+
+    def has(self, name: str) -> bool:
+        """Does `targets` know this name? Tells it without the search for names that are like it."""
+        return (
+            name in self.inputs
+            or self._find(name) is not None
+            or any(port.variable == name for port in self.ports("input"))
+        )
 
     def names(self) -> list[str]:
         """All `component.variable` names."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from orchestrator.errors import Problem, suggest
 from orchestrator.system.ssd import Flat, Hop, Node
 from orchestrator.system.system import Port, System
-from orchestrator.system.units import IDENTITY, Linear, Unit, conversion
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 
 @dataclass(frozen=True)

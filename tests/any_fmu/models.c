@@ -1,6 +1,7 @@
 /* The equations of the models in models.h, and what goes wrong in FAILS and QUIRK. */
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "models.h"
@@ -195,6 +196,7 @@ static enum Status misbehave(Instance *m, enum Failure how) {
     case FATAL: return complain(m, DEAD, "the house burnt down, y is", y);
     case NOT_A_NUMBER: m->r[F_Y] = NAN; return GOOD;
     case TALK: return complain(m, GOOD, "by the way, y is", y);
+    case CRASH: abort();
     default: return GOOD;
     }
 }

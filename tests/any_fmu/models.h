@@ -14,7 +14,7 @@ enum Model {
 };
 enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
 enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
-enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK };
+enum Failure { NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK, CRASH };
 enum Call { ANYWHERE = -1, STEP, GET, SET, SAVE, RESTORE, SLOPE, CURVE }; /* where QUIRK goes wrong */
 
 enum { RATES = REALS - STATES }; /* the last reals of each model are the time derivatives of its states */

@@ -8,8 +8,8 @@ import numpy as np
 
 from any_fmu.models import Workshop
 from orchestrator import System, assemble, run
-from orchestrator.coupling.settings import Coupling
 from orchestrator.runs.simulation import Result, RunFailed, open_slave
+from orchestrator.settings import Coupling
 from orchestrator.slaves.slave import Slave
 
 NO_ROLLBACK = {"canGetAndSetFMUstate": "false", "canGetAndSetFMUState": "false"}

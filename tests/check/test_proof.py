@@ -12,6 +12,7 @@ import pytest
 from lxml import etree
 
 from fmus.contract import quantities
+from fmus.controller import CONTROLLER
 from fmus.experiment import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
 from fmus.export.build import build
 from fmus.export.proof import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
@@ -28,12 +29,14 @@ from orchestrator.check.subject import Subject
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
 # but the ideal source: it has no states, there is nothing to prove
-SUBSYSTEMS = {s.name: s for s in (*ALL.values(), *OTHERS, HARVESTER) if quantities(s.states)}
+SUBSYSTEMS = {s.name: s for s in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER) if quantities(s.states)}
 
 
 def built(folder: Path, name: str) -> Path:
     """The FMU of a subsystem in a folder of the built machine."""
-    return folder / (f"{name}.fmu" if name in ALL or name == HARVESTER.name else f"variants/{name}.fmu")
+    return folder / (
+        f"{name}.fmu" if name in (*ALL, CONTROLLER.name, HARVESTER.name) else f"variants/{name}.fmu"
+    )
 
 
 def test_the_source_without_states_carries_nothing():

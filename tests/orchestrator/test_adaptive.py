@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.coupling.pace import GROW, REPEATED, SAFETY, SHRINK, Pace
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 
 
 def error(trace, exact):

@@ -12,7 +12,7 @@ from orchestrator.__main__ import main
 from orchestrator.comparison import compare, draw, text
 from orchestrator.comparison.compare import quantity
 from orchestrator.comparison.figure import chosen
-from orchestrator.files.sidecar import read_facts
+from orchestrator.runs.sidecar import read_facts
 
 TIME = np.linspace(0.0, 10.0, 1001)
 SPEED, PRESSURE = np.sin(TIME), 1e7 + 1e6 * np.cos(TIME)

@@ -12,8 +12,8 @@ from orchestrator.__main__ import main
 from orchestrator.convergence import SETTINGS, Study, choose, from_reference, from_run, study
 from orchestrator.convergence.settings import Setting, rates
 from orchestrator.convergence.table import UNSTABLE, ends, markdown, nrmse, own_steps
-from orchestrator.coupling.settings import Coupling
 from orchestrator.errors import Problem
+from orchestrator.settings import Coupling
 from orchestrator.validation import read_reference
 
 SSD = """<SystemStructureDescription version="1.0" name="two"

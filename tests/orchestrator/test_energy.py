@@ -9,7 +9,7 @@ from orchestrator.runs.energy import BondEnergy
 from orchestrator.system.bonds import find_bonds, named_bond
 from orchestrator.system.interface import Interface, Variable
 from orchestrator.system.system import Component, Connection, Port
-from orchestrator.system.units import Unit
+from orchestrator.units import Unit
 
 UNITS = {
     "N": Unit("N", (1, 1, -2, 0, 0, 0, 0, 0)),

@@ -11,10 +11,10 @@ from any_fmu.models import Workshop
 from orchestrator import Problem, assemble, run
 from orchestrator.coupling.initialise import initialise
 from orchestrator.coupling.linear import factorised, solve
-from orchestrator.coupling.settings import Coupling
 from orchestrator.files.archive import Location
 from orchestrator.runs.native import library
 from orchestrator.runs.simulation import RunFailed, open_slave
+from orchestrator.settings import Coupling
 from orchestrator.slaves.fmu import FmuSlave
 from orchestrator.system.dependencies import output_order
 from orchestrator.system.description import read_interface

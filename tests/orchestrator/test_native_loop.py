@@ -9,9 +9,9 @@ import pytest
 from any_fmu.models import RAMP
 
 from orchestrator import Trace, assemble, run
-from orchestrator.coupling.settings import Coupling
 from orchestrator.runs import compiled, native
 from orchestrator.runs.march import March
+from orchestrator.settings import Coupling
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
@@ -240,7 +240,7 @@ def test_the_library_is_compiled_once(fresh):
 START = """
 import sys, threading, time, signal
 from orchestrator import Interrupted, assemble, run
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """

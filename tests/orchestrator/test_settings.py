@@ -5,9 +5,9 @@ import pytest
 
 from orchestrator import Coupling, Problem, run
 from orchestrator.coupling.masters import MASTERS as MADE
-from orchestrator.coupling.settings import MASTERS, ORDERS, chosen
-from orchestrator.files.sidecar import read_facts, write_facts
 from orchestrator.files.trace import write
+from orchestrator.runs.sidecar import read_facts, write_facts
+from orchestrator.settings import MASTERS, ORDERS, chosen
 
 
 def test_every_master_has_a_name_and_an_order():

@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.coupling.drive import drive
-from orchestrator.system.units import Linear, Unit, conversion
+from orchestrator.units import Linear, Unit, conversion
 
 
 def gained(fmus, source_unit, target_unit, *linear):

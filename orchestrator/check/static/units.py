@@ -10,7 +10,7 @@ from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.model import UnitDefinition, listed, whole
 from orchestrator.check.registry import Table
 from orchestrator.check.subject import Subject
-from orchestrator.system.units import BASES
+from orchestrator.units import BASES
 
 RULES = Table()
 DEGREE = math.pi / 180

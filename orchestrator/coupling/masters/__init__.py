@@ -9,7 +9,7 @@ from orchestrator.coupling.masters.hermite import hermite
 from orchestrator.coupling.masters.interface_jacobian import interface_jacobian
 from orchestrator.coupling.masters.jacobi import jacobi
 from orchestrator.coupling.masters.plan import Plan
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.system.system import System
 
 MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {

@@ -12,7 +12,7 @@ others can go back to a saved state the step is repeated, else it is computed on
 from __future__ import annotations
 
 from orchestrator.coupling.masters.plan import Plan, turns, unsettled
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.system.system import System
 
 

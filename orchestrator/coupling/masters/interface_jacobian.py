@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from orchestrator.coupling.masters.plan import Outlook, Plan, turns
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.system.interface import Interface
 from orchestrator.system.system import Port, System
 

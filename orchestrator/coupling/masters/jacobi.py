@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.coupling.masters.plan import Plan
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.system.system import System
 
 

@@ -16,7 +16,7 @@ from orchestrator.system.interface import Interface, Variable
 from orchestrator.system.swap.start import listed
 from orchestrator.system.swap.uses import Use, carrying, uses
 from orchestrator.system.system import Component, Port, System
-from orchestrator.system.units import IDENTITY, Linear, Unit, conversion
+from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 # what a port may be in the new FMU to do the work of the old one: more may change than before, not less
 SERVES = {

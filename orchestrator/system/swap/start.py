@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orchestrator.system.interface import Value
 from orchestrator.system.system import FEW, Component, coerce
-from orchestrator.system.units import conversion
+from orchestrator.units import conversion
 
 
 def carried(old: Component, new: Component) -> tuple[dict[str, Value], tuple[str, ...]]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from orchestrator.system.bonds import find_bonds
 from orchestrator.system.interface import Variable
 from orchestrator.system.system import Component, Connection, Port, System
-from orchestrator.system.units import IDENTITY, Unit
+from orchestrator.units import IDENTITY, Unit
 
 STEMS = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}  # of names: a derivative, and of what
 
