@@ -1,0 +1,173 @@
+"""The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
+
+With the states x of all components, v all their inputs, y all their outputs and u the inputs from outside,
+
+    dx/dt = f(x, v)     y = g(x, v)     v = L y + M u + constant
+
+and, linearised, K = 1 / (1 - L D) with the components' own D: docs/linearize.md has the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from orchestrator.coupling.initialise import initialise
+from orchestrator.errors import Problem
+from orchestrator.linear.choice import Choice
+from orchestrator.linear.exchange import ExchangeSlave, open_exchange
+from orchestrator.linear.member import Array, Member
+from orchestrator.slaves.slave import Slave
+from orchestrator.system.system import Port
+
+ROUNDS = 30  # of Newton's method over the wires; without feed-through loops as many as stages are enough
+EXACT = 1e-13  # of the size of a signal: rounding
+
+
+class Matrices(NamedTuple):
+    """A, B, C, D."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+
+
+class Plant:
+    """The running components of a system; `close` frees them.
+
+    x, v, y, f      states, inputs, outputs of all components, and time derivatives of the states, now
+    states, ports   names; inputs and outputs as ports
+    """
+
+    def __init__(self, choice: Choice) -> None:
+        self.choice, self.system = choice, choice.system
+        self.slaves: dict[str, ExchangeSlave] = {}
+        self.members: list[Member] = []
+        try:
+            for name, component in self.system.components.items():
+                self.slaves[name] = open_exchange(component)
+        except BaseException:
+            self.close()
+            raise
+        nx = nv = ny = 0
+        for slave in self.slaves.values():
+            member = Member(slave, slice(nx, 0), slice(nv, 0), slice(ny, 0))
+            ends = nx + len(slave.interface.states), nv + len(member.inputs), ny + len(member.outputs)
+            member.x, member.v, member.y = slice(nx, ends[0]), slice(nv, ends[1]), slice(ny, ends[2])
+            nx, nv, ny = ends
+            self.members.append(member)
+        self.x, self.f, self.v, self.y = np.zeros(nx), np.zeros(nx), np.zeros(nv), np.zeros(ny)
+        self.states = [Port(n, x) for n, s in self.slaves.items() for x in s.interface.states]
+        self.inputs = [Port(m.slave.name, u) for m in self.members for u in m.inputs]
+        self.outputs = [Port(m.slave.name, y) for m in self.members for y in m.outputs]
+        self._wire()
+
+    def _wire(self) -> None:
+        """L, M and what is constant of v."""
+        at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
+        self.wires, self.feeds = np.zeros((len(at), len(of))), np.zeros((len(at), len(self.choice.inputs)))
+        self.constant, self.fed = np.zeros(len(at)), np.zeros(len(at), bool)
+        for c in self.system.connections:
+            if c.source in of and c.target in at:
+                self.wires[at[c.target], of[c.source]] = c.map.factor
+                self.constant[at[c.target]], self.fed[at[c.target]] = c.map.offset, True
+        for j, inlet in enumerate(self.choice.inputs):
+            for port, linear in inlet.targets:
+                self.feeds[at[port], j], self.fed[at[port]] = linear.factor, True
+                self.constant[at[port]] = linear.offset
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to say about the components."""
+        plain = [name for name, slave in self.slaves.items() if not slave.interface.directional]
+        told = "tells no directional derivatives, so these are finite differences"
+        return tuple(f"{name}: the FMU {told}" for name in plain)
+
+    def start(self, span: tuple[float, float]) -> None:
+        """Initialise as a run does, over the wires of the start, too; `span` in [s]."""
+        initialise(self.system, cast(Mapping[str, Slave], self.slaves), {}, span)
+        for member in self.members:
+            member.open(self)
+            for call in member.starts:
+                call()
+        self.constant[~self.fed] = self.v[~self.fed]
+        self.nominal = np.array([_size(self, p) for p in self.states])
+
+    @property
+    def u(self) -> Array:
+        """What the inputs from outside are now."""
+        at = {p: i for i, p in enumerate(self.inputs)}
+        first = [(at[inlet.targets[0][0]], inlet.targets[0][1]) for inlet in self.choice.inputs]
+        return np.array([(self.v[i] - linear.offset) / linear.factor for i, linear in first])
+
+    def settle(self, x: Array, u: Array) -> None:
+        """Set states and inputs, and make all agree over the wires: v = L y + M u + constant."""
+        self.x[:] = x
+        outside = self.feeds @ u + self.constant
+        for _ in range(ROUNDS):
+            self.look()
+            wanted = self.wires @ self.y + outside
+            off = wanted - self.v
+            if not np.isfinite(off).all():
+                break
+            if (np.abs(off) <= EXACT * np.maximum(np.abs(wanted), np.abs(self.wires) @ np.abs(self.y))).all():
+                return
+            self.v += self._closed(self.blocks().d) @ off
+        raise Problem(f"{self.system.name}: its wires cannot be made to agree: {self._worst(off)}")
+
+    def _worst(self, off: Array) -> str:
+        k = int(np.argmax(np.where(np.isfinite(off), np.abs(off), np.inf)))
+        return f"{self.inputs[k]} is off by {off[k]:.3g}"
+
+    def look(self) -> None:
+        """Set states and inputs as they stand in the arrays, read derivatives and outputs."""
+        for member in self.members:
+            member.look()
+
+    def blocks(self) -> Matrices:
+        """The components' own matrices, side by side, with respect to all their inputs."""
+        nx, nv, ny = len(self.x), len(self.v), len(self.y)
+        found = Matrices(*(np.zeros(s) for s in ((nx, nx), (nx, nv), (ny, nx), (ny, nv))))
+        for m in self.members:
+            jacobian, n = m.jacobian(), m.x.stop - m.x.start
+            found.a[m.x, m.x], found.b[m.x, m.v] = jacobian[:n, :n], jacobian[:n, n:]
+            found.c[m.y, m.x], found.d[m.y, m.v] = jacobian[n:, :n], jacobian[n:, n:]
+        return found
+
+    def matrices(self) -> Matrices:
+        """A, B, C, D from the inputs from outside to all outputs."""
+        own = self.blocks()
+        closed = self._closed(own.d)
+        of_x, of_u = closed @ (self.wires @ own.c), closed @ self.feeds
+        return Matrices(own.a + own.b @ of_x, own.b @ of_u, own.c + own.d @ of_x, own.d @ of_u)
+
+    def _closed(self, d: Array) -> Array:
+        """K = 1 / (1 - L D). Without a loop of direct feed-through a finite sum, without rounding."""
+        through = self.wires @ d
+        total = power = np.eye(len(through))
+        for _ in range(len(through)):
+            power = through @ power
+            if not power.any():
+                return total
+            total = total + power
+        try:
+            return np.asarray(np.linalg.solve(np.eye(len(through)) - through, np.eye(len(through))))
+        except np.linalg.LinAlgError:
+            raise Problem(f"{self.system.name}: a loop of direct feed-through has no one solution") from None
+
+    def at(self, time: float) -> None:
+        """Set the time [s]."""
+        for slave in self.slaves.values():
+            slave.at(time)
+
+    def close(self) -> None:
+        """Free all instances."""
+        for slave in self.slaves.values():
+            slave.close()
+
+
+def _size(plant: Plant, port: Port) -> float:
+    return plant.system.variable(port).nominal or 1.0

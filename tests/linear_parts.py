@@ -1,0 +1,74 @@
+"""Small subsystems with known linear models: a mass, a spring between two, a lag with feed-through."""
+
+# ruff: noqa: ARG005  (dynamics and observe take x, u, p, whatever a toy uses)
+
+from __future__ import annotations
+
+from dataclasses import make_dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from fmus.contract import Quantity, Subsystem, quantities
+from fmus.parameters import Values
+
+
+def _group(name: str, quantities: dict[str, str]) -> type[Any]:
+    fields = [(n, Annotated[Any, Quantity(unit, f"{n} of a toy")]) for n, unit in quantities.items()]
+    return make_dataclass(name, fields, frozen=True)
+
+
+def values(sub: Subsystem) -> Values:
+    """All parameters 1, all else 0."""
+    p, x, u = (quantities(group) for group in (sub.parameters, sub.states, sub.inputs))
+    return Values(dict.fromkeys(p, 1.0), dict.fromkeys(u, 0.0), dict.fromkeys(x, 0.0))
+
+
+def toy(name: str, p: dict, x: dict, u: dict, y: dict, f, g) -> Subsystem:
+    """A subsystem from units of its quantities and functions that return dictionaries."""
+    P, X, U, Y = (_group(f"{name}_{k}", q) for k, q in (("p", p), ("x", x), ("u", u), ("y", y)))
+    return Subsystem(
+        name=name,
+        text=f"Toy {name}",
+        parameters=P,
+        states=X,
+        inputs=U,
+        outputs=Y,
+        dynamics=lambda x, u, p: X(**f(x, u, p)),
+        observe=lambda x, u, p: Y(**g(x, u, p)),
+        values=Path(__file__).parent / "none" / "parameters.toml",
+    )
+
+
+MASS = toy(
+    "mass",
+    p={"mass": "kg", "stiffness": "N/m", "damping": "N.s/m"},
+    x={"position": "m", "speed": "m/s"},
+    u={"force": "N", "pull": "N"},
+    y={"position": "m", "speed": "m/s"},
+    f=lambda x, u, p: {
+        "position": x.speed,
+        "speed": (u.force + u.pull - p.stiffness * x.position - p.damping * x.speed) / p.mass,
+    },
+    g=lambda x, u, p: {"position": x.position, "speed": x.speed},
+)
+SPRING = toy(
+    "spring",
+    p={"stiffness": "N/m"},
+    x={},
+    u={"left": "m", "right": "m"},
+    y={"force": "N", "reaction": "N"},
+    f=lambda x, u, p: {},
+    g=lambda x, u, p: {
+        "force": p.stiffness * (u.right - u.left),
+        "reaction": p.stiffness * (u.left - u.right),
+    },
+)
+LAG = toy(  # dx/dt = u - x,  y = x + gain u
+    "lag",
+    p={"gain": "1"},
+    x={"x": "1"},
+    u={"u": "1", "w": "1"},
+    y={"y": "1"},
+    f=lambda x, u, p: {"x": u.u + u.w - x.x},
+    g=lambda x, u, p: {"y": x.x + p.gain * (u.u + u.w)},
+)
