@@ -1,0 +1,76 @@
+"""The command `harvester track`: rides along paths, with feedback and without, as one table and a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from orchestrator.commands.commands import folder
+from orchestrator.errors import Problem
+from orchestrator.system.ssp import load
+from orchestrator.tracking.figure import draw
+from orchestrator.tracking.follow import SWITCH, Ride, ride
+from orchestrator.tracking.table import MM, data, text
+from orchestrator.validation.figures import png
+
+MAKE, EXAMPLE = "harvester build", "build/harvester_control.ssp"
+
+
+@dataclass(frozen=True)
+class Course:
+    """A scenario with a path, and the start values that put the tip to its beginning."""
+
+    scenario: Path
+    start: Mapping[str, float]
+
+
+def track(
+    system: Path,
+    courses: Sequence[Course],
+    machines: Mapping[str, Mapping[str, str]],
+    out: Path,
+    feedback: Sequence[bool] = (True, False),
+    limit: float | None = None,
+    **options: Any,
+) -> bool:
+    """Run every machine {name: swaps} along every course; True if all ended, within the limit [m].
+
+    The limit is for rides with feedback. Writes tracking.png and tracking.json; `options` go to `run`.
+    """
+    if not system.exists():
+        raise Problem(f"{system}: no such file; make it with: {MAKE}")
+    if not load(system).has(SWITCH):
+        raise Problem(f"{system}: has no {SWITCH}, expected a machine with the controller, such as {EXAMPLE}")
+    folder(out)
+    given = options.pop("set", {})
+    rides = [
+        _ride(system, course, name, on, swap=swap, set={**course.start, **given}, **options)
+        for course in courses
+        for name, swap in machines.items()
+        for on in feedback
+    ]
+    print(text(rides))
+    print(*_write(rides, out))
+    missed = [] if limit is None else [r for r in rides if r.feedback and not r.largest <= limit]
+    for r in missed:
+        print(f"{r.path}, {r.machine}: {MM * r.largest:.1f} mm, expected at most {MM * (limit or 0):g} mm")
+    return not missed and not any(r.failure for r in rides)
+
+
+def _ride(system: Path, course: Course, machine: str, feedback: bool, **options: Any) -> Ride:
+    """A ride; what does not fit a machine, such as a name that its parts lack, is told with the machine."""
+    try:
+        return ride(system, course.scenario, machine, feedback, **options)
+    except Problem as problem:
+        raise Problem(f"{course.scenario.stem}, {machine}: {problem}") from None
+
+
+def _write(rides: Iterable[Ride], out: Path) -> tuple[Path, Path]:
+    found, picture, numbers = list(rides), out / "tracking.png", out / "tracking.json"
+    picture.write_bytes(png(draw(found)))
+    told = json.dumps(data(found), indent=1, ensure_ascii=False)
+    numbers.write_text(told + "\n", encoding="utf-8", newline="\n")
+    return picture, numbers

@@ -1,0 +1,176 @@
+"""What an operator or a fault does to the controller: bounded commands, a machine that comes to rest."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from steering import INPUTS, STATES, V, measured, model, start
+
+from fmus.build import data
+from fmus.controller.model import CONTROLLER
+from fmus.controller.variables import AXES
+from fmus.export.python.instance import of_subsystem
+from fmus.poses import NOMINAL
+from orchestrator import Trace, read, run
+
+FULL = 10.0  # V, valve_full_command
+COMMANDS = [f"controller.{n}_command" for n in AXES]
+TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
+SHOWN = [*COMMANDS, *TIP, "manipulator.boom_speed", "controller.tip_error"]
+
+
+@pytest.fixture(scope="module")
+def machine(fmu_dir):
+    """harvester_control.ssp."""
+    return fmu_dir / "harvester_control.ssp"
+
+
+def driven(machine, time, pose=NOMINAL, **inputs) -> Trace:
+    """A run from a pose with inputs of the controller, or of all (`supply_pressure`), over time."""
+    names = {n: n if n == "supply_pressure" else f"controller.{n}" for n in inputs}
+    signals = {names[n]: np.broadcast_to(np.asarray(v, float), len(time)) for n, v in inputs.items()}
+    wanted = Trace(np.asarray(time, float), {n: np.array(v) for n, v in signals.items()})
+    trace = run(machine, wanted, parameters=[pose], record=SHOWN, record_step=0.01).trace
+    for name in COMMANDS:
+        assert np.abs(trace[name]).max() <= FULL * (1 + 1e-6), name  # the foot of the curve is rounded
+    return trace
+
+
+def resting(trace: Trace, within: float = 5e-3) -> None:
+    """In the last second the tip moves by less than `within` [m] in each direction."""
+    last = trace.time > trace.time[-1] - 1
+    for name in TIP:
+        assert np.ptp(trace[name][last]) < within, name
+
+
+# ---- any input
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12))
+def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_valve(seed, size):
+    """Inputs up to 1e12: every rate is a number, and a command at the end of its range is not driven on."""
+    rng = np.random.default_rng(seed)
+    u = measured(rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.6))
+    u |= {n: rng.normal() * 10.0**size for n in rng.choice(INPUTS, 6) if not n.endswith("_angle")}
+    x = start(u)
+    for sign in (-1, 1):
+        for axis in AXES:
+            x[STATES.index(f"{axis}_command")] = sign * FULL * (1 + 1e-6)
+        dx = model()[0](x, list(u.values()), list(V.p.values()))[0].full()[:, 0]
+        assert np.isfinite(dx).all()
+        for axis in AXES:
+            assert sign * dx[STATES.index(f"{axis}_command")] <= 0, axis
+
+
+def test_what_is_no_number_is_an_error_of_the_step():
+    """A sensor that tells NaN: the step is refused with the name of the input, nothing goes on with it."""
+    controller = of_subsystem(CONTROLLER).initialise(**V.u)
+    with pytest.raises(Exception, match="boom_head_pressure"):
+        controller.assign(**{**V.u, "boom_head_pressure": float("nan")})
+
+
+# ---- reach and paths
+
+RISE = [0.0, 1.0, 1.5, 12.0]
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"radial_velocity": 0.5},
+        {"radial_velocity": -0.5},
+        {"vertical_velocity": -0.5},
+        {"radial_velocity": 3.0, "vertical_velocity": 3.0},
+        {"radial_velocity": 1e6},
+    ],
+    ids=str,
+)
+def test_beyond_the_reach_the_arm_comes_to_rest(machine, wanted):
+    """A joystick held for ten seconds, outwards, into the column, down and far too fast: it stops, calm."""
+    trace = driven(machine, RISE, engaged=1, **{n: [0, 0, v, v] for n, v in wanted.items()})
+    resting(trace)
+    assert trace["controller.tip_error"][-1] < 0.005
+
+
+def moved(**by: tuple[float, float]) -> dict[str, np.ndarray]:
+    """The square with columns that become `factor * value + offset` after 3 s."""
+    square = read(data("scenarios/square.csv"))
+    late = square.time > 3
+    found = {n: square[n].copy() for n in square.signals}
+    for name, (factor, offset) in by.items():
+        found[name] = np.where(late, factor * found[name] + offset, found[name])
+    return {"time": square.time, **found}
+
+
+@pytest.mark.parametrize(
+    "by",
+    [
+        {"path_height": (1, 0.5)},
+        {"path_radius": (1, 3.0)},
+        {"path_radius": (0, 0.5), "path_height": (0, -3.0)},
+        {"path_angle": (1, 2 * np.pi)},
+    ],
+    ids=["jumps by 0.5 m", "out of reach", "into the column", "a turn away"],
+)
+def test_a_path_that_jumps_is_approached_calmly(machine, by):
+    """The reference goes there at its own speed, as far as the strokes let it, and the tip with it."""
+    trace = driven(machine, pose="square", **moved(**by))
+    assert trace["controller.tip_error"].max() < 0.060
+    if "path_angle" not in by:  # a whole turn takes a minute
+        resting(trace, 0.03)  # it comes to the end of a stroke exponentially, with 2 1/s
+
+
+def test_the_swing_goes_on_past_half_a_turn(machine):
+    """0.4 rad/s for ten seconds: no jump of the reference or the command at 180 degrees."""
+    trace = driven(machine, [0, 1, 2, 12], engaged=1, swing_velocity=[0, 0, 0.4, 0.4])
+    angle = np.unwrap(np.arctan2(trace[TIP[1]], trace[TIP[0]]))
+    assert angle[-1] > 3.6
+    late = trace.time > 6
+    assert np.ptp(trace[COMMANDS[0]][late]) < 0.1
+    assert trace["controller.tip_error"][late].max() < 0.005
+
+
+# ---- faults
+
+
+@pytest.mark.parametrize("pressure", [0.0, 3e6, 8e6])
+def test_without_supply_the_arm_stays_up(machine, pressure):
+    """Lost while the path goes up: the valve closes, for open it would let the arm sink; then it goes on.
+
+    The boom catches up below 0.3 rad/s, twice the speed of the side, and comes back onto the path.
+    """
+    square = read(data("scenarios/square.csv"))
+    gone = np.clip(np.minimum((square.time - 5.5) / 0.1, (8.5 - square.time) / 0.1), 0, 1)
+    supply = 20.684e6 + gone * (pressure - 20.684e6)
+    columns = {n: square[n] for n in square.signals}
+    trace = driven(machine, square.time, "square", supply_pressure=supply, **columns)
+    assert trace[TIP[2]].min() > square["path_height"].min() - 0.05
+    assert np.abs(trace["manipulator.boom_speed"]).max() < 0.3
+    assert trace["controller.tip_error"][-1] < 0.005
+
+
+def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
+    """10 Hz: commands bend with blend time and amplifier, the tip stays within 0.2 m of its path."""
+    square = read(data("scenarios/square.csv"))
+    columns = {n: square[n] for n in square.signals} | {
+        "engaged": (np.floor(20 * square.time) % 2).astype(float)
+    }
+    trace = driven(machine, square.time, "square", **columns)
+    for name in COMMANDS:
+        assert np.abs(np.diff(trace[name])).max() < 1.0  # V in 10 ms
+
+
+def test_engaging_at_full_swing_brings_the_arm_to_rest(machine):
+    """1.1 rad/s and the boom rising, then engaged with the joystick at rest: it stops and stays.
+
+    The arm swings out on its oil; five seconds later 5 mm are left.
+    """
+    trace = driven(
+        machine,
+        [0, 0.5, 1, 2, 2.001, 8],
+        engaged=[0, 0, 0, 0, 1, 1],
+        boom_lever=[0, 0, 4, 4, 4, 4],
+        swing_lever=[0, 0, 5, 5, 5, 5],
+    )
+    resting(trace)

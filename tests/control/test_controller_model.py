@@ -1,0 +1,177 @@
+"""The controller as a whole: bumpless, signs, what depends on what, numbers, recovery."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from steering import INPUTS, STATES, V, at, measured, model, rates, start
+
+from fmus.build import controller_of, parts
+from fmus.contract import quantities, symbolic
+from fmus.controller.model import CONTROLLER
+from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
+from fmus.export.python.instance import of_subsystem
+from fmus.machine import SUBSYSTEMS
+from fmus.parameters import numbers, values
+
+OUTPUTS = list(quantities(CONTROLLER.outputs))
+FEEDBACK = [n for n in INPUTS if (n.startswith(AXES) and n.endswith(("_angle", "_speed"))) or "pressure" in n]
+COMMANDS = [f"{axis}_command" for axis in AXES]
+
+
+def outputs(x: np.ndarray, u: dict[str, float], **p: float) -> dict[str, float]:
+    found = model()[0](x, list(u.values()), list((V.p | p).values()))[1].full()[:, 0]
+    return dict(zip(OUTPUTS, map(float, found), strict=True))
+
+
+def test_at_rest_everything_stays():
+    """By default nobody is engaged, levers and commands are zero, the reference is where the machine is."""
+    x = start(V.u)
+    np.testing.assert_allclose(rates(x, V.u), 0, atol=1e-12)
+    shown = outputs(x, V.u)
+    assert [shown[n] for n in COMMANDS] == [0, 0, 0]
+    assert shown["tip_error"] == pytest.approx(0, abs=1e-12)
+
+
+def test_commands_depend_on_states_alone_and_carry_their_exact_rates():
+    """No input reaches a command at once: no algebraic loop; the rate outputs are the derivatives."""
+    whole = symbolic(CONTROLLER)
+    for name in COMMANDS:
+        assert not ca.depends_on(whole.y[OUTPUTS.index(name)], whole.u)
+        rate, dx = whole.y[OUTPUTS.index(f"{name}_rate")], whole.dx[STATES.index(name)]
+        difference = ca.Function("d", [whole.x, whole.u, whole.p], [rate - dx])
+        rng = np.random.default_rng(1)
+        x = start(V.u) + 0.01 * rng.normal(size=len(STATES))
+        assert float(difference(x, list(V.u.values()), list(V.p.values()))) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "signs"),
+    [
+        ({"vertical_velocity": 0.3}, (0, 1, None)),
+        ({"vertical_velocity": -0.3}, (0, -1, None)),
+        ({"radial_velocity": 0.3}, (0, None, -1)),  # the stick unfolds: its cylinder retracts
+        ({"radial_velocity": -0.3}, (0, None, 1)),
+        ({"swing_velocity": 0.2}, (1, 0, 0)),
+        ({"swing_velocity": -0.2}, (-1, 0, 0)),
+    ],
+)
+def test_signs(wanted, signs):
+    """Up raises the boom, outwards unfolds the stick, left turns left; what is not asked for stays."""
+    u = measured(0.2, -1.4, follow=1.0, **wanted)
+    u |= {"path_radius": outputs(start(V.u), V.u)["reference_radius"]}
+    u |= {"path_height": outputs(start(V.u), V.u)["reference_height"]}
+    found = rates(start(u), u)
+    for axis, sign in zip(AXES, signs, strict=True):
+        rate = at(found, f"{axis}_command")
+        if sign is not None:
+            assert np.sign(np.round(rate, 9)) == sign, axis
+
+
+def test_feedforward_alone_uses_no_measurement():
+    """With feedback 0 and engaged, no derivative of a command or of the reference by a measured input."""
+    whole = symbolic(CONTROLLER)
+    rows = [STATES.index(n) for n in STATES if n.endswith("_command") or n.startswith("reference_")]
+    columns = [INPUTS.index(n) for n in FEEDBACK]
+    jacobian = ca.Function("j", [whole.x, whole.u, whole.p], [ca.jacobian(whole.dx[rows], whole.u[columns])])
+    rng = np.random.default_rng(2)
+    u = measured(0.2, -1.4, radial_velocity=0.3, swing_velocity=0.1, follow=0.5)
+    x = start(u) + 0.01 * rng.normal(size=len(STATES))
+    without, whole_feedback = (
+        jacobian(x, list(u.values()), list((V.p | {"feedback": f}).values())).full() for f in (0.0, 1.0)
+    )
+    assert (without == 0).all()
+    assert (np.abs(whole_feedback).sum(axis=0) > 0).sum() > 10  # and with feedback nearly all count
+
+
+def test_engaging_a_moving_machine_is_bumpless():
+    """Driven by a lever, then engaged at the same speed: the command bends, it does not jump.
+
+    The machine here moves as its valve says in steady motion, so the lever's command is what the controller
+    would have chosen: what it changes in the first 50 ms stays below 0.1 V of 2 V (pressures of rest).
+    """
+    u = {**V.u, "boom_lever": 1.6, "boom_speed": 0.1}
+    run = of_subsystem(CONTROLLER).initialise(**u)
+    time = 0.0
+
+    def step(count: int, **given: float) -> list[float]:
+        nonlocal time
+        found = []
+        for _ in range(count):
+            u["boom_angle"] += 0.01 * u["boom_speed"]
+            run.assign(**(u | given))
+            run.step(time, 0.01)
+            time += 0.01
+            found.append(run["boom_command"])
+        return found
+
+    step(40)
+    assert run["boom_command"] == pytest.approx(1.6, rel=1e-6)
+    # the measured angle is held over each step: half a step of 0.1 rad/s at 4.5 m is 2.3 mm
+    assert run["tip_error"] < 3e-3
+    radial, vertical = run["radial_lever"], run["vertical_lever"]
+    engaged = step(5, engaged=1.0, radial_velocity=radial, vertical_velocity=vertical)
+    assert np.abs(np.diff([1.6, *engaged])).max() < 0.1
+
+
+@pytest.mark.parametrize("engaged", [0.0, 1.0])
+def test_no_input_makes_a_command_jump(engaged):
+    """Whatever an input does, a command follows with the amplifier's lag: its state is continuous."""
+    u = measured(0.2, -1.4, engaged=engaged)
+    x = start(u)
+    for jump in ({"engaged": 1 - engaged}, {"radial_velocity": 5.0}, {"boom_lever": 10.0}, {"follow": 1.0}):
+        rate = rates(x, u | jump)
+        for name in COMMANDS:
+            # a step of 20 V at most over the lag
+            assert abs(at(rate, name)) <= 20.0 / V.p["amplifier_time"]
+        assert [at(x, n) for n in COMMANDS] == [0, 0, 0]
+
+
+def test_the_correction_is_bounded_and_lets_go():
+    """Valves full and an error that stays: the correction ends near its limit, and lets go afterwards."""
+    u = measured(0.2, -1.4, follow=0.0, vertical_velocity=2.0)
+    x = start(u)
+    behind = u | {"boom_angle": 0.15, "supply_pressure": 2e6}
+    for _ in range(3000):
+        x = x + 0.002 * rates(x, behind)
+    for axis in AXES:
+        assert abs(at(x, f"{axis}_gain")) < 1.5 * V.p["gain_limit"]
+    free = u | {"engaged": 0.0}
+    for _ in range(250):
+        x = x + 0.002 * rates(x, free)
+    for axis in AXES:
+        assert abs(at(x, f"{axis}_gain")) < 1e-3
+
+
+def test_numbers_are_those_of_the_machine():
+    """Geometry, cylinders, valves and motor stand in the files of the parts, and nowhere else."""
+    found = numbers(CONTROLLER)["parameters"]
+    for part, names, prefix in (
+        ("manipulator", GEOMETRY, ""),
+        ("boom_stick", CYLINDERS, ""),
+        ("swing", VALVE, "swing_"),
+        ("swing", MOTOR, ""),
+    ):
+        own = numbers(SUBSYSTEMS[part])["parameters"]
+        for name in names:
+            assert (found[prefix + name].value, found[prefix + name].unit) == (
+                own[name].value,
+                own[name].unit,
+            )
+
+
+def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
+    """`harvester build --parameters`: of all parts, of one part, a gain, and of the controller alone."""
+    entry = '[parameters.{}]\nvalue = {}\nunit = "{}"\nsource = "identified"\nnote = "bench"\n'
+    given = (("valve_area", 4.1e-5, "m2"), ("stick_length", 3.0, "m"), ("position_gain", 5.0, "1/s"))
+    text = "".join(entry.format(*one) for one in given)
+    text += entry.format('"swing.valve_dead_band"', 0.8, "V") + entry.format(
+        '"controller.density"', 900.0, "kg/m3"
+    )
+    path = tmp_path / "set.toml"
+    path.write_text(text, encoding="utf-8")
+    found = values(controller_of(parts(path)[0], path)).p
+    expected = {
+        **{"valve_area": 4.1e-5, "swing_valve_area": 4.1e-5, "stick_length": 3.0, "position_gain": 5.0},
+        **{"swing_valve_dead_band": 0.8, "valve_dead_band": 0.6, "density": 900.0, "swing_density": 970.0},
+    }
+    assert {n: found[n] for n in expected} == expected

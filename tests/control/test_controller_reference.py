@@ -1,0 +1,173 @@
+"""The reference: inverse kinematics, limits, singular poses, waiting for the machine."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from steering import STATES, V, at, measured, rates, start
+
+from fmus.components.smooth import s_curve
+from fmus.contract import ModelError
+from fmus.controller import geometry, inverse, limits
+from fmus.controller.geometry import Joints, Tip
+
+P = SimpleNamespace(**V.p)
+ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the strokes
+
+
+def tip(boom: float, stick: float) -> tuple[float, float]:
+    at = geometry.tip(Joints(0.0, boom, stick), P)
+    return float(at.radius), float(at.height)
+
+
+# ---- inverse kinematics
+
+
+@given(ANGLES)
+def test_closed_form_inverts_the_arm(angles):
+    """Angles -> tip -> angles, to rounding (acos near its ends loses half the digits)."""
+    assert inverse.joints(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
+
+
+def test_a_tip_out_of_reach_is_refused():
+    """In one line with what was found and what can be had."""
+    with pytest.raises(
+        ModelError, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"
+    ):
+        inverse.joints(9.0, 1.0, V.p)
+
+
+@given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
+def test_joint_speeds_move_the_tip_as_wanted(angles, out, up):
+    """J J^+ v = v inside the strokes, where nothing is damped."""
+    assume(abs(math.sin(angles[1] - math.atan2(P.stick_pivot_z, P.stick_pivot_x))) > P.singular_share)
+    swing, boom, stick = geometry.joint_speeds(Joints(0.0, *angles), Tip(out, up, 0.3), P)
+    found = geometry.tip_velocity(Joints(0.0, *angles, swing, boom, stick), P)
+    assert float(swing) == 0.3
+    assert [float(found.radius), float(found.height)] == pytest.approx([out, up], abs=1e-9)
+
+
+def test_integrated_rates_end_where_the_closed_form_is():
+    """1.2 m outwards in 2.4 s by RK4, not drawn to the path: the joints of the closed form, to 1e-6 rad."""
+    radius, height = tip(0.3, -1.7)
+    u = measured(0.3, -1.7, follow=1.0, radial_velocity=0.5)
+    x, h = start(u), 0.02
+
+    def slope(y: np.ndarray, time: float) -> np.ndarray:
+        return rates(y, moved(u, radius, height, time), follow_gain=0.0)
+
+    for k in range(120):
+        k1 = slope(x, k * h)
+        k2 = slope(x + h / 2 * k1, (k + 0.5) * h)
+        k3 = slope(x + h / 2 * k2, (k + 0.5) * h)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, (k + 1) * h))
+    found = [at(x, "reference_boom"), at(x, "reference_stick")]
+    assert found == pytest.approx(inverse.joints(radius + 1.2, height, V.p), abs=1e-6)
+
+
+def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
+    """The path's point after `time`; the machine follows exactly, so that nothing waits."""
+    now = radius + 0.5 * time
+    boom, stick = inverse.joints(now, height, V.p)
+    return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-9, 1e-3, math.pi])
+def test_a_stretched_or_folded_arm_stays_finite(bend):
+    """Links in line: outwards the joints have no speed that helps, and get at most 1 rad/s per m/s."""
+    stick = math.atan2(P.stick_pivot_z, P.stick_pivot_x) - bend
+    for out, up in ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7)):
+        _, *speeds = geometry.joint_speeds(Joints(0.0, 0.2, stick), Tip(out, up, 0.0), P)
+        assert np.isfinite([float(s) for s in speeds]).all()
+        assert max(abs(float(s)) for s in speeds) < 1 / P.singular_damping
+
+
+# ---- limits
+
+SPEED = st.floats(-3.0, 3.0)
+
+
+@given(SPEED, SPEED, SPEED, st.floats(0.02, 0.59), st.floats(0.02, 0.70))
+def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
+    """The share brings each actuator below its limit and below what the end of the stroke allows."""
+    use = limits.use(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
+    share = float(use.share)
+    assert 0 <= share <= 1
+    slack = 1 + 1e-9
+    assert abs(swing) * share <= P.swing_speed_limit * slack
+    for name, position, speed in (("boom", boom_at, boom), ("stick", stick_at, stick)):
+        assert abs(speed) * share <= getattr(P, f"{name}_speed_limit") * slack
+        left = (
+            getattr(P, f"{name}_stroke") - P.stroke_margin - position
+            if speed > 0
+            else position - P.stroke_margin
+        )
+        assert abs(speed) * share <= P.stroke_gain * max(left, 0.0) + limits.CREEP * slack
+
+
+def test_slow_motion_away_from_the_ends_is_not_touched():
+    """Exactly the wanted speed up to 80 % of every limit: the norm of three is 1.15 at most."""
+    moving = [("boom", 0.3, 0.75 * P.boom_speed_limit), ("stick", 0.35, -0.75 * P.stick_speed_limit)]
+    assert float(limits.use(0.75 * P.swing_speed_limit, moving, P).share) == 1.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(ANGLES, st.floats(-math.pi, math.pi), st.floats(0.5, 3.0))
+def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, heading, speed):
+    """Driven anywhere for 4 s, the machine follows: pistons stay a margin from the ends, the tip on a line.
+
+    0.1 mm for creep and the Euler steps; the direction to rounding, where the inverse is not damped.
+    """
+    velocity = speed * math.cos(heading), speed * math.sin(heading)
+    u = measured(*angles, radial_velocity=velocity[0], vertical_velocity=velocity[1])
+    x = start(u)
+    x[STATES.index("radial_lever")], x[STATES.index("vertical_lever")] = velocity
+    for _ in range(200):
+        boom, stick = at(x, "reference_boom"), at(x, "reference_stick")
+        dx = rates(x, u | {"boom_angle": boom, "stick_angle": stick})
+        q = Joints(0.0, boom, stick, 0.0, at(dx, "reference_boom"), at(dx, "reference_stick"))
+        now = geometry.tip_velocity(q, P)
+        across = float(now.radius) * velocity[1] - float(now.height) * velocity[0]
+        bend = math.sin(stick - math.atan2(P.stick_pivot_z, P.stick_pivot_x))
+        if abs(bend) > P.singular_share:
+            assert abs(across) <= 1e-9 * speed
+        x = x + 0.02 * dx
+        for (position, _), name in zip(geometry.pistons(q, P), ("boom", "stick"), strict=True):
+            before = [float(p[0]) for p in geometry.pistons(Joints(0.0, *angles), P)][name == "stick"]
+            low = min(P.stroke_margin, before) - 1e-4
+            high = max(getattr(P, f"{name}_stroke") - P.stroke_margin, before) + 1e-4
+            assert low <= float(position) <= high
+
+
+def test_beyond_the_margin_only_the_way_back_is_open():
+    """Levers brought the piston into the margin: outwards it creeps at 1e-6 m/s, inwards it is free."""
+    inside = P.boom_stroke - P.stroke_margin / 2
+    outwards = limits.use(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).share * 0.05
+    assert 0 <= float(outwards) <= 1.001 * limits.CREEP
+    assert float(limits.use(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).share) == 1.0
+
+
+def test_the_reference_waits_for_a_machine_that_stands():
+    """A blocked arm, asked to go outwards for 20 s: the reference stays within 1.5 times the error limit."""
+    u = measured(0.2, -1.4, radial_velocity=0.5)
+    x = start(u)
+    for _ in range(2000):
+        x = x + 0.01 * rates(x, u)
+    found = geometry.pistons(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    there = geometry.pistons(Joints(0.0, 0.2, -1.4), P)
+    errors = [float(a[0] - b[0]) for a, b in zip(found, there, strict=True)]
+    assert math.hypot(*errors) < 1.5 * P.piston_error_limit
+    # and turns round at once: half a second backwards brings it nearer
+    back = u | {"radial_velocity": -0.5}
+    for _ in range(50):
+        x = x + 0.01 * rates(x, back)
+    found = geometry.pistons(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    assert math.hypot(*(float(a[0] - b[0]) for a, b in zip(found, there, strict=True))) < math.hypot(*errors)
+
+
+def test_s_curve_goes_from_none_to_all():
+    """0, 1/2, 1, and flat outside."""
+    assert [float(s_curve(z)) for z in (-1, 0, 0.5, 1, 2)] == [0, 0, 0.5, 1, 1]

@@ -1,0 +1,156 @@
+"""From speed to command: the inverse of valve and oil against the valve and the oil."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.components import spool_valve
+from fmus.components.smooth import ramp
+from fmus.components.spool_valve import Valve
+from fmus.controller import valve
+from fmus.controller.model import CONTROLLER, actuators
+from fmus.controller.valve import Actuator
+from fmus.parameters import values
+
+P = values(CONTROLLER).p
+FOOT = P["foot_share"]
+SUPPLY, TANK = 20e6, 0.2e6
+VALVES = st.builds(
+    Valve,
+    area=st.just(4e-5),
+    discharge_coefficient=st.just(0.62),
+    dead_band=st.floats(0.2, 1.5),
+    full_command=st.floats(5.0, 12.0),
+    command_rounding=st.floats(0.05, 0.5),
+    leakage=st.just(0.0),
+    transition_flow=st.just(1e-5),
+)
+
+
+class Numbers:
+    """Parameters by attribute."""
+
+    def __init__(self, **changed: float) -> None:
+        vars(self).update(P | changed)
+
+
+def drives(**changed: float) -> dict[str, Actuator]:
+    """All three, pistons in the middle."""
+    return actuators((P["boom_stroke"] / 2, P["stick_stroke"] / 2), Numbers(**changed))
+
+
+def number(expression) -> float:
+    return float(ca.DM(ca.evalf(ca.SX(expression))))
+
+
+@given(VALVES, st.floats(1e-6, 3.0))
+def test_inverse_of_the_ramp(v, value):
+    """ramp(inverse(value)) = value to 1e-9: two steps of Halley from the series."""
+    z = number(valve.inverse_ramp(value, v))
+    assert number(ramp(z, v.command_rounding)) == pytest.approx(value, rel=1e-9)
+
+
+@given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))
+def test_command_opens_the_valve_as_asked(v, share, sign):
+    """The curve of the valve gives the share back, and the other edges stay closed, above the rounded foot.
+
+    There opening / size is short of 1 by (foot / opening)^2 / 2, 1/800 at most: 2 mV of a dead band of 1.5 V,
+    and at 10 V for all that is 1 % of the smallest share here.
+    """
+    command = number(valve.command(v, sign * share, FOOT))
+    shape = (v.dead_band, v.full_command, v.command_rounding)
+    assert number(spool_valve.opening(sign * command, *shape)) == pytest.approx(share, rel=0.03)
+    assert number(spool_valve.opening(-sign * command, *shape)) == 0
+
+
+def test_command_is_odd_and_increasing():
+    """Through the dead band, too: no edge at which a loop could hang."""
+    v = drives()["boom"].valve
+    share = np.concatenate([-np.geomspace(1, 1e-7, 200), [0], np.geomspace(1e-7, 1, 200)])
+    x = ca.SX.sym("x")
+    command = ca.Function("c", [x], [valve.command(v, x, FOOT)]).map(share.size)(share[None]).full()[0]
+    assert (np.diff(command) > 0).all()
+    np.testing.assert_allclose(command, -command[::-1], rtol=1e-12)
+    assert command[-1] == pytest.approx(v.full_command, rel=1e-5)  # the foot's rounding at full opening
+
+
+def settled(a: Actuator, share: float, load: float) -> float:
+    """Speed at which both chambers are at rest: bisection on the valve's own port equation, hose in series.
+
+    Signs of flows: into the line. The pressure of each port follows from its flow.
+    """
+
+    def excess(speed: float) -> float:
+        forward = a.gain * share if share > 0 else 0.0
+        backward = -a.gain * share if share < 0 else 0.0
+        edges = (a.valve.leakage, a.valve.transition_flow, SUPPLY, TANK)
+        flows = a.head * speed, -a.rod * speed
+        nodes = (
+            spool_valve.port(flows[0], forward, backward, *edges),
+            spool_valve.port(flows[1], backward, forward, *edges),
+        )
+        head, rod = (
+            number(n.pressure - a.resistance * q * np.sqrt(q**2 + a.valve.transition_flow**2))
+            for n, q in zip(nodes, flows, strict=True)
+        )
+        return a.head * head - a.rod * rod - load
+
+    low, high = -3.0, 3.0  # the force that is left falls with the speed
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("share", [-0.8, -0.2, -0.03, 0.03, 0.2, 0.8])
+@pytest.mark.parametrize("name", ["swing", "boom", "stick"])
+def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
+    """The opening for a speed is the one at which the valve's own equations settle at it, under any load.
+
+    2 %: leakage, and the mean flow that stands for both ports where they are laminar; 6 % at 3 % opening.
+    """
+    a = drives()[name]
+    for part in (-0.3, 0.0, 0.3):
+        load = part * SUPPLY * a.rod
+        speed = settled(a, share, load)
+        above_tank = load - (a.head - a.rod) * TANK  # all pressures, and so the force, less that of the tank
+        full = valve.nominal_full_speeds(a, above_tank, SUPPLY - TANK)
+        found = number(valve.opening_for(a, speed, full, FOOT))
+        assert found == pytest.approx(share, rel=0.02 if abs(share) > 0.1 else 0.06)
+
+
+@pytest.mark.parametrize("name", ["swing", "boom", "stick"])
+def test_measured_and_settled_pressures_say_the_same(name):
+    """At the pressures of a steady motion both forms agree to 1 %, for roots are rounded."""
+    a = drives()[name]
+    load = 0.2 * SUPPLY * a.rod
+    full = number(valve.nominal_full_speeds(a, load, SUPPLY)[0])
+    head = SUPPLY - (a.head * full / number(a.gain)) ** 2
+    rod = (a.rod * full / number(a.gain)) ** 2
+    assert a.head * head - a.rod * rod == pytest.approx(load, rel=0.01)
+    assert number(valve.full_speeds(a, head, rod, SUPPLY, 0.0)[0]) == pytest.approx(full, rel=0.01)
+
+
+@given(st.floats(1e5, 2e7), st.floats(1e5, 2e7), st.floats(-1e5, 1e5))
+def test_steadied_pressures_carry_the_load_with_the_same_oil(head, rod, load):
+    """Their force is the load, and the oil in both chambers, seen through a free piston, is the same."""
+    a = drives()["boom"]
+    new = [number(p) for p in valve.steadied(a, head, rod, load)]
+    assert a.head * new[0] - a.rod * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
+
+    def level(h: float, r: float) -> float:
+        return h * a.head_capacitance / a.head + r * a.rod_capacitance / a.rod
+
+    assert level(*new) == pytest.approx(level(head, rod), rel=1e-12)
+
+
+def test_numbers_out_of_reach_stay_finite():
+    """Pressures beyond the supply, no supply, a speed nobody can have: a finite command within the range."""
+    a = drives()["boom"]
+    for head, rod, supply, speed in ((30e6, 0.0, 20e6, 5.0), (0.0, 30e6, 0.0, -5.0), (-1e5, -1e5, -1e5, 1.0)):
+        full = valve.full_speeds(a, head, rod, supply, 0.0)
+        opening = valve.limited(valve.opening_for(a, speed, full, FOOT))
+        command = number(valve.command(a.valve, opening, FOOT))
+        assert 0 < abs(command) <= a.valve.full_command * (1 + 1e-6)

@@ -1,0 +1,96 @@
+"""Linear models of the harvester against closed forms of hydraulics, and differences of co-simulations."""
+
+import math
+
+import numpy as np
+import pytest
+from driver import driving
+from scipy.signal import StateSpace, lsim
+
+from fmus.machine import SUBSYSTEMS
+from fmus.parameters import values
+from orchestrator import Trace, linearize, run
+
+OIL, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
+SUPPLY = 20.684e6  # Pa, of the ideal supply
+BAR = 5e-3  # the bar of all closed forms: leakage, friction, inertia of the oil lie below
+
+
+def areas(name):
+    """Head and rod side [m2]."""
+    head = math.pi / 4 * OIL[f"{name}_bore"] ** 2
+    return head, head - math.pi / 4 * OIL[f"{name}_rod"] ** 2
+
+
+def stiffness(name, position):
+    """beta (A_h^2/V_h + A_r^2/V_r) of a locked cylinder with its hoses [N/m]."""
+    head, rod = areas(name)
+    beta, dead = OIL["bulk_modulus"], OIL[f"{name}_dead_volume"]
+    hose = OIL[f"{name}_hose_capacitance"] * beta
+    v_rod = hose + dead + rod * (OIL[f"{name}_stroke"] - position)
+    return beta * (head**2 / (hose + dead + head * position) + rod**2 / v_rod)
+
+
+@pytest.mark.parametrize("pose", ["reach", "close"])
+def test_frequencies_are_hydraulic_stiffness_over_inertia(fmu_dir, pose):
+    """Valves closed: swing by 2 (D_m N)^2/(C J), boom and stick by eig(M^-1 K) at their pistons."""
+    linear = linearize(fmu_dir / "harvester.ssp", [pose], steady=True)
+    at = {s.name: v for s, v in zip(linear.states, linear.x0, strict=True)}
+    y = {s.name: v for s, v in zip(linear.outputs, linear.y0, strict=True)}
+    angles = {f"initial_{j}_angle": at[f"manipulator.{j}_angle"] for j in ("boom", "stick")}
+    pistons = ("boom", "stick")
+    with driving(fmu_dir / "manipulator.fmu", "me", **angles) as arm:
+        turning = arm.derivative(["swing_acceleration"], ["swing_torque"])[0, 0]
+        mobility = arm.derivative([f"{j}_acceleration" for j in pistons], [f"{j}_force" for j in pistons])
+    oil = [stiffness(j, y[f"manipulator.{j}_position"]) for j in pistons]
+    displacement = SWING["motor_displacement"] * SWING["gear_ratio"]
+    squares = [2 * displacement**2 / SWING["line_capacitance"] * turning, *np.linalg.eigvals(mobility * oil)]
+    found = sorted(m.frequency for m in linear.modes if m.oscillates)
+    np.testing.assert_allclose(found, np.sort(np.sqrt(squares)) / (2 * math.pi), rtol=BAR)
+
+
+@pytest.mark.parametrize("pose", ["reach", "close"])
+def test_the_gain_from_command_to_speed_is_the_slope_of_the_valve(fmu_dir, pose):
+    """-C A^-1 B, angles fixed, is dv/du of v = sqrt((A_h P_s - F)/(C_R (A_h^3 + A_r^3))), written by hand."""
+    names = ["manipulator.boom_velocity", "boom_stick.boom_force"]
+    linear = linearize(
+        fmu_dir / "harvester.ssp", [pose], ["boom_command"], names, steady=True, speeds={"boom": 0.2}
+    )
+    quick = [i for i, s in enumerate(linear.states) if not s.name.endswith("_angle")]
+    steady = np.linalg.solve(linear.a[np.ix_(quick, quick)], linear.b[quick])
+    speed_gain, force_gain = (linear.d - linear.c[:, quick] @ steady).ravel()
+    (speed, force), (head, rod) = linear.y0, areas("boom")
+    beyond = linear.u0[0] - OIL["valve_dead_band"] - OIL["valve_command_rounding"] / 2
+    full = OIL["valve_full_command"] - OIL["valve_dead_band"] - OIL["valve_command_rounding"] / 2
+    area = OIL["valve_discharge_coefficient"] * OIL["valve_area"] * beyond / full
+    edge = OIL["density"] / (2 * area**2)
+    resistance, drive = edge + OIL["boom_hose_resistance"], head * SUPPLY - force
+    assert speed == pytest.approx(math.sqrt(drive / (resistance * (head**3 + rod**3))), rel=BAR)
+    slope = speed * edge / resistance / beyond - speed / (2 * drive) * force_gain  # friction grows with speed
+    assert speed_gain == pytest.approx(slope, rel=BAR)
+
+
+def test_a_small_step_moves_the_machine_as_the_linear_model_says(fmu_dir):
+    """While it swings evenly, 20 mV more and less: co-simulations differ as the model says."""
+    system, step, at, end = fmu_dir / "harvester.ssp", 0.02, 8.0, 10.0
+    names = ["manipulator.swing_speed", "swing.swing_pressure_a", "swing.swing_pressure_b"]
+    time, held = (
+        np.array([0.0, at, at + 1e-3, end]),
+        {n: np.zeros(4) for n in ("boom_command", "stick_command")},
+    )
+
+    def swung(more):
+        command = {**held, "swing_command": np.array([2.0, 2.0, 2.0 + more, 2.0 + more])}
+        return run(system, Trace(time, command), record=names).trace
+
+    more, less = swung(step), swung(-step)
+    moving = Trace(time, {**held, "swing_command": np.full(4, 2.0)})
+    linear = linearize(system, inputs=["swing_command"], outputs=names, time=at, scenario=moving)
+    after = more.time >= at
+    late = more.time[after] - at
+    pushed = np.interp(late, [0.0, 1e-3], [0.0, step])
+    _, wanted, _ = lsim(StateSpace(linear.a, linear.b, linear.c, linear.d), pushed, late)
+    for k, name in enumerate(names):
+        found = (more[name] - less[name])[after] / 2
+        # of third order: 20 mV on 1.4 V beyond the dead band; and inputs within a step
+        assert np.abs(found - wanted[:, k]).max() <= 3e-3 * np.abs(wanted[:, k]).max(), name

@@ -1,0 +1,131 @@
+"""Linear models of systems whose solution is known: two masses on springs, a loop of direct feed-through."""
+
+import json
+
+import numpy as np
+import pytest
+from linear_parts import LAG, MASS, SPRING, values
+
+from fmus.export.build import build
+from orchestrator import Problem, assemble, linearize
+
+WIRES = [
+    "a.position -> spring.left",
+    "b.position -> spring.right",
+    "spring.force -> a.force",
+    "spring.reaction -> b.force",
+]
+
+
+@pytest.fixture(scope="module", params=(2, 3))
+def fmus(request, tmp_path_factory):
+    """Folder with the FMUs of the toys, of either version."""
+    folder = tmp_path_factory.mktemp(f"toys{request.param}")
+    for sub in (MASS, SPRING, LAG):
+        build(sub, folder, numbers=values(sub), fmi=request.param)
+    return folder
+
+
+def masses(fmus, **start):
+    """Two masses of 1 kg and 1 N/m to the ground, a spring between them."""
+    parts = {"a": fmus / "mass.fmu", "b": fmus / "mass.fmu", "spring": fmus / "spring.fmu"}
+    return assemble(parts, WIRES, {k.replace("__", "."): v for k, v in start.items()})
+
+
+def test_two_masses_have_the_modes_of_the_book(fmus):
+    """In phase w = sqrt(k/m), in antiphase sqrt((k + 2 c)/m), each with the damping d/(2 m w)."""
+    linear = linearize(masses(fmus, a__damping=0.1, b__damping=0.1, spring__stiffness=4.0), inputs=["a.pull"])
+    told = np.array([[m.frequency, m.damping] for m in linear.modes])
+    w = np.sqrt([1.0, 9.0])
+    wanted = np.column_stack([w / (2 * np.pi), 0.1 / (2 * w)])
+    np.testing.assert_allclose(told, wanted, rtol=1e-12)  # closed form: rounding only
+
+
+def test_matrices_are_those_of_newtons_law(fmus):
+    """A, B, C and D of the two masses, written by hand."""
+    linear = linearize(
+        masses(fmus, a__mass=2.0, spring__stiffness=3.0),
+        inputs=["b.pull"],
+        outputs=["a.speed", "spring.force"],
+    )
+    assert [s.name for s in linear.states] == ["a.position", "a.speed", "b.position", "b.speed"]
+    a = [[0, 1, 0, 0], [-2, -0.5, 1.5, 0], [0, 0, 0, 1], [3, 0, -4, -1]]
+    np.testing.assert_allclose(linear.a, a, rtol=1e-15)  # sums and quotients of small whole numbers
+    np.testing.assert_array_equal(linear.b, [[0], [0], [0], [1]])
+    np.testing.assert_array_equal(linear.c, [[0, 1, 0, 0], [-3, 0, 3, 0]])
+    np.testing.assert_array_equal(linear.d, [[0], [0]])
+
+
+@pytest.mark.parametrize("gain", [0.5, -3.0])
+def test_a_loop_of_direct_feedthrough_is_solved(fmus, gain):
+    """Two lags in a circle, v = y2 + u, w = y1: y = (x1 + g x2 + g u) / (1 - g^2), by elimination."""
+    parts = {n: fmus / "lag.fmu" for n in ("one", "two")}
+    system = assemble(parts, ["two.y -> one.u", "one.y -> two.u"], {"one.gain": gain, "two.gain": gain})
+    linear = linearize(system, inputs=["one.w"], outputs=["one.y", "two.y"])
+    k = 1.0 / (1.0 - gain**2)
+    c = k * np.array([[1.0, gain], [gain, 1.0]])
+    d = k * np.array([[gain], [gain**2]])
+    a = np.array([[-1.0, 0.0], [0.0, -1.0]]) + c[::-1]
+    b = np.array([[1.0], [0.0]]) + d[::-1]
+    for told, wanted in zip((linear.a, linear.b, linear.c, linear.d), (a, b, c, d), strict=True):
+        np.testing.assert_allclose(told, wanted, rtol=1e-13, atol=1e-15)  # one small linear system: rounding
+
+
+def test_a_loop_without_one_solution_is_told(fmus):
+    """With gains 1 the loop says 0 = x1 + x2 + u: one line, no number."""
+    parts = {n: fmus / "lag.fmu" for n in ("one", "two")}
+    system = assemble(parts, ["two.y -> one.u", "one.y -> two.u"])
+    with pytest.raises(Problem, match="feed-through") as told:
+        linearize(system, inputs=["one.w"])
+    assert "\n" not in str(told.value)
+
+
+def test_wires_with_factors_scale_the_matrices(fmus):
+    """A wire y -> -2 y + 1 makes x' = u - x with u = -2 x: the eigenvalue is -3, the state at rest 1/3."""
+    system = assemble({"lag": fmus / "lag.fmu"}, [("lag.y", "lag.u", -2.0, 1.0)], {"lag.gain": 0.0})
+    linear = linearize(system, inputs=["lag.w"], steady=True)
+    assert linear.modes[0].value == pytest.approx(-3.0, rel=1e-14)  # -1 - 2
+    assert linear.x0[0] == pytest.approx(1 / 3, rel=1e-10)  # Newton's method stops at 1e-11 of the terms
+
+
+def test_a_steady_state_balances_what_pulls(fmus):
+    """The masses hang where the springs balance a pull of 6 N: solved by hand, every rate zero."""
+    system = masses(fmus, a__pull=6.0, spring__stiffness=1.0)
+    linear = linearize(system, inputs=["b.pull"], steady=True)
+    np.testing.assert_allclose(linear.x0, [4.0, 0.0, 2.0, 0.0], atol=1e-9)  # 2 a - b = 6, 2 b - a = 0
+    assert np.abs(linear.f0).max() < 1e-9  # N/kg, of terms of some N
+
+
+def test_without_directional_derivatives_differences_do_and_a_note_says_so(fmus, tmp_path):
+    """The same model, whose description does not offer derivatives, differs by the error of differences."""
+    from any_fmu.edit import edited
+
+    plain = edited(
+        fmus / "mass.fmu", tmp_path / "mass.fmu", (r"providesDirectionalDerivatives?", "needsNothing")
+    )
+    told, exact = (linearize(assemble({"m": f}), inputs=["m.pull"]) for f in (plain, fmus / "mass.fmu"))
+    np.testing.assert_allclose(told.a, exact.a, atol=1e-9)  # central differences of a linear model: rounding
+    assert any("finite differences" in note for note in told.notes)
+    assert not any("finite differences" in note for note in exact.notes)
+
+
+def test_files_hold_the_arrays_and_the_names(fmus, tmp_path):
+    """What is written reads back bit for bit, with a name for each row and each mode."""
+    linear = linearize(masses(fmus), inputs=["a.pull"])
+    arrays, names = linear.save(tmp_path / "linear.npz")
+    with np.load(arrays) as stored:
+        for name, value in zip("ABCD", (linear.a, linear.b, linear.c, linear.d), strict=True):
+            np.testing.assert_array_equal(stored[name], value)
+    described = json.loads(names.read_text())
+    assert [s["name"] for s in described["states"]] == [s.name for s in linear.states]
+    assert len(described["modes"]) == len(linear.modes) == 2
+
+
+def test_python_control_takes_it(fmus):
+    """The StateSpace of python-control has the same poles, and the names with _ for dots."""
+    pytest.importorskip("control")
+    linear = linearize(masses(fmus), inputs=["a.pull"], outputs=["b.position"])
+    plant = linear.control()
+    np.testing.assert_allclose(np.sort_complex(plant.poles()), np.sort_complex(np.linalg.eigvals(linear.a)))
+    assert plant.state_labels[0] == "a_position"
+    assert plant.output_labels == ["b_position"]
