@@ -1,0 +1,78 @@
+"""Fixtures: small FMUs, a station around the one that integrates its input, and waiting without a clock."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from any_fmu.models import Workshop
+
+from orchestrator.live.setup import Axis, Setup
+from orchestrator.live.station import Station
+
+LONG = 60.0  # [s]: only a test that fails waits for it
+posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
+
+
+def gone(pid: int) -> bool:
+    """No such process, or one that only waits to be noticed."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return state in "ZX"
+    except FileNotFoundError:
+        return True
+
+
+def u(station: Station) -> float:
+    """What drives the machine."""
+    return float(station.latest().axes[0])
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    """The plain FMU of each model by name."""
+    return Workshop(tmp_path_factory.mktemp("live_fmu")).compile()
+
+
+@pytest.fixture(scope="session")
+def drift(fmus: Workshop) -> Setup:
+    """y' = u, commands live for a minute."""
+    return Setup(
+        str(fmus["drift"]), (Axis("u", limit=2.0, rate=10.0),), ("drift.y", "drift.u"), patience=LONG
+    )
+
+
+@pytest.fixture(scope="session")
+def failing(fmus: Workshop, drift: Setup) -> Setup:
+    """y' = u, and an error at 0.2 s."""
+    return replace(
+        drift, system=str(fmus["fails"]), signals=("fails.y",), set={"fails.when": 0.195, "fails.how": 3}
+    )
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Station]]:
+    """Opens stations, closes them at the end, and looks whether they leave anything behind."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    stations: list[Station] = []
+
+    def start(*args: object, **options: object) -> Station:
+        stations.append(Station(*args, **options))
+        return stations[-1]
+
+    yield start
+    for station in stations:
+        station.close()
+    assert not list(tmp_path.glob("live-*"))

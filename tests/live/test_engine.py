@@ -1,0 +1,180 @@
+"""The loop in frames beside `run`: the same bits; mistakes; memory."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator import Coupling, Problem, Trace, load, run
+from orchestrator.live import engine
+from orchestrator.live.engine import Engine
+from orchestrator.live.setup import Axis, Setup
+
+COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
+SHOWN = (
+    "manipulator.swing_angle",
+    "manipulator.stick_angle",
+    "swing.swing_pressure_a",
+    "boom_stick.boom_head_pressure",
+    "boom_stick.boom_command",
+)
+DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
+DETAILED |= {"supply": "engine_pump"}
+
+
+def played(setup: Setup, frames: int, wanted) -> Trace:
+    """A live run; wanted: values of the axes by number of the frame."""
+    live = Engine(setup)
+    rows = [(live.t, live.axes.copy(), live.values.copy())]
+    try:
+        for n in range(frames):
+            live.advance(wanted(n))
+            rows.append((live.t, live.axes.copy(), live.values.copy()))
+    finally:
+        live.close()
+    times, axes, values = (np.array(column) for column in zip(*rows, strict=True))
+    table = {axis.name: axes[:, i] for i, axis in enumerate(setup.axes)}
+    return Trace(times, table | {name: values[:, i] for i, name in enumerate(setup.signals)})
+
+
+def same_as_run(setup: Setup, live: Trace, system=None) -> None:
+    """`run` with what drove the live machine as its scenario gives the same numbers."""
+    scenario = live.select([axis.name for axis in setup.axes])
+    result = run(
+        system or setup.system,
+        scenario,
+        swap=setup.swap,
+        set=setup.set,
+        step=setup.step,
+        record=setup.signals,
+        record_step=setup.frame,
+    )
+    assert result.complete
+    np.testing.assert_array_equal(result.trace.time, live.time)
+    for name in setup.signals:
+        np.testing.assert_array_equal(result.trace[name], live[name], err_msg=name)
+
+
+def random_walk(seed: int, size: int, limit: float = 6.0):
+    """Commands that change in each frame, or jump."""
+    rng = np.random.default_rng(seed)
+    rows = np.clip(np.cumsum(rng.normal(0, 0.5, (1000, size)), axis=0), -limit, limit)
+    rows[400:] = rng.uniform(-limit, limit, (600, size))
+    return rows.__getitem__
+
+
+@pytest.mark.parametrize("swap", [{}, DETAILED], ids=["lumped", "detailed"])
+def test_the_machine_is_the_one_of_run(fmu_dir, swap):
+    """Two seconds of random commands, to the last bit, with a pose that is set."""
+    setup = Setup(
+        str(fmu_dir / "harvester.ssp"), COMMANDS, SHOWN, swap, set={"manipulator.initial_boom_angle": 0.3}
+    )
+    live = played(setup, 200, random_walk(1, 3))
+    assert np.ptp(live["manipulator.swing_angle"]) > 1e-3
+    same_as_run(setup, live)
+
+
+MASTERS = {
+    "jacobi": Coupling("jacobi"),
+    "third order": Coupling("gauss-seidel", 3),
+    "hermite": Coupling("hermite"),  # with a guard that divides steps
+    "interface-jacobian": Coupling("interface-jacobian"),
+    "adaptive": Coupling("hermite", adaptive=1e-4),
+}
+
+
+@pytest.mark.parametrize("label", MASTERS)
+def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
+    """Half a second under each of them, steps of their own choice included."""
+    suggested = replace(load(fmu_dir / "harvester.ssp"), coupling=MASTERS[label])
+    monkeypatch.setattr(engine, "load", lambda _: suggested)
+    setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
+    live = played(setup, 50, random_walk(2, 3))
+    same_as_run(setup, live, suggested)
+
+
+def test_inputs_that_are_no_reals(fmus):
+    """Whole numbers and truth values are held, as in a scenario."""
+    axes = tuple(
+        Axis(f"types.{kind}_in", limit, 1000.0) for kind, limit in (("real", 5), ("int", 7), ("bool", 1))
+    )
+    outs = ("types.real_out", "types.int_out", "types.bool_out", "types.real_in")
+    setup = Setup(str(fmus["types"]), axes, outs)
+    rng = np.random.default_rng(3)
+    rows = np.column_stack([rng.normal(size=40), rng.integers(-7, 8, 40), rng.integers(0, 2, 40)])
+    live = played(setup, 40, rows.__getitem__)
+    assert len(np.unique(live["types.int_out"])) > 5
+    same_as_run(setup, live)
+
+
+def test_without_axes_and_without_signals(fmus):
+    """A machine that is only watched, and one that is only driven."""
+    setup = Setup(str(fmus["source"]), (), ("source.y",))
+    live = played(setup, 10, lambda _: np.zeros(0))
+    # one FMU without inputs: its output is the sine itself at the communication points
+    np.testing.assert_allclose(live["source.y"], np.sin(live.time), atol=1e-12)
+    unseen = Setup(str(fmus["drift"]), (Axis("u", 1, 1),), ())
+    assert played(unseen, 3, lambda _: np.ones(1)).time[-1] == pytest.approx(0.03)
+
+
+def test_units_of_axes_and_signals(drift):
+    """As the FMUs declare them; what has none is not named."""
+    live = Engine(replace(drift, signals=("drift.y", "drift.u_rate")))
+    live.close()
+    assert live.units == {"u": "m", "drift.u_rate": "m/s"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"axes": (Axis("w", 1, 1),)}, "axes: column 'w' is no input of the system; inputs: u, u_rate"),
+        (
+            {"signals": ("drift.z",)},
+            "unknown variable 'drift.z'; did you mean drift.y, drift.u, drift.u_rate?",
+        ),
+        ({"step": 3e-3}, "frame: expected a multiple of the step 0.003 s, got 0.01 s"),
+        ({"step": -1.0}, "step: expected a positive time, got -1 s"),
+        ({"system": "none.fmu"}, "none.fmu: no such file"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(drift, wrong, told):
+    """Names and times that do not fit."""
+    with pytest.raises(Problem) as caught:
+        Engine(replace(drift, **wrong))
+    assert str(caught.value) == told
+
+
+def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
+    """The values of the frame before stay, and closing works."""
+    live = Engine(failing)
+    for _ in range(19):
+        live.advance(np.ones(1))
+    before = live.t, live.values.copy()
+    with pytest.raises(
+        Problem, match=r"^fails: the step failed at t = 0\.195 s with status error; it says: .*broke"
+    ) as caught:
+        live.advance(np.ones(1))
+    assert "\n" not in str(caught.value)
+    assert (live.t, live.values) == before
+    live.close()
+    live.close()
+
+
+def test_a_long_session_needs_no_more_memory(drift):
+    """Of Python's memory nothing is left of two thousand frames."""
+    live, wanted = Engine(drift), np.ones(1)
+    for _ in range(300):  # more points than the recorder holds
+        live.advance(wanted)
+    gc.collect()
+    tracemalloc.start()
+    for _ in range(2000):
+        live.advance(wanted)
+    gc.collect()
+    left, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    live.close()
+    assert left < 2000  # one byte per frame: a few numbers that are the latest ones

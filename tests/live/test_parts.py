@@ -1,0 +1,187 @@
+"""The pieces of a live machine, each by itself and without any process."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from orchestrator import Problem, Trace
+from orchestrator.coupling.drive import Table
+from orchestrator.live import board
+from orchestrator.live.board import Board, Orders
+from orchestrator.live.hand import Hand
+from orchestrator.live.latency import BINS, bin_of, quantile
+from orchestrator.live.limits import Limits, Linger, check
+from orchestrator.live.memory import Memory, attach
+from orchestrator.live.ramp import Ramp
+from orchestrator.live.setup import Axis, Setup
+
+calm = settings(deadline=None)  # no timed tests
+positive = st.floats(1e-6, 1e6)
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@calm
+@given(
+    st.lists(st.tuples(positive, positive, st.floats(-1, 1)), min_size=1, max_size=3),
+    st.lists(arrays(float, 3, elements=anything), max_size=20),
+    st.floats(1e-4, 0.1),
+)
+def test_an_axis_is_never_beyond_its_limit_or_faster_than_its_rate(kinds, commands, frame):
+    """Whatever is commanded, no numbers and infinite ones included."""
+    axes = [Axis(f"a{i}", limit, rate, share * limit) for i, (limit, rate, share) in enumerate(kinds)]
+    limits = Limits(axes, frame)
+    now = limits.rest.copy()
+    for command in commands:
+        new = limits.toward(now, command[: len(axes)])
+        for axis, before, after in zip(axes, now, new, strict=True):
+            assert abs(after) <= axis.limit
+            rounding = 4 * np.spacing(axis.limit)  # of a sum and a difference of numbers below the limit
+            assert abs(after - before) <= axis.rate * frame + rounding
+        now = new
+
+
+@calm
+@given(positive, st.integers(1, 50), st.floats(-1, 1), st.floats(-1, 1))
+def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
+    """In as many frames as its rate needs."""
+    limits = Limits([Axis("a", limit, rate=2 * limit / (frames * 0.01))], 0.01)
+    now, target = np.array([start * limit]), np.array([wanted * limit])
+    for _ in range(frames):
+        now = limits.toward(now, target)
+    assert abs(now[0] - target[0]) <= 4 * frames * np.spacing(limit)  # each move is rounded
+
+
+def test_no_number_means_rest():
+    """NaN is not kept, and not turned into a limit."""
+    limits = Limits([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
+    np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
+
+
+def test_an_axis_that_lingers_outlasts_the_others():
+    """It stays for 0.03 s after the last command, asked to rest or not named alike, and obeys at once."""
+    axes = [Axis("engaged", 1.0, 1000.0, linger=0.03), Axis("velocity", 1.0, 1000.0)]
+    limits, linger = Limits(axes, 0.01), Linger(axes, 0.01)
+    now, seen = limits.rest.copy(), []
+    for wanted in [(0, 0)] + 2 * [(1, 1)] + 2 * [(0, 0)] + [(1, 1)] + 3 * [(0, 0)] + [(np.nan, 0)] + [(0, 0)]:
+        now = limits.toward(now, linger.outlast(now, np.array(wanted, dtype=float)))
+        seen.append((int(now[0]), int(now[1])))
+    assert seen == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1), (1, 0), (1, 0), (1, 0), (0, 0), (0, 0)]
+
+
+AXIS = Axis("u", 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"frame": 0.0}, "frame: expected a positive time, got 0 s"),
+        ({"patience": math.nan}, "patience: expected a positive time, got nan s"),
+        ({"axes": (AXIS, AXIS)}, "axis u: expected it once, got it twice"),
+        ({"signals": ("a.b", "a.b")}, "signal a.b: expected it once, got it twice"),
+        ({"axes": (replace(AXIS, limit=-1.0),)}, "axis u: expected a positive limit, got -1"),
+        ({"axes": (replace(AXIS, rate=math.inf),)}, "axis u: expected a positive rate, got inf"),
+        ({"axes": (replace(AXIS, rest=2.0),)}, "axis u: expected a rest within 1, got 2"),
+        ({"axes": (replace(AXIS, linger=-1.0),)}, "axis u: expected a linger of 0 s or more, got -1 s"),
+        ({"axes": (replace(AXIS, linger=math.inf),)}, "axis u: expected a linger of 0 s or more, got inf s"),
+    ],
+)
+def test_a_wrong_setup_is_told_in_one_line(wrong, told):
+    """Before any process is started."""
+    with pytest.raises(Problem) as caught:
+        check(replace(Setup("a.fmu", (AXIS,), ("a.b",)), **wrong))
+    assert str(caught.value) == told
+
+
+def test_the_watchdog_lets_go_of_old_commands():
+    """A command holds for the patience after it was seen; the same one seen again is no younger."""
+    hand = Hand(np.array([7.0]), patience=0.25, serial=3)
+    old, new = (Orders(True, 1.0, serial, np.array([float(serial)])) for serial in (3, 4))
+    assert hand.wanted(old, 10.0) == 7.0  # of the session before
+    assert hand.wanted(new, 10.1) == 4.0
+    assert hand.wanted(new, 10.35) == 4.0
+    assert hand.wanted(new, 10.36) == 7.0
+    assert hand.wanted(new._replace(serial=5), 10.4) == 4.0
+
+
+@pytest.fixture
+def shared():
+    """Two views of the same memory."""
+    memory = Memory(board.size(2, 3, 10))
+    other = attach(memory.address)
+    return Board(memory.map, 2, 3, 10), Board(other, 2, 3, 10)
+
+
+def test_orders_and_frames_arrive_in_another_mapping(shared):
+    """What one side writes the other one reads, to the last bit."""
+    parent, child = shared
+    parent.order(Orders(True, 0.1, 12, np.array([math.pi, -1e300])))
+    orders = child.orders()
+    assert orders[:3] == (True, 0.1, 12)
+    np.testing.assert_array_equal(orders.values, [math.pi, -1e300])
+    child.put(13, 0.125, np.array([1.0, 2.0]), np.array([3.0, np.nan, 5.0]))
+    np.testing.assert_array_equal(parent.rows[3], [13, 0.125, 1, 2, 3, np.nan, 5])
+    child.say("failed", "gauge \u00fc")
+    assert (parent.news().state, parent.news().text) == ("failed", "gauge \u00fc")
+
+
+def test_half_an_order_is_none(shared):
+    """Neither one that is being written nor one whose numbers do not fit together."""
+    parent, child = shared
+    parent.order(Orders(True, 1.0, 1, np.array([1.0, 2.0])))
+    parent._orders[board.SEQUENCE] += 1
+    assert child.orders() is None
+    parent._orders[board.SEQUENCE] += 1
+    assert child.orders() is not None
+    parent._wanted[2] = 3.0
+    assert child.orders() is None
+
+
+def test_a_writer_that_died_locks_nobody_out(shared):
+    """News whose sequence stays odd are read as they are."""
+    parent, child = shared
+    child.say("running", "on")
+    child._counts[board.SEQUENCE] += 1
+    assert parent.news().state == "running"
+
+
+@calm
+@given(st.lists(st.floats(1e-6, 50.0), min_size=1, max_size=50), st.floats(0.01, 1.0))
+def test_quantiles_of_latencies(latencies, share):
+    """At least the share lies below, but for half a bin, which is 1 %."""
+    bins = np.zeros(BINS, np.int64)
+    for latency in latencies:
+        bins[bin_of(latency)] += 1
+    found = quantile(bins, share)
+    exact = sorted(latencies)[max(math.ceil(share * len(latencies) - 1e-9) - 1, 0)]
+    assert abs(found / exact - 1) < 0.011  # half a bin, and the rounding of its number
+    assert quantile(np.zeros(BINS, np.int64), share) == 0.0
+
+
+@calm
+@given(st.lists(arrays(float, 2, elements=st.floats(-10, 10)), min_size=1, max_size=5))
+def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
+    """Bit for bit at any time of a frame, at its ends too."""
+    rows = [np.zeros(2), *values]
+    times = 0.25 + 0.01 * np.arange(len(rows))
+    table = Table(times, np.array(rows))
+    ramp = Ramp(times[0], times[1], rows[0])
+    for begin, end, value in zip(times, times[1:], values, strict=False):
+        ramp.aim(begin, end, value)
+        for t in (begin, begin + 0.3 * (end - begin), end):
+            np.testing.assert_array_equal(ramp.at(t), table.at(t))
+            np.testing.assert_array_equal(ramp.sample(t), table.sample(t))
+
+
+def test_a_trace_of_no_time_is_refused():
+    """A replay needs a sample."""
+    from orchestrator.live.replay import Replay
+
+    with pytest.raises(Problem, match="replay: expected a trace with samples, got an empty one"):
+        Replay(Trace(np.zeros(0), {}))

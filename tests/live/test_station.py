@@ -1,0 +1,165 @@
+"""The machine in a process of its own obeys, and rests when nobody commands.
+
+No test measures time: it waits until something holds, and commands live for a minute unless their age is
+meant.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, run
+from orchestrator.live.board import Orders
+from orchestrator.live.setup import Axis
+
+from .conftest import u, until
+
+
+def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
+    """A session with commands from outside: `run` with its axes as the scenario gives the same bits."""
+    station = opened(drift)
+    assert (station.drives, station.axes, station.signals) == (True, ("u",), ("drift.y", "drift.u"))
+    assert station.units == {"u": "m", "drift.u": "m"}
+    for value in (1.0, -0.5, 2.0):
+        station.command({"u": value})
+        until(lambda value=value: u(station) == value)
+    station.speed(10.0)
+    station.command({})
+    until(lambda: u(station) == 0.0)
+    station.close()
+    trace = station.trace()
+    assert trace["drift.y"][-1] > 0
+    again = run(drift.system, trace.select(["u"]), record=drift.signals, record_step=drift.frame).trace
+    for name in drift.signals:
+        np.testing.assert_array_equal(again[name], trace[name])
+
+
+def test_a_huge_command_is_cut_and_comes_at_the_rate(opened, drift):
+    """The limit is 2, the rate 10 per second, so 0.1 per frame."""
+    station = opened(drift)
+    station.command({"u": 1e300})
+    until(lambda: u(station) == 2.0)
+    station.command({"u": -(10**30)})
+    until(lambda: u(station) == -2.0)
+    moves = np.diff(station.trace()["u"])
+    assert np.abs(moves).max() <= 0.1 + 1e-15  # rounding of numbers up to 2
+    assert np.abs(station.trace()["u"]).max() == 2.0
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, "fast", None, 10**400, [1.0]], ids=repr)
+def test_what_is_no_number_is_refused(opened, drift, wrong):
+    """One line, and the machine keeps what it was told before."""
+    station = opened(drift)
+    station.command({"u": 1.0})
+    with pytest.raises(Problem, match=r"^axis u: expected a finite number, got [^\n]{1,40}$"):
+        station.command({"u": wrong})
+    with pytest.raises(Problem, match=r"^unknown axis 'v'$|^unknown axis 'v'; did you mean u\?$"):
+        station.command({"v": 1.0})
+    until(lambda: u(station) == 1.0)
+
+
+def test_no_number_in_the_memory_itself_does_not_move_it(opened, drift):
+    """Past the border: NaN is rest, infinity is the limit."""
+    station = opened(drift)
+    for serial, (written, meant) in enumerate([(1.0, 1.0), (math.nan, 0.0), (math.inf, 2.0)], start=100):
+        station._session.board.order(Orders(True, 1.0, serial, np.array([written])))
+        until(lambda meant=meant: u(station) == meant)
+    assert np.isfinite(station.trace()["drift.y"]).all()
+
+
+def test_it_rests_when_nobody_commands(opened, drift):
+    """One command, then silence: the axis comes, and goes back at its rate by itself."""
+    station = opened(replace(drift, patience=0.3))
+    station.command({"u": 0.2})
+    until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
+    moves = np.diff(station.trace()["u"])
+    assert moves.min() >= -0.1 - 1e-15  # rounding
+    assert station.latest().state == "running"
+
+
+def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
+    """The watchdog of the process itself lets it outlast the other one by its 0.3 s."""
+    axes = (Axis("u", 2.0, 1e3, linger=0.3), Axis("u_rate", 2.0, 1e3))
+    station = opened(replace(drift, axes=axes, patience=0.3))
+    station.command({"u": 1.0, "u_rate": 1.0})
+    until(lambda: u(station) == 0.0 and station.trace()["u_rate"].max() > 0)
+    trace = station.trace()
+    alone = (trace["u"] == 1.0) & (trace["u_rate"] == 0.0)
+    assert np.count_nonzero(alone) == 30
+
+
+def test_a_pause_keeps_the_state(opened, drift):
+    """No frame is added while it stands, and the next one follows the last one."""
+    station = opened(drift)
+    station.command({"u": 1.0})
+    until(lambda: u(station) == 1.0)
+    station.pause()
+    until(lambda: station.latest().state == "paused")
+    frame, board = station.latest(), station._session.board
+    beat = board.news().beat
+    until(lambda: board.news().beat > beat + 5)
+    still = station.latest()
+    assert (still.number, still.t, still.state) == (frame.number, frame.t, "paused")
+    station.play()
+    until(lambda: station.latest().number > frame.number)
+    numbers, times, axes, _ = station.since(frame.number - 1)
+    assert numbers[0] == frame.number
+    assert (np.diff(numbers) == 1).all()
+    np.testing.assert_allclose(np.diff(times), 0.01, rtol=1e-9)  # rounding of times
+    assert axes[0, 0] == frame.axes[0]
+
+
+def test_it_may_begin_paused(opened, drift):
+    """Nothing moves before it is told to."""
+    station = opened(drift, playing=False, speed=5.0)
+    frame = station.latest()
+    assert (frame.state, frame.t, frame.number) == ("paused", 0.0, 1)
+    station.restart()
+    assert station.ready().state == "paused"
+    station.play()
+    until(lambda: station.latest().t > 0)
+
+
+def test_two_at_once(opened, drift):
+    """Neither hears what the other one is told."""
+    one, two = opened(drift), opened(drift)
+    one.command({"u": 1.0})
+    two.command({"u": -1.0})
+    until(lambda: u(one) == 1.0 and u(two) == -1.0)
+    one.close()
+    number = two.latest().number
+    until(lambda: two.latest().number > number + 5)
+
+
+def test_commands_from_many_threads(opened, drift):
+    """Each is whole: the axis is on its way to one of them, and the machine goes on."""
+    station = opened(drift)
+    threads = [
+        threading.Thread(target=lambda k=k: [station.command({"u": k / 10}) for _ in range(300)])
+        for k in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    station.command({"u": 0.5})
+    until(lambda: u(station) == 0.5)
+    assert station.latest().state == "running"
+
+
+def test_the_pulse_counts_every_frame(opened, drift):
+    """Frames, latencies in order, a load; how good they are is a matter of the benchmark."""
+    station = opened(drift, speed=10.0)
+    until(lambda: station.latest().pulse.frames > 100)
+    station.close()
+    frame = station.latest()
+    pulse = frame.pulse
+    assert pulse.frames == frame.number - 1
+    assert 0 <= pulse.missed <= pulse.frames
+    assert 0 < pulse.latency[0] <= pulse.latency[1] <= pulse.latency[2]
+    assert pulse.load > 0

@@ -1,0 +1,143 @@
+"""However the process of a machine ends: it is told, leaves nothing behind, and another can be started."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from orchestrator import Problem
+from orchestrator.live import session
+from orchestrator.live.setup import Axis
+from orchestrator.live.station import Station
+
+from .conftest import gone, posix, until
+
+
+def test_a_failed_fmu_is_told_and_a_restart_works(opened, failing, drift):
+    """One line; what was seen until then stays; neither the page nor the machine is lost."""
+    station = opened(failing)
+    until(lambda: station.latest().state == "failed")
+    frame = station.latest()
+    assert frame.message.startswith("fails: the step failed at t = 0.195 s")
+    assert "\n" not in frame.message
+    assert frame.t == pytest.approx(0.19)
+    assert len(station.trace().time) == 20
+    station.command({"u": 1.0})
+    station.restart(replace(failing, set={}))
+    assert station.ready().state != "failed"
+    station.restart(replace(failing, signals=("fails.z",)))
+    assert station.ready().message.startswith("unknown variable 'fails.z'; did you mean fails.y")
+    station.restart(drift)
+    until(lambda: station.latest().state == "running")
+
+
+@pytest.mark.usefixtures("opened")
+def test_a_wrong_setup_is_told_at_the_start(drift):
+    """And nothing is left running."""
+    with pytest.raises(Problem, match=r"^unknown variable 'drift\.z'; did you mean drift\.y"):
+        Station(replace(drift, signals=("drift.z",)))
+    with pytest.raises(Problem, match=r"^axis u: expected a positive limit, got -1$"):
+        Station(replace(drift, axes=(Axis("u", -1.0, 1.0),)))
+    with pytest.raises(Problem, match=r"^speed: expected a factor from 0\.1 to 10, got 0$"):
+        Station(drift, speed=0.0)
+
+
+@posix
+def test_a_process_that_dies_is_told_and_a_restart_works(opened, drift):
+    """As when an FMU crashes."""
+    station = opened(drift)
+    until(lambda: station.latest().pulse.frames > 3)
+    os.kill(station.pid, signal.SIGKILL)
+    until(lambda: station.latest().state == "failed")
+    assert station.latest().message == "the process of the machine was ended by SIGKILL"
+    assert len(station.trace().time) > 3
+    station.restart()
+    assert station.ready().state != "failed"
+
+
+@posix
+def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
+    """As when an FMU does not return; it may come back, and it can be ended."""
+    monkeypatch.setattr(session, "SILENT", 0.5)
+    station = opened(drift)
+    os.kill(station.pid, signal.SIGSTOP)
+    until(lambda: station.latest().state == "failed")
+    assert station.latest().message.startswith("the machine has not answered for ")
+    os.kill(station.pid, signal.SIGCONT)
+    until(lambda: station.latest().state == "running")
+    os.kill(station.pid, signal.SIGSTOP)
+    station.close()
+    assert gone(station.pid)
+
+
+PARENT = """
+import sys
+from orchestrator.live.setup import Axis, Setup
+from orchestrator.live.station import Station
+station = Station(Setup(sys.argv[1], (Axis("u", 2.0, 10.0),), ("drift.y",), patience=60.0))
+station.command({"u": 1.0})
+print(station.pid, flush=True)
+if sys.argv[2] == "wait":
+    sys.stdin.read()
+elif sys.argv[2] == "raise":
+    raise SystemExit(3)
+"""
+
+
+@posix
+@pytest.mark.parametrize("how", ["kill", "raise", "return"])
+def test_it_does_not_outlive_its_parent(drift, tmp_path, how):
+    """Killed, ended by an error, or at its end without a close: no process and no file stays."""
+    shared = set(os.listdir("/dev/shm")) if sys.platform == "linux" else set()
+    command = [sys.executable, "-c", PARENT, drift.system, "wait" if how == "kill" else how]
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(session.__file__).parents[2])}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as parent:
+        child = int(parent.stdout.readline())
+        if how == "kill":
+            assert not gone(child)
+            assert list(tmp_path.glob("live-*"))
+            parent.kill()
+    until(lambda: gone(child))
+    until(lambda: not list(tmp_path.glob("live-*")))
+    assert parent.returncode == {"kill": -signal.SIGKILL, "raise": 3, "return": 0}[how]
+    if sys.platform == "linux":
+        assert not [name for name in set(os.listdir("/dev/shm")) - shared if "harvester" in name]
+
+
+def test_priority_can_be_declined(opened, drift, monkeypatch):
+    """By an environment variable; the notes say how the process is scheduled."""
+    monkeypatch.setenv("HARVESTER_PRIORITY", "ordinary")
+    assert opened(drift).notes[-1] == "ordinary scheduling, as wished"
+
+
+def test_closing(opened, drift):
+    """May be repeated; what was seen can still be read, and is said to be over; no restart after it."""
+    station = opened(drift)
+    until(lambda: station.latest().pulse.frames > 3)
+    station.close()
+    station.close()
+    assert gone(station.pid)
+    frame = station.latest()
+    assert (frame.state, frame.message) == ("ended", "")
+    assert len(station.trace().time) == frame.pulse.frames + 1
+    station.command({"u": 1.0})
+    with pytest.raises(Problem, match="the machine is closed"):
+        station.restart()
+
+
+def test_one_that_is_forgotten_ends(drift):
+    """Without a close, when nobody holds it any more."""
+    station = Station(drift)
+    pid = station.pid
+    with warnings.catch_warnings(action="error"):
+        del station
+        gc.collect()
+    until(lambda: gone(pid))
