@@ -1,0 +1,1 @@
+"""Numbers beside the machine: gauges, strip charts, the line of the state, the bar of buttons."""

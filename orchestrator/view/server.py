@@ -1,0 +1,141 @@
+"""The server: one machine, any number of pages, and who may talk to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+
+import uvicorn
+from fastapi import FastAPI
+from nicegui import ui
+
+from orchestrator.errors import Problem
+from orchestrator.view.controls.endpoint import serve as serve_controls
+from orchestrator.view.controls.endpoint import watching
+from orchestrator.view.page import Page
+from orchestrator.view.safety import complaints
+from orchestrator.view.safety.access import Guard, rules
+from orchestrator.view.safety.pilot import Pilot
+from orchestrator.view.session import Session
+from orchestrator.view.shared import Shared
+from orchestrator.view.stream import Stream
+from orchestrator.view.task.training import Training
+
+TITLE = "Harvester"
+LOOPBACK = "127.0.0.1"
+SHORTEST = 16  # characters of a token that somebody chooses
+LARGEST = 2**16  # bytes of one message of a browser; what a page says takes far less
+GRACE = 2  # s for open connections at the end
+PATIENCE = 20.0  # s for a page that is slow to begin, or whose network is lost for a while
+
+
+class Server:
+    """Serves a session. There can be one in a process: the pages of the library are one application.
+
+    url     where its page is, with the token if one is needed
+    pilot   who drives
+    """
+
+    def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, token: str = "") -> None:
+        """port 0: a free one. A host other than the loopback needs a token; none given: a fresh one."""
+        if token and len(token) < SHORTEST:
+            raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
+        self.session, self.pilot = session, Pilot(session.machine)
+        self._socket = bound(host, port)
+        self.port = int(self._socket.getsockname()[1])
+        found = rules(host, names=(_shown(host),), port=self.port)
+        allowed = replace(found, token=token or found.token)
+        query = f"?token={allowed.token}" if allowed.token else ""
+        self.url = f"http://{_shown(host)}:{self.port}/{query}"
+        app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
+        serve_controls(app, self.pilot)
+        self._stream, self._training = Stream(session, Shared(session)), Training(session.machine)
+        ui.run_with(
+            app,
+            root=self._page,
+            title=TITLE,
+            tailwind=False,
+            show_welcome_message=False,
+            reconnect_timeout=PATIENCE,
+        )
+        app.add_middleware(Guard, rules=allowed)
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            ws="websockets-sansio",
+            ws_max_size=LARGEST,
+            ws_per_message_deflate=False,  # small messages, often: packing them costs more than it saves
+            timeout_graceful_shutdown=GRACE,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread: threading.Thread | None = None
+
+    def run(self, began: Callable[[], object] = lambda: None) -> None:
+        """Until it is interrupted; `began` is called when an interrupt would end it in order."""
+        self._began = began
+        self._server.run(sockets=[self._socket])
+
+    def start(self) -> None:
+        """In a thread of its own; returns when pages can be opened."""
+        self._thread = threading.Thread(target=self.run, daemon=True)
+        self._thread.start()
+        while not self._server.started:
+            if not self._thread.is_alive():
+                raise Problem("the server did not start")
+            self._thread.join(0.02)
+
+    def stop(self) -> None:
+        """End a server that was started."""
+        self._server.should_exit = True
+        if self._thread is not None:
+            self._thread.join(4 * GRACE)
+
+    def _page(self) -> None:
+        Page(self.session, self._stream, self.pilot, self._training)
+
+    @contextlib.asynccontextmanager
+    async def _life(self, _: FastAPI) -> AsyncIterator[None]:
+        """While the server runs, the watchdog looks and the pages get their frames."""
+        async with watching(self.pilot):
+            showing = asyncio.create_task(self._stream.run())
+            try:
+                self._began()
+                yield
+            finally:
+                showing.cancel()
+
+
+def bound(host: str, port: int) -> socket.socket:
+    """A socket that listens there; a mistake is told in one line."""
+    listening = None
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.socket(family, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen()
+    except (OSError, OverflowError) as error:
+        if listening is not None:
+            listening.close()
+        why = getattr(error, "strerror", None) or error
+        told = f"--host {host} --port {port}: cannot listen there: {why}; --port 0 takes a free port"
+        raise Problem(told) from None
+    return listening
+
+
+def _shown(host: str) -> str:
+    """The host as an address of a page shows it; for all addresses of this computer, its name."""
+    if host in ("0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
+
+
+def quiet() -> None:
+    """A page that is closed while something is on its way is no news."""
+    logging.getLogger("nicegui").setLevel(logging.ERROR)
+    complaints.shorten()

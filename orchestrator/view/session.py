@@ -1,0 +1,145 @@
+"""One machine, one server: what is shown, started anew, replayed and saved."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from orchestrator.errors import Problem
+from orchestrator.files.trace import Trace, read, write
+from orchestrator.live.setup import Machine, Setup
+from orchestrator.view.choice import Choice, Plan, plan
+from orchestrator.view.current import Current
+from orchestrator.view.header import names
+from orchestrator.view.reading import Reading
+from orchestrator.view.safety.files import listed, resolved
+from orchestrator.view.signals import by_bare_name
+
+JOINTS = ("swing_angle", "boom_angle", "stick_angle")
+
+
+class Recording(Machine, Protocol):
+    """A machine that can go to any time of its file."""
+
+    def seek(self, t: float) -> None: ...
+
+
+Live = Callable[[Setup], Machine]
+Replayed = Callable[[Trace], Recording]
+
+
+class Session:
+    """The machine that all pages show.
+
+    plan      what was chosen last
+    machine   live, or a replay
+    reading   of its frames
+    title     what is shown, in words
+    span      times of the file that is replayed: first, last [s]; None for a live machine
+    """
+
+    def __init__(self, first: Choice, live: Live, replay: Replayed, folders: Sequence[Path] = ()) -> None:
+        """live, replay: make machines; folders: where result files lie, the first one also to write to."""
+        self._replay, self.folders = replay, tuple(folders)
+        self.plan: Plan = plan(first)
+        self._live = live(self.plan.setup)
+        self.machine = Current(self._live)
+        self.file = ""
+        self._recording: Recording | None = None
+        self.span: tuple[float, float] | None = None
+        self._read()
+
+    @property
+    def title(self) -> str:
+        """System, pose and variants, or the file that is replayed."""
+        if self.file:
+            return f"Replay: {self.file}"
+        choice = self.plan.choice
+        swaps = [f"{part} {variant}" for part, variant in choice.swap.items()]
+        sets = [f"{name}={value}" for name, value in choice.set.items()]
+        return ", ".join([choice.system.name, *([choice.pose] if choice.pose else []), *swaps, *sets])
+
+    @property
+    def replaying(self) -> bool:
+        """Is it a file that is shown?"""
+        return bool(self.file)
+
+    def start(self, choice: Choice) -> None:
+        """The live machine from the beginning, with this choice."""
+        wanted = plan(choice)
+        self._live.restart(wanted.setup)
+        self.plan = wanted
+        self._show(self._live, "")
+        self._live.play()
+
+    def again(self) -> None:
+        """From the beginning, what is shown now."""
+        self.machine.restart()
+        self.machine.play()
+
+    def files(self) -> list[str]:
+        """The result files of the allowed folders that can be replayed."""
+        found = ((name, resolved(name, self.folders)) for name in listed(self.folders))
+        return [name for name, path in found if set(JOINTS) & set(by_bare_name(names(path)))]
+
+    def replay(self, name: str) -> None:
+        """A result file of the allowed folders in place of the machine, which stands still meanwhile."""
+        self.replay_file(resolved(name, self.folders), name)
+
+    def replay_file(self, path: Path, name: str = "") -> None:
+        """A result file wherever it lies: only for names that do not come from a page."""
+        trace = read(path)
+        if not len(trace.time):
+            raise Problem(f"{path}: expected samples, found none")
+        recording = self._replay(trace)
+        found = Reading(recording)
+        if not any(found.knows(joint) for joint in JOINTS):
+            raise Problem(
+                f"{path}: expected signals such as manipulator.boom_angle, found"
+                f" {', '.join(list(trace.signals)[:4]) or 'none'}"
+            )
+        self._show(recording, name or path.name)
+        self._recording, self.span = recording, (float(trace.time[0]), float(trace.time[-1]))
+        self.machine.play()
+
+    def seek(self, t: float) -> None:
+        """Another time of the file that is replayed [s]."""
+        if self._recording is not None and math.isfinite(t):
+            self._recording.seek(t)
+            self.machine.exchanges += 1  # what was drawn has nothing to do with what follows
+
+    def back(self) -> None:
+        """From a replay to the live machine, which stands where it stood."""
+        if self.file:
+            self.machine.machine.close()
+            self._show(self._live, "")
+
+    def save(self) -> Path:
+        """The session so far, as a result file in the first folder."""
+        if not self.folders:
+            raise Problem("save: no folder for results is open")
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        return write(self.whole(), self.folders[0] / f"session-{stamp}.parquet")
+
+    def whole(self) -> Trace:
+        """The trace of the session, from zero."""
+        trace = self.machine.trace()
+        if not len(trace.time):
+            raise Problem("save: nothing has been recorded yet")
+        return trace
+
+    def close(self) -> None:
+        """End everything."""
+        self.machine.close()
+        self._live.close()
+
+    def _show(self, machine: Machine, file: str) -> None:
+        self.machine.exchange(machine)
+        self.file, self._recording, self.span = file, None, None
+        self._read()
+
+    def _read(self) -> None:
+        self.reading = Reading(self.machine)

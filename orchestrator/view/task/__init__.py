@@ -1,0 +1,1 @@
+"""The training task: what has to be done, how far it is, and how well it was done."""

@@ -1,0 +1,156 @@
+"""A session of attempts: it follows a machine frame by frame and keeps what each attempt was worth.
+
+The page asks `update` a few times a second, shows `status` and `table`, both plain data, and calls `again`
+for the next attempt. The same samples give the same score here and by `score.score` afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.errors import Problem
+from orchestrator.live.setup import Machine
+from orchestrator.view.task.exercise import Exercise, Progress, clock, distance, follow, phase, way
+from orchestrator.view.task.samples import Samples, of_values, wanted
+from orchestrator.view.task.score import DEFAULT, Score, judge
+
+LONGEST = 600.0  # s; an attempt that takes longer is given up, so that memory has an end
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One that is over: by its end, by `again`, or by a restart of the machine."""
+
+    number: int
+    exercise: str
+    score: Score
+
+
+class Training:
+    """The task of one machine, for all pages that show it."""
+
+    def __init__(self, machine: Machine, exercise: Exercise = DEFAULT) -> None:
+        self.exercise, self.attempts = exercise, list[Attempt]()
+        self._machine, self._source = machine, _source(machine)
+        self._number, self._open = -1, 0
+        self._clear()
+
+    def open(self) -> None:
+        """A page shows the task: the first one begins an attempt, and what was before does not count."""
+        self._open += 1
+        if self._open == 1:
+            self._number = self._machine.latest().number
+            self._clear()
+
+    def close(self) -> None:
+        """A page shows it no more; without any, nothing is counted."""
+        self._open = max(0, self._open - 1)
+
+    def choose(self, exercise: Exercise) -> None:
+        """Another exercise, from now on."""
+        self.again()
+        self.exercise = exercise
+
+    def again(self) -> None:
+        """A new attempt from where the machine is now; one that had begun is kept as unfinished."""
+        self._keep()
+        self._clear()
+
+    def update(self) -> None:
+        """Take in what the machine did since the last time."""
+        if self._source != _source(self._machine):  # another machine, whose frames count from elsewhere
+            self.again()
+            self._source, self._number = _source(self._machine), -1
+        numbers, times, _, values = self._machine.since(self._number)
+        if not len(numbers):
+            return
+        self._number = int(numbers[-1])
+        for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) < 0) + 1):
+            if len(self._time) and times[part[0]] < self._time[-1][-1]:  # restarted
+                self.again()
+            self._add(times[part], values[part])
+
+    def status(self) -> dict[str, Any]:
+        """Where the attempt stands; without a score, which takes a while and belongs to its end."""
+        tip = self._tip
+        left = self.exercise.targets[len(self._progress.done) :]
+        inside = self._progress.inside
+        return {
+            "exercise": self.exercise.name,
+            "phase": phase(self.exercise, self._progress),
+            "target": asdict(left[0]) if left else None,
+            "radius": self.exercise.radius,
+            "distance": distance(self.exercise, self._progress, tip) if tip else None,
+            "way": way(tip, left[0].at) if tip and left else None,
+            "held": 0.0 if inside is None else (self._progress.now - inside) / self.exercise.hold,
+            "time": clock(self._progress),
+            "problem": self._problem,
+        }
+
+    def table(self) -> list[dict[str, Any]]:
+        """The attempts that are over, one row each."""
+        return [{"attempt": a.number, "exercise": a.exercise, **asdict(a.score)} for a in self.attempts]
+
+    def write(self, path: Path) -> Path:
+        """The table as CSV."""
+        import pandas as pd
+
+        if not self.attempts:
+            raise Problem(f"{path}: no attempt is over yet")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pd.DataFrame(self.table()).to_csv(path, index=False)
+        except OSError as error:
+            raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
+        return path
+
+    def _clear(self) -> None:
+        self._progress = Progress()
+        self._time: list[NDArray[np.float64]] = []
+        self._samples: list[Samples] = []
+        self._tip: tuple[float, float, float] | None = None
+        self._problem = ""
+        self._kept = False
+
+    def _add(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        if self._kept:
+            return
+        names = list(self._machine.signals)
+        try:
+            part = of_values(times, {name: values[:, names.index(name)] for name in wanted(names)})
+        except Problem as error:
+            self._problem = str(error)
+            return
+        if self._progress.started is None:  # what was before the start is not needed: a pause may be long
+            self._time, self._samples = [], []
+        self._time.append(times)
+        self._samples.append(part)
+        self._tip = (float(part.tip[-1, 0]), float(part.tip[-1, 1]), float(part.tip[-1, 2]))
+        self._progress = follow(self.exercise, self._progress, part)
+        if phase(self.exercise, self._progress) == "done":
+            self._keep()
+        elif self._progress.started is not None and times[-1] - self._progress.started > LONGEST:
+            self.again()
+
+    def _keep(self) -> None:
+        found = self._score()
+        if found and not self._kept:
+            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, found))
+        self._kept = True
+
+    def _score(self) -> Score | None:
+        if self._progress.started is None:
+            return None
+        names = Samples.__dataclass_fields__
+        whole = Samples(*(np.concatenate([getattr(s, name) for s in self._samples]) for name in names))
+        return judge(whole, self.exercise, self._progress)
+
+
+def _source(machine: Machine) -> int:
+    """Counts up when another machine is put in the place of this one."""
+    return int(getattr(machine, "exchanges", 0))

@@ -1,0 +1,117 @@
+"""A machine without physics, and a server around it: what was commanded is what a test looks at."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import uvicorn
+from fastapi import FastAPI
+
+from orchestrator.view.controls import endpoint
+from orchestrator.view.safety.access import Guard, Rules, rules
+from orchestrator.view.safety.pilot import Pilot
+
+LEVERS = ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command")
+CONTROLLER = tuple(
+    f"controller.{name}"
+    for name in (
+        *(f"{axis}_lever" for axis in ("swing", "boom", "stick")),
+        *("engaged", "radial_velocity", "vertical_velocity", "swing_velocity"),
+    )
+)
+
+
+@dataclass
+class StandIn:
+    """Keeps its commands; with frames it can be watched too."""
+
+    axes: tuple[str, ...] = LEVERS
+    signals: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    drives: bool = True
+    commands: list[dict[str, float]] = field(default_factory=list)
+    frames: list[tuple[float, list[float]]] = field(default_factory=list)
+    still: dict[str, float] = field(default_factory=dict)
+    state: str = "running"
+    number: int = 0
+
+    def command(self, values: Mapping[str, float]) -> None:
+        self.commands.append(dict(values))
+
+    def latest(self) -> Any:
+        """A new frame; what drives it is at rest, but for what a test sets in `still`."""
+        self.number += self.state == "running"
+        axes = np.array([self.still.get(name, 0.0) for name in self.axes])
+        return SimpleNamespace(number=self.number, state=self.state, axes=axes)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the last command was anything but rest."""
+        return bool(self.commands) and any(self.commands[-1].values())
+
+    def since(self, number: int) -> tuple[Any, ...]:
+        part = self.frames[number + 1 :]
+        values = np.array([row for _, row in part]).reshape(len(part), len(self.signals))
+        numbers = np.arange(number + 1, len(self.frames))
+        return numbers, np.array([t for t, _ in part]), np.empty((len(part), 0)), values
+
+
+@dataclass
+class Server:
+    """A running server on a port of its own."""
+
+    machine: StandIn
+    pilot: Pilot
+    port: int
+    rules: Rules
+
+    @property
+    def http(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def socket(self, key: str) -> str:
+        return f"ws://127.0.0.1:{self.port}{endpoint.PATH}?seat={key}"
+
+
+@contextlib.contextmanager
+def serving(host: str = "127.0.0.1", patience: float = 0.2, absence: float = 0.5) -> Iterator[Server]:
+    """The websocket of the controls, one plain page, and the guard around both."""
+    machine = StandIn()
+    pilot, asked = Pilot(machine, patience=patience, absence=absence), rules(host)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: FastAPI) -> Any:
+        async with endpoint.watching(pilot):
+            yield
+
+    app = FastAPI(lifespan=lifespan)
+    endpoint.serve(app, pilot)
+    app.add_middleware(Guard, rules=asked)
+    app.get("/")(lambda: "the page")
+    settings = uvicorn.Config(
+        app, host="127.0.0.1", port=0, log_level="error", ws_max_size=2**16, ws="websockets-sansio"
+    )
+    server = uvicorn.Server(settings)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    wait(lambda: server.started)
+    try:
+        yield Server(machine, pilot, server.servers[0].sockets[0].getsockname()[1], asked)
+    finally:
+        server.should_exit = True
+        thread.join(10)
+
+
+def wait(condition: Any, seconds: float = 20.0) -> None:
+    """Until something holds; fails if it does not. The time only bounds a failure."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to hold"
+        time.sleep(0.005)

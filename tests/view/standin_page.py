@@ -1,0 +1,50 @@
+"""A page with nothing but the controls and the task, for a browser: `python standin_page.py PORT`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from nicegui import app, ui
+from view.standin import StandIn
+
+from orchestrator.view.controls import endpoint, panel
+from orchestrator.view.safety.access import Guard, rules
+from orchestrator.view.safety.pilot import Pilot
+from orchestrator.view.safety.seat import Seat
+from orchestrator.view.task import widget
+from orchestrator.view.task.samples import NEEDED
+from orchestrator.view.task.training import Training
+
+FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
+
+
+def main(port: int) -> None:
+    machine = StandIn(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
+    pilot, training = Pilot(machine), Training(machine)
+    seats: list[Seat] = []
+    endpoint.serve(app, pilot)
+    watchdog = endpoint.watching(pilot)
+    app.on_startup(watchdog.__aenter__)
+    app.on_shutdown(lambda: watchdog.__aexit__(None, None, None))
+    app.add_middleware(Guard, rules=rules("127.0.0.1"))
+
+    @app.get("/last")
+    def last() -> dict[str, Any]:
+        heard = sum(seat.counts["accepted"] for seat in seats)
+        return {"command": machine.commands[-1:], "heard": heard, **vars(pilot.status())}
+
+    @ui.page("/")
+    def page() -> None:
+        seats.append(panel.mount(machine, pilot))
+        ui.input("field")
+        widget.mount(training)
+        ui.html("<div style='height: 3000px'></div>", sanitize=False)
+
+    ui.run(host="127.0.0.1", port=port, show=False, reload=False, show_welcome_message=False)
+
+
+main(int(sys.argv[1]))

@@ -1,0 +1,141 @@
+"""From deflections to commands: curve, patterns, modes."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from view.standin import CONTROLLER, LEVERS
+
+from orchestrator.errors import Problem
+from orchestrator.view.controls.drive import Full, commands, modes
+from orchestrator.view.controls.patterns import PATTERNS, Functions, Sticks, functions, legend, pattern
+from orchestrator.view.controls.shape import Curve, shaped
+
+share = st.floats(0, 0.9)
+CURVES = st.builds(Curve, share, st.floats(0, 1))
+DEFLECTIONS = st.floats(-1, 1)
+SMALL = Curve(0.1, 0.5)
+
+
+@given(CURVES, DEFLECTIONS)
+def test_curve_is_odd_and_bounded(curve: Curve, x: float) -> None:
+    """Both directions are the same, and no deflection gives more than full speed."""
+    assert shaped(-x, curve) == -shaped(x, curve)
+    assert abs(shaped(x, curve)) <= 1
+
+
+@given(CURVES, DEFLECTIONS, DEFLECTIONS)
+def test_curve_never_falls(curve: Curve, a: float, b: float) -> None:
+    """A larger deflection never means less."""
+    low, high = sorted((a, b))
+    # the cubic of numbers a rounding error apart may be a rounding error out of order
+    assert shaped(low, curve) <= shaped(high, curve) + 1e-15
+
+
+@given(CURVES)
+def test_curve_ends(curve: Curve) -> None:
+    """Nothing in the dead zone, everything at the stop and beyond it."""
+    assert shaped(curve.dead_zone, curve) == 0
+    # exact identity up to rounding: (1 - d) / (1 - d), and c + (1 - c)
+    assert shaped(1.0, curve) == pytest.approx(1, rel=1e-14)
+    assert shaped(1e9, curve) == shaped(1.0, curve)
+    assert shaped(float("nan"), curve) == 0
+
+
+def test_curve_by_hand() -> None:
+    """Half-way beyond the dead zone of 0.1 at half progression is 0.5 * 0.5 + 0.5 * 0.125."""
+    # exact identity, rounding only
+    assert shaped(0.55, SMALL) == pytest.approx(0.3125, rel=1e-14)
+
+
+@pytest.mark.parametrize("wrong", [(-0.1, 0.5), (1.0, 0.5), (0.1, 1.1), (float("nan"), 0.5)])
+def test_curve_refuses(wrong: tuple[float, float]) -> None:
+    """A curve that would divide by zero or turn round is refused."""
+    with pytest.raises(Problem, match="curve: expected"):
+        Curve(*wrong)
+
+
+FULL = Curve(0.0, 0.0)
+SIDES = {
+    # stick moved, function that answers in ISO, in SAE (None: no function on this machine)
+    "left_x": ("swing", -1, "swing", -1),
+    "left_y": ("stick", -1, "boom", -1),
+    "right_x": ("curl", -1, "curl", -1),
+    "right_y": ("boom", -1, "stick", -1),
+}
+
+
+@pytest.mark.parametrize("axis", SIDES)
+@pytest.mark.parametrize("name", PATTERNS)
+def test_patterns(name: str, axis: str) -> None:
+    """Each axis moves the one function that ISO 10968 and SAE J1814 give it, in their direction."""
+    which, sign = SIDES[axis][:2] if name == "ISO" else SIDES[axis][2:]
+    found = functions(Sticks(**{axis: 1.0}), pattern(name), FULL)
+    assert found == Functions(**{which: float(sign)})
+
+
+@pytest.mark.parametrize("mode", ["levers", "tip"])
+@pytest.mark.parametrize("name", PATTERNS)
+def test_legend_says_what_happens(name: str, mode: str) -> None:
+    """The words beside a stick name the function that moves, in the direction that it moves."""
+    words = legend(pattern(name), mode)
+    ends = {"left": ("x", -1), "right": ("x", 1), "up": ("y", 1), "down": ("y", -1)}
+    positive = {"swing": "left", "boom": "up", "stick": "in"}
+    for place, text in words.items():
+        hand, end = place.split("_")
+        axis, sign = ends[end]
+        found = functions(Sticks(**{f"{hand}_{axis}": float(sign)}), pattern(name), FULL)
+        if found.curl:
+            assert text == "(no curl)"
+            continue
+        which = next(f for f in positive if getattr(found, f))
+        assert text.endswith(f" {positive[which]}") == (getattr(found, which) > 0)
+        assert text.startswith(which if mode == "levers" or which == "swing" else "tip")
+
+
+def test_unknown_pattern() -> None:
+    """The mistake names what there is."""
+    with pytest.raises(Problem, match=r"pattern: expected ISO or SAE, found JCB"):
+        pattern("JCB")
+
+
+def test_levers() -> None:
+    """Positive functions are positive commands, whatever the component is called."""
+    found = commands(Functions(swing=1, boom=0.5, stick=-1), "levers", LEVERS, Full(swing_lever=5, lever=8))
+    assert found == dict(zip(LEVERS, (5, 4, -8), strict=True))
+
+
+def test_levers_through_a_controller() -> None:
+    """With a controller the levers are its levers, and what engages it is left to rest."""
+    found = commands(Functions(boom=1), "levers", CONTROLLER, Full(lever=8))
+    assert found["controller.boom_lever"] == 8
+    assert set(found) == set(CONTROLLER[:3])
+
+
+def test_tip() -> None:
+    """Stick in is radially inwards, boom up is upwards, left is positive; the controller is on."""
+    found = commands(Functions(swing=1, boom=1, stick=1), "tip", CONTROLLER, Full(tip=0.7, swing=0.3))
+    short = {name.partition(".")[2]: value for name, value in found.items()}
+    assert short == {"engaged": 1, "radial_velocity": -0.7, "vertical_velocity": 0.7, "swing_velocity": 0.3}
+
+
+def test_modes() -> None:
+    """A machine without a controller has no tip mode; asking for it is one line."""
+    assert modes(LEVERS) == ("levers",)
+    assert modes(CONTROLLER) == ("levers", "tip")
+    assert modes(("engine.speed",)) == ()
+    with pytest.raises(Problem, match="mode: this machine takes levers, found tip"):
+        commands(Functions(), "tip", LEVERS, Full())
+
+
+@given(
+    st.builds(Sticks, *[DEFLECTIONS] * 4),
+    st.sampled_from(sorted(PATTERNS)),
+    st.sampled_from(["levers", "tip"]),
+)
+def test_commands_are_bounded(sticks: Sticks, name: str, mode: str) -> None:
+    """No position of the sticks commands more than full."""
+    full = Full()
+    found = commands(functions(sticks, pattern(name), Curve()), mode, CONTROLLER, full)
+    assert all(abs(value) <= max(full.lever, full.tip, full.swing, 1) for value in found.values())

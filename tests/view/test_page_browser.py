@@ -1,0 +1,272 @@
+"""The page in a real browser: it loads, shows the machine, is driven, and lets go when it is closed."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from matplotlib import image
+from numpy.typing import NDArray
+
+from orchestrator.files.trace import Trace, write
+from orchestrator.live.replay import Replay
+from orchestrator.live.station import Station
+from orchestrator.view.choice import Choice
+from orchestrator.view.server import Server
+from orchestrator.view.session import Session
+
+LONG = 60.0  # s; only bounds a failure, on a computer that does much else
+DRAWN = "(number) => document.querySelector('.machine')?.dataset.drawn > number"
+MOVED = 0.1  # rad; far more than creep of a machine that nobody drives
+
+
+@pytest.fixture(scope="module")
+def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The page of the real machine, in this process, so that a test can look at what moves."""
+    results = tmp_path_factory.mktemp("results")
+    times = np.linspace(0, 4, 401)
+    angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
+    write(Trace(times, angles), results / "rising.csv")
+    session = Session(Choice(fmu_dir / "harvester.ssp"), Station, Replay, [results])
+    served = Server(session)
+    served.start()
+    yield served
+    served.stop()
+    session.close()
+
+
+@pytest.fixture
+def page(chromium: Any, server: Server) -> Iterator[Any]:
+    """An open page that has drawn the machine; what it complains of and asks for is kept."""
+    context = chromium.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
+    opened = context.new_page()
+    opened.complaints, opened.hosts = [], set()
+    opened.on("console", lambda m: opened.complaints.append(m.text) if m.type == "error" else None)
+    opened.on("pageerror", lambda error: opened.complaints.append(str(error)))
+    context.on("request", lambda request: opened.hosts.add(urlsplit(request.url).netloc))
+    opened.set_default_timeout(1e3 * LONG)
+    opened.goto(server.url)
+    opened.wait_for_function(DRAWN, arg=1)
+    yield opened
+    context.close()
+    wait(lambda: server.pilot.status().driver == "")
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    """Until something holds."""
+    end = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < end, "it did not come to hold"
+        time.sleep(0.02)
+
+
+def picture(page: Any) -> NDArray[np.float64]:
+    """What is on the screen where the machine is, shape (rows, columns, 3), 0 to 1."""
+    found = image.imread(io.BytesIO(page.locator(".machine canvas").screenshot()))
+    return np.asarray(found[..., :3], dtype=np.float64)
+
+
+def angle(server: Server, joint: str) -> float:
+    """Of a joint [rad], from the machine itself."""
+    return server.session.reading.value(server.session.machine.latest(), f"{joint}_angle")
+
+
+def driven(server: Server) -> bool:
+    """Is any axis away from rest?"""
+    return bool(np.any(server.session.machine.latest().axes))
+
+
+def take(page: Any, server: Server) -> None:
+    """The controls, by the button."""
+    page.get_by_role("button", name="Take controls").click()
+    wait(lambda: server.pilot.status().driver != "")
+
+
+def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None:
+    """Hold dead-man and key until it is done. A browser that was slow for a moment has lost its dead-man, as
+    it should: then it is let go and held again, as a driver would."""
+    end = time.monotonic() + LONG
+    while not done():
+        assert time.monotonic() < end, f"the machine did not move: {server.pilot.status()}"
+        if not server.pilot.status().driver:
+            take(page, server)
+        page.keyboard.down("Shift")
+        page.keyboard.down(key)
+        began = time.monotonic()
+        while not done() and (driven(server) or time.monotonic() - began < 2):
+            time.sleep(0.02)
+        if done():
+            return
+        page.keyboard.up(key)
+        page.keyboard.up("Shift")
+        page.wait_for_timeout(200)
+
+
+def test_loads(page: Any, server: Server) -> None:
+    """No error in the console, nothing asked of another host, numbers and state on the page."""
+    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
+    page.wait_for_function("() => document.querySelectorAll('.gauge').length > 8")
+    page.wait_for_function("() => parseFloat(document.querySelector('.gauge output').textContent) > 15")
+    assert page.complaints == []
+    assert page.hosts == {f"127.0.0.1:{server.port}"}
+
+
+def test_machine_is_seen_and_moves(page: Any, server: Server) -> None:
+    """The picture is not blank; a key moves the joint and the picture; closing the page stops the motion."""
+    before = picture(page)
+    assert before.std() > 0.05, "a blank picture has no contrast"
+    first = angle(server, "swing")
+    drive(page, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    drawn = int(page.evaluate("document.querySelector('.machine').dataset.drawn"))
+    page.wait_for_function(DRAWN, arg=drawn + 1)  # the one after that which was under way
+    # the arm covers some per cent of the picture, and has turned by its own width
+    assert (np.abs(picture(page) - before).max(axis=2) > 0.1).mean() > 0.005
+    page.close()
+    wait(lambda: not driven(server))
+    speed = "swing_speed"
+    wait(lambda: abs(server.session.reading.value(server.session.machine.latest(), speed)) < 0.01)
+
+
+def test_pause_and_restart(page: Any, server: Server) -> None:
+    """Pause stops the time, play goes on, restart begins at zero."""
+    page.get_by_role("button", name="Play or pause").click()
+    wait(lambda: server.session.machine.latest().state == "paused")
+    page.wait_for_function("() => document.querySelector('.foot').innerText.includes('paused')")
+    page.get_by_role("button", name="Play or pause").click()
+    wait(lambda: server.session.machine.latest().t > 1.0)
+    page.get_by_role("button", name="From the beginning").click()
+    wait(lambda: server.session.machine.latest().t < 1.0)
+    wait(lambda: server.session.machine.latest().state == "running")
+
+
+def test_driver_goes_on_after_a_pause(page: Any, server: Server) -> None:
+    """Who drives keeps the controls over pause and play; a restart takes them away."""
+    take(page, server)
+    for state in ("paused", "running"):
+        page.keyboard.press("p")
+        wait(lambda state=state: server.session.machine.latest().state == state)
+        assert server.pilot.status().driver
+    page.keyboard.press("Home")
+    wait(lambda: not server.pilot.status().driver)
+
+
+def test_less_to_draw(page: Any) -> None:
+    """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
+    page.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
+    page.locator(".machine[data-detail=low]").wait_for()
+    drawn = int(page.evaluate("document.querySelector('.machine').dataset.drawn"))
+    page.wait_for_function(DRAWN, arg=drawn + 1)
+    assert picture(page).std() > 0.05, "a blank picture has no contrast"
+
+
+CAMERA = """() => { const { camera, controls } = getElement(document.querySelector('.machine').id.slice(1));
+  return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
+
+
+def test_view_with_the_tip(page: Any, server: Server) -> None:
+    """The view looks at the tip, from the same distance, before and after the tip has moved."""
+    page.get_by_role("button", name="View", exact=True).click()
+    page.get_by_text("With the tip").click()
+
+    def looked_at() -> bool:
+        *target, away = page.evaluate(CAMERA)
+        reading, frame = server.session.reading, server.session.machine.latest()
+        tip = [reading.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
+        # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
+        return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
+
+    wait(looked_at)
+    take(page, server)
+    first = angle(server, "swing")
+    drive(page, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    page.keyboard.up("a")
+    page.keyboard.up("Shift")
+    wait(looked_at)
+
+
+def test_task_in_a_line(page: Any) -> None:
+    """The panel is a line with the way to the target; there is no table before the first attempt is over."""
+    page.get_by_role("button", name="Training task").click()
+    page.get_by_text("pick: ").wait_for()
+    assert page.locator(".task").bounding_box()["height"] < 120, "a line or two, not a table over the boom"
+    assert not page.locator(".task .q-table").is_visible()
+
+
+def test_speed_is_that_of_the_machine(page: Any, server: Server) -> None:
+    """What another page has chosen is shown here, too."""
+    server.session.machine.speed(0.5)
+    page.wait_for_function("() => document.querySelector('.speed').innerText.includes('0.5')")
+    page.get_by_role("combobox", name="Speed").click()
+    page.get_by_role("option", name="\N{MULTIPLICATION SIGN} 1", exact=True).click()
+    wait(lambda: server.session.machine.factor == 1.0)
+
+
+def test_keys_of_the_page(page: Any, server: Server) -> None:
+    """P pauses and goes on, and the page says what to press; in a window over the page it does nothing."""
+    page.keyboard.press("p")
+    wait(lambda: server.session.machine.latest().state == "paused")
+    page.get_by_text("paused: P goes on").wait_for()
+    page.keyboard.press("p")
+    wait(lambda: server.session.machine.latest().state == "running")
+    page.get_by_role("button", name="Replay a result file").click()
+    page.get_by_role("combobox", name="File").press_sequentially("pause")
+    assert server.session.machine.latest().state == "running"
+
+
+def test_edges_are_left_rough_where_the_processor_draws(page: Any) -> None:
+    """This browser has no graphics card, so the canvas is opened without smoothing."""
+    smooth = "document.querySelector('.machine canvas').getContext('webgl2').getContextAttributes().antialias"
+    assert page.evaluate(smooth) is False
+
+
+def test_pose_and_fidelity(page: Any, server: Server) -> None:
+    """Another pose and another variant, chosen on the page, start the machine anew as these."""
+    page.get_by_role("button", name="Pose and fidelity").click()
+    for label, option in (("Pose", "reach"), ("manipulator", "pendulum")):
+        page.get_by_role("combobox", name=label).click()
+        page.get_by_role("option", name=option, exact=True).click()
+    page.get_by_role("button", name="Start", exact=True).click()
+    wait(lambda: server.session.plan.choice.pose == "reach")
+    wait(lambda: server.session.machine.latest().state == "running")
+    assert angle(server, "stick") == pytest.approx(-0.65, abs=0.02)  # it has crept for some seconds at most
+    page.wait_for_function("() => document.querySelector('.gauges').innerText.includes('Head, sideways')")
+
+
+def test_replay(page: Any, server: Server) -> None:
+    """A result file is played and cannot be driven; from there it goes back to the live machine."""
+    page.get_by_role("button", name="Replay a result file").click()
+    page.get_by_role("button", name="Replay", exact=True).click()
+    wait(lambda: server.session.replaying)
+    page.wait_for_function("() => document.querySelector('.bar .title').innerText.includes('rising.csv')")
+    wait(lambda: angle(server, "boom") > 0.3)
+    slider = page.get_by_role("slider", name="Time of the replay")
+    slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
+    wait(lambda: angle(server, "boom") < 0.3)
+    slider.press("End")
+    wait(lambda: server.session.machine.latest().state == "ended")
+    page.get_by_text("the end: P plays it again").wait_for()
+    assert not server.session.machine.drives
+    page.get_by_role("button", name="Back to the live machine").click()
+    wait(lambda: server.session.machine.drives)
+
+
+def test_save(page: Any, tmp_path: Path) -> None:
+    """The session comes as a file that can be read, with the axes and the signals."""
+    from orchestrator.files.trace import read
+
+    with page.expect_download() as loaded:
+        page.get_by_role("button", name="Save the session").click()
+    found = read(loaded.value.path().rename(tmp_path / "session.parquet"))
+    assert {"boom_command", "manipulator.boom_angle"} <= set(found.signals)
+
+
+def test_help(page: Any) -> None:
+    """The map of the keys opens over the page."""
+    page.get_by_role("button", name="Keys, sticks and mouse").click()
+    page.locator(".window").get_by_text("without it the machine rests").wait_for()

@@ -1,0 +1,78 @@
+"""`harvester view` as a user runs it: where it listens, what it says, how it ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from orchestrator.__main__ import main
+
+POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
+URL = 1  # line of the output
+RECORDING = "recording.csv"  # of a test rig, with names of its own
+
+
+def started(fmu_dir: Path, folder: Path, *options: str) -> tuple[subprocess.Popen[str], list[str]]:
+    """A server in a process of its own, and the lines it says when it is ready."""
+    command = [sys.executable, "-m", "orchestrator", "view", str(fmu_dir / "harvester.ssp"), "--no-open"]
+    command += ["--port", "0", "--results", str(folder), *options]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    return child, [child.stdout.readline().strip() for _ in range(3)]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
+def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
+    """It tells its address, serves there, and ends by an interrupt without a traceback."""
+    child, said = started(fmu_dir, tmp_path, *POSED)
+    assert said[0] == "harvester.ssp, reach, swing detailed, manipulator.head_mass=900"
+    assert said[URL].startswith("http://127.0.0.1:")
+    assert httpx.get(said[URL]).status_code == 200
+    assert httpx.get(said[URL], headers={"host": "evil.example"}).status_code == 400
+    child.send_signal(signal.SIGINT)
+    _, told = child.communicate(timeout=60)
+    assert (child.returncode, told.strip()) == (130, "harvester: interrupted")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
+def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
+    """Where others could reach it, the page opens with the token of the address and not without."""
+    child, said = started(fmu_dir, tmp_path, "--host", "0.0.0.0")
+    bare, _, token = said[URL].partition("?token=")
+    port = bare.rstrip("/").rpartition(":")[2]
+    try:
+        assert len(token) >= 32
+        assert httpx.get(f"http://127.0.0.1:{port}/").status_code == 401
+        page = httpx.get(f"http://127.0.0.1:{port}/?token={token}", follow_redirects=True)
+        assert page.status_code == 200
+    finally:
+        child.send_signal(signal.SIGINT)
+        child.communicate(timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--pose", "raech"], "did you mean reach"),
+        (["--set", "manipulator.head_mas=900"], "did you mean"),
+        (["--token", "short"], "--token: expected at least 16 characters, got 5"),
+        (["--replay", "nothing.csv"], "nothing.csv: no such file"),
+        (["--replay", RECORDING], "recording.csv: expected signals such as manipulator.boom_angle, found u"),
+    ],
+)
+def test_mistakes(
+    fmu_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], expected: str
+) -> None:
+    """A mistake is one line and exit status 2, before anything is served."""
+    (tmp_path / RECORDING).write_text("time,u\n0,1\n1,2\n")
+    options = [str(tmp_path / RECORDING) if option == RECORDING else option for option in options]
+    common = ["view", str(fmu_dir / "harvester.ssp"), "--no-open", "--port", "0", "--results", str(tmp_path)]
+    assert main([*common, *options]) == 2
+    told = capsys.readouterr().err.strip()
+    assert expected in told
+    assert "\n" not in told

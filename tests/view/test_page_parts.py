@@ -1,0 +1,224 @@
+"""What the page is made of, without a browser: history, gauges, line of the state, frames to slow pages."""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from orchestrator.errors import Problem
+from orchestrator.files.trace import Trace, write
+from orchestrator.live.replay import Replay
+from orchestrator.live.setup import Frame, Pulse
+from orchestrator.system.ssp import load
+from orchestrator.view.choice import Choice, axes, plan, poses, variants
+from orchestrator.view.panels.gauges import GROUPS, figure
+from orchestrator.view.panels.history import BIN, WINDOW, History, extremes
+from orchestrator.view.panels.state import Clock, cells
+from orchestrator.view.reading import Reading
+from orchestrator.view.server import bound
+from orchestrator.view.session import Session
+from orchestrator.view.signals import by_bare_name, watched
+from orchestrator.view.stream import AHEAD, LOST, Credit
+
+
+@given(
+    rows=arrays(np.float64, st.tuples(st.integers(1, 30), st.integers(1, 4)), elements=st.floats(-1e8, 1e8))
+)
+def test_extremes(rows: np.ndarray) -> None:
+    """Thinning out keeps the lowest and the highest value of each column, so no peak is lost."""
+    kept = extremes(rows)
+    assert (kept.min(axis=0) == rows.min(axis=0)).all()
+    assert (kept.max(axis=0) == rows.max(axis=0)).all()
+
+
+@dataclass
+class Recorded:
+    """A machine whose frames a test writes."""
+
+    axes: Sequence[str] = ("boom_command",)
+    signals: Sequence[str] = ("manipulator.boom_speed",)
+    units: Mapping[str, str] = field(default_factory=dict)
+    drives: bool = True
+    rows: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def latest(self) -> Frame:
+        t, axis, value = self.rows[-1]
+        return Frame(len(self.rows) - 1, t, np.array([axis]), np.array([value]), "running", "", Pulse())
+
+    def since(self, number: int) -> tuple[np.ndarray, ...]:
+        first = max(number + 1, 0)
+        table = np.array(self.rows[first:]).reshape(-1, 3)
+        return np.arange(first, len(self.rows)), table[:, 0], table[:, 1:2], table[:, 2:]
+
+
+def test_history() -> None:
+    """A spike of one frame stays in sight for the window, and is gone after it; a restart begins anew."""
+    machine = Recorded(rows=[(0.01 * k, 1.0, 9.0 if k == 137 else 0.5) for k in range(1000)])
+    history = History(machine, Reading(machine), ["boom_command", "boom_speed", "unknown"])
+    history.look()
+    times, table = history.table()
+    assert history.names == ("boom_command", "boom_speed")
+    assert table.max(axis=0).tolist() == [1.0, 9.0]
+    assert (np.diff(times) > 0).all()
+    assert times[-1] == 0.0
+    machine.rows += [(0.01 * k, 1.0, 0.5) for k in range(1000, 1000 + round(WINDOW / 0.01))]
+    history.look()
+    assert history.table()[1].max() == 1.0
+    assert len(history.table()[0]) <= 2 * (WINDOW / BIN + 1)
+    machine.rows += [(0.01 * k, 0.0, 0.1) for k in range(50)]
+    history.look()
+    assert history.table()[1].max() == 0.1
+
+
+def test_history_of_nothing() -> None:
+    """A file without any of the curves has an empty history."""
+    machine = Recorded(rows=[(0.0, 0.0, 0.0)])
+    history = History(machine, Reading(machine), ["unknown"])
+    history.look()
+    assert history.table()[0].size == 0
+
+
+def test_figures() -> None:
+    """Numbers come in the units that people read, bars begin at zero, what is not known is a dash."""
+    gauges = {gauge.name: gauge for _, group in GROUPS for gauge in group}
+    assert figure(gauges["supply_pressure"], 20.68e6)[:3] == ["20.7", 0.0, 0.827]
+    text, begin, end, *_ = figure(gauges["swing_speed"], math.radians(-30))
+    assert (text, begin, end) == ("\N{MINUS SIGN}30", 0.25, 0.5)
+    assert figure(gauges["tip_radius"], math.nan)[0] == "\N{EN DASH}"
+    assert figure(gauges["boom_rod_pressure"], -1e5)[-1] == "torn"
+    assert figure(gauges["boom_rod_pressure"], -1e3)[-1] == "", "the sound of a pressure at rest is no void"
+    assert figure(gauges["tip_radial_velocity"], -1e-4)[0] == "0", "no minus sign at rest"
+
+
+def test_clock() -> None:
+    """The factor is simulated over real time, and nothing is told right after a pause."""
+    now = [0.0]
+    clock = Clock(lambda: now[0])
+    for k in range(20):
+        now[0] = 0.1 * k
+        clock.look(frame(t=0.05 * k))
+    assert clock.factor == pytest.approx(0.5)
+    clock.look(frame(t=0.95, state="paused"))
+    assert clock.factor is None
+
+
+def test_cells() -> None:
+    """Missed deadlines and latency are told of a live machine, the reason of a failure in any case."""
+    pulse = Pulse(frames=1000, missed=10, latency=(4e-4, 1e-3, 2e-2), load=0.05)
+    live = dict((name, text) for name, text, _ in cells(frame(pulse=pulse), 1.0, drives=True))
+    assert live["missed"] == "10 of 1000 (1.00 %)"
+    assert live["latency"] == "0.4 ms, 99 % 1.0, worst 20.0"
+    replayed = cells(frame(pulse=pulse), 1.0, drives=False)
+    assert next(text for _, text, _ in replayed) == "replaying"
+    assert "missed" not in [name for name, *_ in replayed]
+    assert cells(frame(state="failed", message="it broke"), None, drives=True)[-1][1:] == ("it broke", "bad")
+
+
+def frame(t: float = 1.0, state: str = "running", message: str = "", pulse: Pulse = Pulse()) -> Frame:  # noqa: B008
+    return Frame(1, t, np.zeros(0), np.zeros(0), state, message, pulse)
+
+
+def test_credit() -> None:
+    """A page that draws nothing gets no more pictures; one that catches up does, a silent one later."""
+    now = [0.0]
+    credit = Credit(lambda: now[0])
+    for number in range(1, AHEAD + 1):
+        assert credit.next() == number
+        credit.sent = number
+    assert credit.next() == 0
+    credit.shown(4)
+    assert credit.next() == AHEAD + 1
+    credit.shown(10**6)
+    assert credit.drawn == 4, "what was never sent cannot have been drawn"
+    for number in range(AHEAD + 1, AHEAD + 5):
+        credit.sent = number
+    assert credit.next() == 0
+    now[0] = LOST + 0.1
+    assert credit.next() > 0
+
+
+def test_names() -> None:
+    """Where several components have a name, that component is meant with whose name it begins."""
+    found = by_bare_name(["swing.supply_flow", "supply.supply_flow", "boom_stick.supply_flow", "a.b.angle"])
+    assert found == {"supply_flow": "supply.supply_flow", "angle": "a.b.angle"}
+
+
+def test_choice(fmu_dir: Path) -> None:
+    """Poses and variants are those of the files; the valves are driven instead of the levers' program."""
+    system = fmu_dir / "harvester.ssp"
+    assert set(poses(system)) == {"close", "folded", "nominal", "raised", "reach"}
+    assert variants(system)["swing"] == {
+        "usual": "lumped (usual)",
+        "detailed": "detailed",
+        "quasistatic": "quasistatic",
+    }
+    assert "levers" not in variants(system)
+    found = plan(Choice(system)).setup
+    assert [axis.name for axis in found.axes] == ["swing_command", "boom_command", "stick_command"]
+    assert not [name for name in found.signals if name.startswith("levers.")]
+
+
+def test_choice_with_a_controller(fmu_dir: Path) -> None:
+    """With a controller the levers and the velocities of the tip are driven, and it can be engaged."""
+    found = axes(load(fmu_dir / "harvester_control.ssp"))
+    names = {axis.name for axis in found}
+    assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
+    assert "boom_command" not in names
+    assert "controller.tip_error" in watched(load(fmu_dir / "harvester_control.ssp"))
+
+
+def test_start_values(fmu_dir: Path) -> None:
+    """Start values go to the machine; one that there is not is told in one line."""
+    system = fmu_dir / "harvester.ssp"
+    assert plan(Choice(system, set={"manipulator.stick_length": "2.5"})).geometry.stick_length == 2.5
+    assert plan(Choice(system, set={"manipulator.stick_length": "2.5"})).setup.set
+    with pytest.raises(Problem, match="stick_lenght"):
+        plan(Choice(system, set={"manipulator.stick_lenght": "2.5"}))
+
+
+def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
+    """Only files with an angle of a joint are offered; of each the header is enough."""
+    still = {"manipulator.boom_angle": np.zeros(2)}
+    for name, signals in (("a.csv", still), ("b.parquet", still), ("path.csv", {"tip_x": np.zeros(2)})):
+        write(Trace(np.arange(2.0), signals), tmp_path / name)
+    (tmp_path / "torn.parquet").write_bytes(b"PAR1")
+    (tmp_path / "text.csv").write_bytes(b"\xff")
+    (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
+    session = Session(
+        Choice(fmu_dir / "harvester.ssp"), lambda _: Replay(Trace(np.arange(2.0), still)), Replay, [tmp_path]
+    )
+    assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
+
+
+def test_unknown_pose(fmu_dir: Path) -> None:
+    """A misspelt pose is refused in one line with what may be meant."""
+    with pytest.raises(Problem, match=r"no pose 'raech'; did you mean reach"):
+        plan(Choice(fmu_dir / "harvester.ssp", "raech"))
+
+
+def test_replay_tells_what_it_knows() -> None:
+    """Of a file, signals are found by their bare names; a joint that is not in it stands where it began."""
+    trace = Trace(np.array([0.0, 1.0]), {"manipulator.boom_angle": np.array([0.3, 0.3])})
+    machine = Replay(trace)
+    reading = Reading(machine)
+    assert reading.value(machine.latest(), "boom_angle") == 0.3
+    assert math.isnan(reading.value(machine.latest(), "stick_angle"))
+
+
+def test_port_in_use() -> None:
+    """A port that is taken is told in one line."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            Problem, match=f"--port {port}: cannot listen there: .*; --port 0 takes a free port"
+        ):
+            bound("127.0.0.1", port)

@@ -1,0 +1,148 @@
+"""Who has the controls, and what becomes of them: with a clock that the test moves."""
+
+from __future__ import annotations
+
+import pytest
+from view.desk import Desk
+from view.standin import CONTROLLER, LEVERS
+
+from orchestrator.errors import Problem
+from orchestrator.view.safety.seat import MOST
+
+
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
+
+
+def test_second_page(desk: Desk) -> None:
+    """One drives; the second sees it, may ask, and drives only when the first has let go."""
+    first = desk.driver()
+    second = desk.page()
+    assert not desk.pilot.take(second)
+    assert desk.pilot.status(second).role == "watching"
+    assert desk.pilot.status(second).driver == first.name
+    assert desk.pilot.status(first).asked == second.name
+    desk.pilot.release(second)
+    assert desk.machine.moving
+    desk.pilot.release(first)
+    assert not desk.machine.moving
+    assert desk.pilot.take(second)
+    assert desk.pilot.status(second).asked == ""
+
+
+@pytest.mark.parametrize("way", ["leave", "disconnect", "silence"])
+def test_gone(desk: Desk, way: str) -> None:
+    """However a driver goes, the machine rests and the next one can take the controls."""
+    first, second = desk.driver(), desk.page()
+    if way == "leave":
+        desk.pilot.leave(first)
+    elif way == "disconnect":
+        desk.pilot.disconnect(first, first.connection)
+    else:
+        desk.wait(1.1)
+    assert not desk.machine.moving
+    assert desk.pilot.take(second)
+
+
+def test_new_connection(desk: Desk) -> None:
+    """A page that connects again rests, counts from zero, and its old connection has no say any more."""
+    seat = desk.driver()
+    old = seat.connection
+    desk.pilot.connect(seat)
+    assert not desk.machine.moving
+    desk.pilot.disconnect(seat, old)
+    assert desk.pilot.status(seat).role == "driving"
+    assert not desk.pilot.hear(seat, old, '{"n":99,"sticks":[0,0,0,0],"dead_man":false}')
+    desk.numbers[seat.key] = -1
+    desk.say(seat, dead_man=False)
+    desk.say(seat)
+    assert desk.machine.moving
+
+
+def test_flood(desk: Desk) -> None:
+    """More messages than a browser sends are counted and not looked at."""
+    seat = desk.driver()
+    heard = [desk.pilot.hear(seat, seat.connection, "{") for _ in range(500)]
+    assert not any(heard)
+    assert seat.counts["flood"] > 400
+    assert not desk.machine.moving
+
+
+def test_choice(desk: Desk) -> None:
+    """The driver chooses pattern and mode; a change is rest; a watcher cannot; unknown ones are one line."""
+    watcher, seat = desk.page(), desk.driver()
+    with pytest.raises(Problem, match="drives and chooses"):
+        desk.pilot.choose(watcher, "SAE")
+    desk.pilot.choose(seat, "SAE")
+    assert not desk.machine.moving
+    assert desk.pilot.status().pattern == "SAE"
+    for wrong in ({"pattern_name": "X"}, {"mode": "tip"}):
+        with pytest.raises(Problem, match="expected"):
+            desk.pilot.choose(seat, **wrong)
+
+
+def test_restart_as_another_machine(desk: Desk) -> None:
+    """When the machine is started again with other inputs, the next command uses those."""
+    seat = desk.driver()
+    desk.machine.axes = CONTROLLER
+    desk.pilot.choose(seat, mode="tip")
+    desk.say(seat, dead_man=False)
+    desk.say(seat)
+    assert desk.machine.commands[-1]["controller.engaged"] == 1
+    desk.machine.axes = LEVERS
+    desk.say(seat)
+    assert set(desk.machine.commands[-1]) == set(LEVERS)
+
+
+@pytest.mark.parametrize(
+    ("mode", "left"), [("levers", "controller.engaged"), ("tip", "controller.swing_lever")]
+)
+def test_change_of_mode_waits_for_the_other_one(desk: Desk, mode: str, left: str) -> None:
+    """While the controller still brakes, or a lever is on its way back, the other mode moves nothing."""
+    desk.machine.axes = CONTROLLER
+    seat = desk.page()
+    desk.pilot.take(seat)
+    desk.pilot.choose(seat, mode=mode)
+    desk.machine.still = {left: 1.0}
+    desk.say(seat, dead_man=False)
+    desk.say(seat)
+    assert not desk.machine.moving
+    assert desk.pilot.status(seat).why == "the machine comes to rest before it changes the mode"
+    desk.machine.still = {}
+    desk.say(seat)
+    assert desk.machine.moving
+
+
+def test_replay(desk: Desk) -> None:
+    """What cannot be driven gives nobody the controls."""
+    desk.machine.drives = False
+    seat = desk.page()
+    assert not desk.pilot.take(seat)
+    assert desk.pilot.status(seat).why == "a replay cannot be driven"
+
+
+@pytest.mark.parametrize("error", [Problem("machine: no such axis"), OSError("gone")])
+def test_machine_that_breaks(desk: Desk, error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that takes no command stops nobody: the lamp goes out and says why."""
+    seat = desk.driver()
+
+    def broken(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(desk.machine, "command", broken)
+    assert desk.say(seat)
+    assert not desk.pilot.status(seat).live
+    assert "machine" in desk.pilot.status(seat).why
+    desk.pilot.release(seat)
+
+
+def test_many_pages(desk: Desk) -> None:
+    """Pages that were opened and never connected do not pile up; who drives keeps its place."""
+    driver = desk.driver()
+    first = desk.pilot.join()
+    for _ in range(2 * MOST):
+        last = desk.pilot.join()
+    assert desk.pilot.seat(first.key) is None
+    assert desk.pilot.seat(last.key) is last
+    assert desk.pilot.seat(driver.key) is driver

@@ -1,0 +1,187 @@
+"""The websocket of a running server: what is sent never stops it, and never leaves the machine moving."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from view.standin import Server, serving, wait
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from orchestrator.view.safety.seat import Seat
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Server]:
+    # a busy computer may stop for a while: what rests here must rest for a reason, not by its patience
+    with serving(patience=3.0, absence=4.0) as server:
+        yield server
+
+
+@pytest.fixture
+def hasty() -> Iterator[Server]:
+    """One that loses its patience soon."""
+    with serving(patience=0.8, absence=1.0) as server:
+        yield server
+
+
+@pytest.fixture
+def server(running: Server) -> Iterator[Server]:
+    """After each test: the machine rests, the server answers, and a new page can drive."""
+    yield running
+    wait(lambda: not running.machine.moving)
+    wait(lambda: running.pilot.status().role == "free")
+    assert httpx.get(running.http).status_code == 200
+    with page(running) as (socket, seat):
+        drive(running, socket, seat)
+
+
+class page:
+    """A page with its socket."""
+
+    def __init__(self, server: Server) -> None:
+        self._server, self._seat = server, server.pilot.join()
+
+    def __enter__(self) -> tuple[ClientConnection, Seat]:
+        self._opened = connect(self._server.socket(self._seat.key), compression=None)
+        return self._opened.__enter__(), self._seat
+
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
+        self._server.pilot.leave(self._seat)
+
+
+def say(socket: ClientConnection, n: int, dead_man: bool = True, sticks: object = (-1, 0, 0, 0)) -> None:
+    socket.send(json.dumps({"n": n, "sticks": sticks, "dead_man": dead_man}))
+
+
+def drive(server: Server, socket: ClientConnection, seat: Seat) -> None:
+    """Take the controls and move; the next message is number 2."""
+    wait(lambda: server.pilot.take(seat))
+    say(socket, 0, dead_man=False)
+    say(socket, 1)
+    wait(lambda: server.machine.moving)
+
+
+WRONG = {
+    "malformed": "{",
+    "binary": os.urandom(64),
+    "large": "x" * 10_000,
+    "huge": "x" * 1_000_000,
+    "huge binary": b"\x00" * 1_000_000,
+    "huge command": '{"n":2,"sticks":[1e300,0,0,0],"dead_man":true}',
+    "infinite command": '{"n":2,"sticks":[1e999,0,0,0],"dead_man":true}',
+    "deep": "[" * 60_000,
+    "no text": b"",
+}
+
+
+@pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
+def test_wrong_message_of_the_driver(server: Server, raw: str | bytes) -> None:
+    """Any wrong message is rest, whether the connection survives it or not."""
+    with page(server) as (socket, seat):
+        drive(server, socket, seat)
+        socket.send(raw)
+        wait(lambda: not server.machine.moving)
+
+
+@pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
+def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
+    """A watcher sends what it likes: the driver goes on driving."""
+    with page(server) as (socket, seat), page(server) as (other, _):
+        drive(server, socket, seat)
+        count = len(server.machine.commands)
+        other.send(raw)
+        for n in range(2, 8):
+            say(socket, n)
+        wait(lambda: len(server.machine.commands) >= count + 6)
+        assert all(any(command.values()) for command in server.machine.commands[count:])
+
+
+def test_dropped_messages(hasty: Server) -> None:
+    """Numbers that are missing do no harm; when nothing comes any more, it rests and is free."""
+    with page(hasty) as (socket, seat):
+        drive(hasty, socket, seat)
+        for n in (5, 17, 100):
+            say(socket, n, sticks=(-1, -1, 0, 0))
+        wait(lambda: hasty.machine.commands[-1]["boom_stick.stick_command"] > 0)
+        wait(lambda: not hasty.machine.moving)
+        wait(lambda: hasty.pilot.status(seat).role == "free")
+        assert seat.counts["accepted"] == 5
+
+
+def test_old_messages(hasty: Server) -> None:
+    """The same message again and again is silence."""
+    with page(hasty) as (socket, seat):
+        drive(hasty, socket, seat)
+        while hasty.machine.moving:
+            say(socket, 1)
+            socket.recv(timeout=1)
+        assert seat.counts["old"] > 0
+
+
+def test_second_browser(server: Server) -> None:
+    """The second one moves nothing, is told who drives, and can take over when the first is gone."""
+    with page(server) as (second, other):
+        with page(server) as (first, seat):
+            drive(server, first, seat)
+            assert not server.pilot.take(other)
+            say(second, 0, dead_man=False)
+            say(second, 1, sticks=(1, 1, 1, 1))
+            wait(lambda: other.counts["accepted"] == 2)
+            told = json.loads(second.recv(timeout=1))
+            assert server.machine.commands[-1]["swing.swing_command"] > 0
+        while told["role"] == "watching":
+            told = json.loads(second.recv(timeout=1))
+        assert told["role"] == "free"
+        assert not server.machine.moving
+        wait(lambda: server.pilot.take(other))
+
+
+def test_closed_page(server: Server) -> None:
+    """The end of the socket is rest."""
+    with page(server) as (socket, seat):
+        drive(server, socket, seat)
+        socket.close()
+        wait(lambda: not server.machine.moving)
+
+
+def test_cut_cable(server: Server) -> None:
+    """A connection that breaks off without a word, in the middle of a frame, is rest."""
+    with page(server) as (socket_, seat):
+        drive(server, socket_, seat)
+        socket_.socket.sendall(b"\x81\xfe\x00")  # a frame of text that never ends
+        socket_.socket.shutdown(socket.SHUT_RDWR)
+        wait(lambda: not server.machine.moving)
+
+
+def test_garbage_below_the_websocket(server: Server) -> None:
+    """Bytes that are no frame end the connection and nothing else."""
+    with page(server) as (socket_, seat):
+        drive(server, socket_, seat)
+        socket_.socket.sendall(os.urandom(1000))
+        wait(lambda: not server.machine.moving)
+
+
+def test_flood(server: Server) -> None:
+    """A client that sends without end is cut off."""
+    with page(server) as (socket, seat):
+        with contextlib.suppress(ConnectionClosed):
+            for n in range(100_000):
+                say(socket, n)
+        wait(lambda: not seat.connected)
+        assert seat.counts["flood"] > 0
+
+
+@pytest.mark.parametrize("key", ["", "nobody", "%00", "../../etc/passwd", "x" * 5000, "%ff%fe"])
+def test_unknown_page(server: Server, key: str) -> None:
+    """Who does not know the key of an open page is not let in, whatever is in its place."""
+    with pytest.raises(InvalidStatus, match="403"), connect(server.socket(key)):
+        pass

@@ -1,0 +1,188 @@
+"""The machine in space: where the page draws it is where the mechanics say it is."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.contract import quantities, symbolic
+from fmus.manipulator import MANIPULATOR, VARIANTS
+from fmus.parameters import values
+from orchestrator.errors import Problem
+from orchestrator.system.ssp import load
+from orchestrator.system.system import System
+from orchestrator.view.choice import Choice, plan
+from orchestrator.view.scene import crane, head, site
+from orchestrator.view.scene.colours import SCALE, UNKNOWN, colour
+from orchestrator.view.scene.geometry import Geometry, geometry
+from orchestrator.view.scene.marks import rings
+from orchestrator.view.scene.pose import NODES, Angles, Place, Pose, pose
+
+PENDULUM = VARIANTS["pendulum"]
+OWN = values(PENDULUM).p
+SIZES = Geometry(**{name: OWN[name] for name in Geometry.__dataclass_fields__})
+# exact identities: only rounding of numbers of some metres
+ROUNDING = 1e-12
+ANGLES = st.builds(
+    Angles,
+    swing=st.floats(-math.pi, math.pi),
+    boom=st.floats(-0.45, 1.0),  # the work space of the mechanics
+    stick=st.floats(-2.15, -0.6),
+    head=st.floats(-1.0, 1.0),
+    side=st.floats(-1.0, 1.0),
+)
+
+
+@functools.cache
+def equations(name: str) -> Any:
+    """The model as a function, made once."""
+    return symbolic(VARIANTS[name]).function()
+
+
+def told(q: Angles) -> dict[str, float]:
+    """Outputs of the mechanics at these angles, by its own equations."""
+    state = {"swing_angle": q.swing, "boom_angle": q.boom, "stick_angle": q.stick}
+    state |= {"head_angle": q.head, "head_side_angle": q.side}
+    x = [state.get(name, 0.0) for name in quantities(PENDULUM.states)]
+    own = values(PENDULUM)
+    outputs = equations("pendulum")(x, list(own.u.values()), list(own.p.values()))[1].full()[:, 0]
+    return dict(zip(quantities(PENDULUM.outputs), map(float, outputs), strict=True))
+
+
+def drawn(found: Pose, node: str, point: tuple[float, float, float]) -> np.ndarray:
+    """A point of a node in space, by rotation matrices: turned as the browser does it."""
+    place = found.places[node]
+    cos, sin = math.cos(place.roll), math.sin(place.roll)
+    roll = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
+    cos, sin = math.cos(-place.pitch), math.sin(-place.pitch)
+    pitch = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    cos, sin = math.cos(found.swing), math.sin(found.swing)
+    swing = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    return swing @ (np.array([place.x, 0.0, place.z]) + pitch @ roll @ np.array(point))
+
+
+@settings(max_examples=40, deadline=None)
+@given(q=ANGLES)
+def test_tip_and_cylinders(q: Angles) -> None:
+    """Tip and elbow are those of the mechanics, each cylinder is as long as closed length and position."""
+    found, y = pose(q, SIZES), told(q)
+    tip = (y["tip_x"], y["tip_y"], y["tip_height"])
+    assert found.tip == pytest.approx(tip, abs=ROUNDING)
+    assert drawn(found, "stick", (SIZES.stick_length, 0, 0)) == pytest.approx(tip, abs=ROUNDING)
+    for name, closed in (("boom", SIZES.boom_closed_length), ("stick", SIZES.stick_closed_length)):
+        barrel, rod = found.places[f"{name}_barrel"], found.places[f"{name}_rod"]
+        apart = math.hypot(rod.x - barrel.x, rod.z - barrel.z)
+        assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
+        assert barrel.to(apart) == pytest.approx((rod.x, rod.z), abs=ROUNDING), "the barrel points to the rod"
+
+
+@settings(max_examples=40, deadline=None)
+@given(q=ANGLES)
+def test_head(q: Angles) -> None:
+    """The middle of the head hangs where the mechanics of the swinging head say."""
+    y = told(q)
+    middle = drawn(pose(q, SIZES), "head", (0.0, 0.0, -SIZES.head_length))
+    assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
+
+
+@settings(max_examples=40, deadline=None)
+@given(q=ANGLES)
+def test_rod_pins_on_their_links(q: Angles) -> None:
+    """The rods end at the pins of boom and stick, however the machine stands."""
+    found = pose(q, SIZES)
+    for link, rod, pin in (
+        ("boom", "boom_rod", (SIZES.boom_pin_x, SIZES.boom_pin_z)),
+        ("stick", "stick_rod", (SIZES.stick_pin_x, SIZES.stick_pin_z)),
+    ):
+        place = found.places[rod]
+        assert found.places[link].to(*pin) == pytest.approx((place.x, place.z), abs=ROUNDING)
+
+
+def test_numbers_for_the_browser() -> None:
+    """Swing, tip and four numbers of each node, in the order of the nodes, as finely as a picture needs."""
+    found = pose(Angles(0.3, 0.2, -1.4, 0.1, -0.2), SIZES)
+    flat = found.flat()
+    assert len(flat) == 4 + 4 * len(NODES)
+    assert flat[:4] == pytest.approx([0.3, *found.tip], abs=5.1e-5)  # half of the last digit
+    head_at = 4 + 4 * NODES.index("head")
+    place = found.places["head"]
+    assert flat[head_at : head_at + 4] == pytest.approx([place.x, place.z, 0.1, -0.2], abs=5.1e-5)
+
+
+def test_geometry_of_a_system(fmu_dir: Path) -> None:
+    """Sizes are those that the FMU declares; of a head that does not swing the length is a usual one."""
+    rigid = geometry(load(fmu_dir / "harvester.ssp"))
+    own = values(MANIPULATOR).p
+    for name in Geometry.__dataclass_fields__:
+        assert getattr(rigid, name) == own.get(name, 1.0)
+    assert geometry(load(fmu_dir / "harvester.fmu")) == rigid, "the whole machine as one FMU has the same"
+    swung = plan(Choice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"}))
+    assert swung.geometry == SIZES
+    assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.poses
+
+
+def test_no_arm(fmu_dir: Path) -> None:
+    """A system without an arm is refused in one line that names what was looked for."""
+    parts = load(fmu_dir / "harvester.ssp")
+    rest = {name: c for name, c in parts.components.items() if name != "manipulator"}
+    with pytest.raises(Problem, match="boom_pivot_x to stick_stroke, found none in supply, boom_stick"):
+        geometry(System("no arm", rest))
+
+
+def test_bodies_hang_on_nodes() -> None:
+    """Each body has a node, a kind and a size that the browser knows, and the outlines are no knots."""
+    bodies = [*site.parts(), *crane.parts(SIZES), *head.parts(SIZES)]
+    assert {b.node for b in bodies} == {"site", "column", *NODES}
+    for body in bodies:
+        assert body.kind in ("box", "plate", "round", "tube")
+        assert min(body.size) > 0
+        assert body.kind in ("box", "round") or len(body.path) >= 3
+    coloured = {body.channel for body in bodies} - {""}
+    assert coloured == {f"{j}_{s}" for j in ("boom", "stick") for s in ("head", "rod")} | {
+        "swing_a",
+        "swing_b",
+    }
+
+
+@given(low=st.floats(0, 25e6), high=st.floats(0, 25e6))
+def test_colours_grow_lighter(low: float, high: float) -> None:
+    """A higher pressure never has a darker colour, so the scale is read without a sense of hue."""
+    low, high = sorted((low, high))
+    assert lightness(colour(low, 25e6)) <= lightness(colour(high, 25e6))
+
+
+def lightness(code: str) -> float:
+    """Relative luminance, WCAG 2.2."""
+    parts = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize(
+    ("pressure", "expected"), [(-1e5, SCALE[0]), (9e7, SCALE[-1]), (math.nan, UNKNOWN), (math.inf, UNKNOWN)]
+)
+def test_colours_at_the_ends(pressure: float, expected: str) -> None:
+    """What is beyond the scale has the colour of its end, what is no number is grey."""
+    assert colour(pressure, 25e6) == expected
+
+
+def test_rings() -> None:
+    """What is done is gone, what is next is strong."""
+    targets = [(1.0, 2.0, 0.3), (3.0, 0.0, 1.0), (3.0, 1.0, 1.0)]
+    assert [ring["strong"] for ring in rings(targets, 0.3, 1)] == [True, False]
+    assert rings(targets, 0.3, 1)[0]["at"] == [3.0, 0.0, 1.0]
+    assert rings(targets, 0.3, 3) == []
+
+
+def test_place_turns_upwards() -> None:
+    """A node at 90 degrees has its x-axis up and its z-axis back."""
+    place = Place(1.0, 2.0, math.pi / 2)
+    assert place.to(1.0) == pytest.approx((1.0, 3.0), abs=ROUNDING)
+    assert place.to(0.0, 1.0) == pytest.approx((0.0, 2.0), abs=ROUNDING)
