@@ -1,0 +1,128 @@
+"""What `harvester sweep` does: read, run what is missing, store, report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+from distributed import Client
+
+from orchestrator.errors import Stopped
+from orchestrator.sweep import cluster, design, printing, progress, reading, starts, store
+from orchestrator.sweep.cases import cases
+from orchestrator.sweep.factors import samples
+from orchestrator.sweep.fingerprint import fingerprint
+from orchestrator.sweep.packet import Packet, packet
+from orchestrator.sweep.running import FAILED, Sample
+from orchestrator.sweep.study import Study
+
+FOLDER = Path("build/sweeps")
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where a study runs: on `workers` cores of this machine (default: all), on the cluster of the Dask
+    scheduler at an address, or on the one that a client of Dask is connected to."""
+
+    workers: int | None = None
+    scheduler: str | None = None
+    client: Client | None = None
+
+    def connect(self) -> AbstractContextManager[Client]:
+        """A client; one that is given stays open."""
+        return nullcontext(self.client) if self.client else cluster.client(self.workers, self.scheduler)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study, ready to run; samples in the order of their runs."""
+
+    study: Study
+    table: pd.DataFrame
+    packet: Packet
+    samples: Sequence[Sample]
+
+    def known(self) -> tuple[pa.Table, dict[str, str]]:
+        """All columns that do not take a run to know, and their units."""
+        made, full = self.packet.cases, pa.Table.from_pandas(self.table, preserve_index=False)
+        values = starts.starts(self.study, made, self.samples)
+        for column in values.column_names:
+            full = full.append_column(column, values[column])
+        units = {f.column: f.unit for f in self.study.factors if not f.relative}
+        return full, units | starts.units(made)
+
+
+def plan(file: Path) -> Plan:
+    """The study in a file."""
+    study = reading.read(file)
+    made, table = cases(study), design.table(study)
+    return Plan(study, table, packet(study, made), list(samples(study, table, made)))
+
+
+def run(
+    file: Path,
+    out: Path | None = None,
+    where: Where = Where(),
+    fresh: bool = False,
+    report: bool = True,
+) -> bool:
+    """Run a study with its progress shown and print a summary; False if no run came to its end.
+
+    out     folder of the results; default: build/sweeps/ and the name of the file
+    fresh   forget what the folder holds
+    report  write the page of the analysis too
+    """
+    folder = out or FOLDER / file.stem
+    with progress.shown() as watch:
+        results = sweep(file, folder, where, fresh, watch)
+    table = results.table
+    print(printing.text(results))
+    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
+    if report:
+        from orchestrator.sweep import report as reporting
+
+        print(f"report: {reporting.report(folder)}")
+    return bool((table["status"] != FAILED).any())
+
+
+def sweep(
+    file: Path,
+    folder: Path,
+    where: Where = Where(),
+    fresh: bool = False,
+    watch: progress.Watch | None = None,
+) -> store.Results:
+    """Run a study, or what is missing of it in its folder; the results."""
+    ready = plan(file)
+    with store.locked(folder):
+        if fresh:
+            store.clear(folder)
+        kept = store.Store(folder, ready.study, file.read_bytes(), fingerprint(ready.packet, ready.table))
+        if not kept.complete:
+            _complete(ready, kept, where, watch or progress.Watch())
+            kept.finish(*ready.known())
+        return store.read(folder)
+
+
+def _complete(ready: Plan, kept: store.Store, where: Where, watch: progress.Watch) -> None:
+    """Run what is missing."""
+    done = kept.done()
+    missing = [s for s in ready.samples if s.run not in done]
+    watch.begin(len(ready.samples), len(done))
+    if not missing:
+        return
+    try:
+        with (
+            where.connect() as client,
+            closing(cluster.rows(client, ready.packet, missing)) as batches,
+        ):
+            for rows in batches:
+                kept.add(rows)
+                watch.see(rows)
+    except KeyboardInterrupt:
+        count = f"{len(kept.done())} of {len(ready.samples)} runs"
+        raise Stopped(f"{count} are kept in {kept.folder}, the same command goes on") from None

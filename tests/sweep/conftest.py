@@ -1,0 +1,44 @@
+"""Fixtures: small FMUs in one folder, and Dask clusters that all tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from any_fmu.models import Workshop
+from distributed import Client
+
+from orchestrator.sweep import cluster
+
+
+@pytest.fixture(scope="session")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    """The plain FMU of each model by name, and a way to make others."""
+    return Workshop(tmp_path_factory.mktemp("studies")).compile()
+
+
+@pytest.fixture(scope="session")
+def gain(workshop: Workshop) -> Path:
+    """y = factor u + offset."""
+    return workshop["gain"]
+
+
+@pytest.fixture(scope="session")
+def fails(workshop: Workshop) -> Path:
+    """y' = u; goes wrong in the way `how` from the time `when` on."""
+    return workshop["fails"]
+
+
+@pytest.fixture(scope="session")
+def one() -> Iterator[Client]:
+    """A worker."""
+    with cluster.client(1) as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def two() -> Iterator[Client]:
+    """Two workers."""
+    with cluster.client(2) as client:
+        yield client

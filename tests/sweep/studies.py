@@ -1,0 +1,86 @@
+"""Studies of small FMUs that are run in no time, and what to compare of their results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from distributed import Client
+
+from orchestrator.sweep.command import Where, sweep
+from orchestrator.sweep.progress import Watch
+from orchestrator.sweep.running import Row
+from orchestrator.sweep.store import Results
+
+GAIN = """
+title = "A gain"
+system = "gain.fmu"
+method = "latin"
+runs = 12
+seed = 3
+stop = 0.2
+step = 0.01
+
+[factors."gain.factor"]
+distribution = "uniform"
+minimum = 1
+maximum = 3
+
+[fixed]
+"gain.u" = 2
+
+[outputs.end]
+signal = "gain.y"
+measure = "final"
+band = true
+"""
+
+FAILS = """
+system = "fails.fmu"
+method = "grid"
+stop = 0.2
+step = 0.01
+
+[factors."fails.how"]
+distribution = "values"
+values = [0, 3, 5, 6, 10]
+
+[fixed]
+"fails.when" = 0.105
+"fails.u" = 1
+
+[outputs.end]
+signal = "fails.y"
+measure = "final"
+band = true
+"""
+
+
+class Count(Watch):
+    """Notes which runs took place."""
+
+    def __init__(self) -> None:
+        self.runs: list[int] = []
+
+    def see(self, rows: Sequence[Row]) -> None:
+        self.runs += [row.run for row in rows]
+
+
+def study(folder: Path, text: str, fmu: Path) -> Path:
+    """The file of a study, with its FMU beside it."""
+    (folder / fmu.name).write_bytes(fmu.read_bytes())
+    file = folder / "study.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def run(file: Path, client: Client, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:
+    """The results of a study, and the runs that took place for them now."""
+    count = Count()
+    results = sweep(file, file.parent / folder, Where(client=client), fresh, count)
+    return results, sorted(count.runs)
+
+
+def content(folder: Path) -> Mapping[str, bytes]:
+    """What must not depend on how a study was run, byte by byte."""
+    return {file.name: file.read_bytes() for file in sorted(folder.glob("*.parquet"))}

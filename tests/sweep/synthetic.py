@@ -1,0 +1,96 @@
+"""Studies of functions whose sensitivity is known in closed form: the project's designs, no FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from orchestrator.sweep import design
+from orchestrator.sweep.analysis import Effect, Finding, analyse
+from orchestrator.sweep.store import Results
+from orchestrator.sweep.study import Choice, Factor, Output, Study
+
+PI = float(np.pi)
+Columns = Mapping[str, np.ndarray]
+Function = Callable[[Columns], np.ndarray]
+
+
+def uniform(name: str, low: float, high: float) -> Factor:
+    """A factor."""
+    return Factor(name, "uniform", {"minimum": low, "maximum": high}, unit="m")
+
+
+def results(
+    function: Function,
+    factors: Sequence[Factor],
+    method: str,
+    runs: int,
+    choices: Sequence[Choice] = (),
+    failed: Callable[[pd.DataFrame], np.ndarray] | None = None,
+    seed: int = 5,
+    unit: str = "Pa",
+) -> Results:
+    """A study of a function of its factors and choices, as if it had been run.
+
+    failed   which rows of the table of runs count as failed
+    """
+    output = Output("peak", "part.pressure", "maximum", 0.0, 1.0, True, unit, unit)
+    study = Study(
+        "A function",
+        "none.ssp",
+        method,
+        runs,
+        seed,
+        1.0,
+        None,
+        None,
+        tuple(factors),
+        tuple(choices),
+        (output,),
+    )
+    table = design.table(study).reset_index()
+    columns = {f.name: table[f.column].to_numpy(float) for f in factors}
+    columns |= {c.what: table[c.column].to_numpy(str) for c in choices}
+    bad = failed(table) if failed else np.zeros(len(table), bool)
+    table[output.column] = np.where(bad, np.nan, function(columns))
+    table["status"] = np.where(bad, "failed", "ok")
+    table["reason"] = np.where(bad, "state became inf at 0.4 s", "")
+    return Results(study, table, _bands(table, output), {output.signal: unit})
+
+
+def finding(found: Results) -> Finding:
+    """What the analysis says about the only output."""
+    return analyse(found).findings[0]
+
+
+def effects(found: Finding) -> dict[str, Effect]:
+    """By name."""
+    assert found.sensitivity is not None
+    return {effect.name: effect for effect in found.sensitivity.effects}
+
+
+def ishigami(x: Columns) -> np.ndarray:
+    """sin x1 + 7 sin^2 x2 + 0.1 x3^4 sin x1, in units of 1e5 Pa so that a reader sees bar."""
+    return 1e5 * (np.sin(x["x1"]) + 7 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"]))
+
+
+ISHIGAMI = tuple(uniform(name, -PI, PI) for name in ("x1", "x2", "x3"))
+
+
+def ishigami_indices() -> dict[str, tuple[float, float]]:
+    """First order and total of each factor [Ishigami and Homma 1990, ISUMA, 398-403]."""
+    a, b = 7.0, 0.1
+    one, two = 0.5 * (1 + b * PI**4 / 5) ** 2, a**2 / 8
+    both = b**2 * PI**8 * (1 / 18 - 1 / 50)
+    whole = one + two + both
+    return {"x1": (one / whole, (one + both) / whole), "x2": (two / whole,) * 2, "x3": (0.0, both / whole)}
+
+
+def _bands(table: pd.DataFrame, output: Output) -> pd.DataFrame:
+    """The signal rises to its peak and falls again."""
+    time = np.linspace(0.0, 1.0, 11)
+    values = table[output.column].to_numpy()[:, None] * np.sin(PI * time)
+    runs = np.repeat(table["run"].to_numpy(), len(time))
+    return pd.DataFrame({"run": runs, "time": np.tile(time, len(table)), output.signal: values.ravel()})

@@ -1,0 +1,164 @@
+"""Sobol' indices, Morris effects and main effects against functions whose answers are known."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
+
+from orchestrator.sweep.analysis import Effect, Estimate, analyse
+from orchestrator.sweep.analysis.outcome import FIRST, MU_STAR, TOTAL
+from orchestrator.sweep.study import Choice, Factor
+
+TWO = Choice("swing", ("lumped", "detailed"))
+LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}
+UNIT = tuple(uniform(name, 0.0, 1.0) for name in LINEAR)
+
+
+def linear(x: Mapping[str, np.ndarray]) -> np.ndarray:
+    """A sum of the factors with known weights."""
+    return 10.0 + sum(weight * x[name] for name, weight in LINEAR.items())
+
+
+def near(estimate: Estimate, truth: float) -> bool:
+    """Within 1.5 times half the 95 % interval, 3 standard deviations."""
+    assert estimate.low is not None
+    assert estimate.high is not None
+    return abs(estimate.value - truth) <= 0.75 * (estimate.high - estimate.low)
+
+
+def test_ishigami_has_its_closed_form_indices() -> None:
+    """First order and total of all factors of the Ishigami function."""
+    found = effects(finding(results(ishigami, ISHIGAMI, "saltelli", 512)))
+    for name, (first, total) in ishigami_indices().items():
+        assert near(found[name].estimates[FIRST], first)
+        assert near(found[name].estimates[TOTAL], total)
+        # 3 sd of 512 base samples; an estimator that mixed up rows would be off by 0.3 and more
+        assert abs(found[name].estimates[TOTAL].value - total) < 0.12
+
+
+def test_a_choice_takes_its_part_of_the_variance() -> None:
+    """An option that adds a constant d moves Var = d^2 / 4; the factors share the rest as without it."""
+    step = 4e5
+    found = effects(
+        finding(
+            results(
+                lambda x: ishigami(x) + step * (x["swing"] == "detailed"), ISHIGAMI, "saltelli", 512, [TWO]
+            )
+        )
+    )
+    own = 13.8446e10  # variance of the Ishigami function, in Pa^2
+    part = own / (own + step**2 / 4)
+    for key in (FIRST, TOTAL):
+        assert near(found["swing"].estimates[key], 1 - part)
+    for name, (first, total) in ishigami_indices().items():
+        assert near(found[name].estimates[FIRST], part * first)
+        assert near(found[name].estimates[TOTAL], part * total)
+
+
+def test_a_choice_that_is_drawn_is_a_factor_like_others() -> None:
+    """Sampled or crossed, a choice has the same share."""
+    drawn = Choice("swing", TWO.options, sampled=True)
+    shares = []
+    for choice in (TWO, drawn):
+        found = results(lambda x: x["x1"] + (x["swing"] == "detailed"), UNIT[:1], "saltelli", 512, [choice])
+        shares.append(effects(finding(found))["swing"].estimates[TOTAL])
+    truth = 0.25 / (0.25 + 1 / 12)  # variances of a fair coin and of a uniform number
+    assert all(abs(share.value - truth) < 0.05 for share in shares)  # 3 sd of 512 base samples
+
+
+def test_a_factor_without_effect_has_none() -> None:
+    """The interval of a factor that is not in the function holds zero, and is narrow."""
+    found = effects(finding(results(linear, UNIT, "saltelli", 256)))["x4"]
+    # exactly zero: columns of x4 change nothing, so all differences vanish
+    assert found.estimates[TOTAL] == Estimate(0.0, 0.0, 0.0)
+    assert found.estimates[FIRST].floor <= 0 <= found.estimates[FIRST].ceiling
+
+
+def test_lost_base_samples_leave_the_indices_true() -> None:
+    """With a few failed runs the base samples of these are left out, which is told."""
+
+    def some(table: pd.DataFrame) -> np.ndarray:
+        return (table["run"] % 97 == 5).to_numpy()
+
+    found = finding(results(ishigami, ISHIGAMI, "saltelli", 512, failed=some))
+    assert found.sensitivity is not None
+    assert "base samples are left out" in found.sensitivity.notes[0]
+    for name, (_, total) in ishigami_indices().items():
+        assert near(effects(found)[name].estimates[TOTAL], total)
+
+
+def test_a_broken_design_is_taken_as_a_plain_sample() -> None:
+    """With many failed runs the independent rows are a plain sample, which is told."""
+
+    def many(table: pd.DataFrame) -> np.ndarray:
+        return (table["run"] % 7 == 2).to_numpy()
+
+    found = finding(results(ishigami, ISHIGAMI, "saltelli", 256, failed=many))
+    assert found.sensitivity is not None
+    assert "too few for the estimators of a Saltelli design" in found.sensitivity.notes[0]
+    assert "RBD-FAST" in found.sensitivity.method
+    # 3 sd of first order indices from some 440 samples
+    assert abs(effects(found)["x2"].estimates[FIRST].value - ishigami_indices()["x2"][0]) < 0.1
+
+
+@pytest.mark.parametrize("crossed", [(), (TWO,)])
+def test_morris_gives_the_coefficients_of_a_linear_function(crossed: tuple[Choice, ...]) -> None:
+    """mu* is the weight times the range, sigma is zero, mu has the sign, a crossed choice its difference."""
+    found = effects(
+        finding(
+            results(
+                lambda x: linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0),
+                UNIT,
+                "morris",
+                6,
+                crossed,
+            )
+        )
+    )
+    for name, weight in LINEAR.items():
+        _is(found[name], abs(weight))
+        assert found[name].more["mu"] == pytest.approx(weight, abs=1e-12)
+    if crossed:
+        _is(found["swing"], 3.0)
+
+
+def _is(effect: Effect, star: float) -> None:
+    # exact identity: rounding of differences of numbers near 10
+    assert effect.estimates[MU_STAR].value == pytest.approx(star, abs=1e-12)
+    assert effect.more["sigma"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_grid_has_its_analysis_of_variance() -> None:
+    """First order and total of a product, by sums over the grid."""
+    axes = {"a": (1.0, 2.0, 4.0), "b": (-1.0, 3.0)}
+    factors = [Factor(name, "values", {"values": values}) for name, values in axes.items()]
+    found = effects(finding(results(lambda x: x["a"] * x["b"], factors, "grid", 0)))
+    y = np.array([[a * b for b in axes["b"]] for a in axes["a"]])
+    # exact identities: rounding only
+    assert found["a"].estimates[FIRST].value == pytest.approx(y.mean(axis=1).var() / y.var(), rel=1e-12)
+    assert found["b"].estimates[TOTAL].value == pytest.approx(y.var(axis=1).mean() / y.var(), rel=1e-12)
+
+
+def test_equal_results_have_equal_analyses() -> None:
+    """Nothing is drawn anew: the same runs give the same numbers, whatever the rows' order."""
+    for method, runs in (("saltelli", 32), ("latin", 220), ("morris", 8)):
+        found = results(ishigami, ISHIGAMI, method, runs, [TWO])
+        shuffled = replace(found, table=found.table.sort_values("run", ascending=False))
+        first, second = (analyse(one).findings[0].sensitivity for one in (found, shuffled))
+        assert first == second
+
+
+def test_effects_stand_in_the_order_of_the_tornado() -> None:
+    """The largest first, by the measure that orders them, whatever the method."""
+    for method, runs in (("saltelli", 64), ("latin", 220), ("latin", 60), ("morris", 8)):
+        found = finding(results(linear, UNIT, method, runs)).sensitivity
+        assert found is not None
+        values = [effect.estimates[found.measure].value for effect in found.effects]
+        assert all(a >= b for a, b in itertools.pairwise(values))
+        assert [effect.name for effect in found.effects][:3] == ["x1", "x2", "x3"]

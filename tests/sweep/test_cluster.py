@@ -1,0 +1,112 @@
+"""On a Dask cluster that is there already: the same content, also when one of its processes dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator, Sequence
+
+import dask
+import psutil
+import pytest
+from distributed import Client, LocalCluster
+from sweep.studies import GAIN, content, run, study
+
+from orchestrator import Problem
+from orchestrator.sweep import cluster
+from orchestrator.sweep.command import Where, sweep
+from orchestrator.sweep.progress import Watch
+from orchestrator.sweep.running import Row, Sample
+
+LONG = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many batches
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """The address of a scheduler with one worker in a process of its own, which is replaced when it dies."""
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as there,
+    ):
+        yield there.scheduler_address
+
+
+class Killer(Watch):
+    """Kills the worker, once, when the first batch is done."""
+
+    def __init__(self, address: str) -> None:
+        self._address, self.killed = address, 0
+
+    def see(self, rows: Sequence[Row]) -> None:  # noqa: ARG002
+        if not self.killed:
+            with Client(self._address) as client:
+                self.killed = next(iter(client.run(os.getpid).values()))
+            os.kill(self.killed, signal.SIGKILL)
+
+
+def test_no_port_is_opened_on_this_machine(one):  # noqa: ARG001
+    """The workers of a local cluster are threads: nobody can reach them from outside."""
+    listening = [c for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN]
+    assert listening == []
+
+
+def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
+    """What it was at is run again elsewhere; the content is that of an undisturbed study, byte by byte."""
+    file = study(tmp_path, LONG, gain)
+    run(file, one, "here")
+    killer = Killer(address)
+    sweep(file, tmp_path / "there", Where(scheduler=address), watch=killer)
+    assert killer.killed
+    assert content(tmp_path / "there") == content(tmp_path / "here")
+
+
+def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
+    """The processes of a study end with it."""
+    sweep(study(tmp_path, GAIN, gain), tmp_path / "out", Where(scheduler=address))
+    with Client(address) as client:
+        children = client.run(lambda: [" ".join(p.cmdline()) for p in psutil.Process().children()])
+    assert not [line for lines in children.values() for line in lines if "sweep.child" in line]
+
+
+@pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "nowhere", "foo://127.0.0.1:1"])
+def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
+    """In one line, with what was expected."""
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    with (
+        pytest.raises(Problem, match=rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"),
+        cluster.client(scheduler=url),
+    ):
+        pass
+
+
+class Deserted:
+    """A connection to a cluster whose workers are gone."""
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+    def submit(self, *_: object, **__: object) -> object:
+        return object()
+
+    def cancel(self, *_: object, **__: object) -> None:
+        """Nobody is there."""
+
+
+class Nothing(list):
+    """A queue in which no batch ends."""
+
+    add = list.append
+
+    def has_ready(self) -> bool:
+        return False
+
+
+def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
+    """The command does not wait for ever, and says that it can go on."""
+    monkeypatch.setattr(cluster, "as_completed", Nothing)
+    monkeypatch.setattr(cluster, "LOST", 0.0)
+    batches = cluster.Batches(Deserted(), "study", None, [Sample(0, (), {})])
+    with pytest.raises(
+        Problem, match=r"^no worker is left in the Dask cluster; what is finished is kept, the"
+    ):
+        next(batches.done())

@@ -1,0 +1,158 @@
+"""Designs: marginals, bounds, balance, determinism, and the order of the runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from orchestrator.sweep.design import METHODS, quantile, samples, table
+from orchestrator.sweep.study import METHODS as NAMES
+from orchestrator.sweep.study import Choice, Factor, Study
+
+UNIFORM = Factor("a.u", "uniform", {"minimum": -1.0, "maximum": 3.0})
+NORMAL = Factor("a.n", "normal", {"mean": 2.0, "sd": 0.5})
+LOGNORMAL = Factor("a.l", "lognormal", {"mean": 3.0, "sd": 1.5})
+TRIANGULAR = Factor("a.t", "triangular", {"minimum": 0.0, "mode": 0.25, "maximum": 1.0})
+VALUES = Factor("a.v", "values", {"values": (1.0, 2.0, 5.0)})
+FACTORS = (UNIFORM, NORMAL, LOGNORMAL, TRIANGULAR, VALUES)
+
+
+def made(method="latin", runs=16, seed=1, factors=FACTORS, choices=()):
+    """A study of which only the design counts."""
+    return Study("t", "s.fmu", method, runs, seed, 1.0, None, None, factors, choices, ())
+
+
+finite = st.floats(-1e6, 1e6)
+sizes = st.floats(1e-3, 1e6)
+factors = st.one_of(
+    st.builds(lambda a, w: Factor("x", "uniform", {"minimum": a, "maximum": a + w}), finite, sizes),
+    st.builds(
+        lambda a, w, s: Factor("x", "triangular", {"minimum": a, "mode": a + s * w, "maximum": a + w}),
+        *(finite, sizes, st.floats(0, 1)),
+    ),
+    st.builds(lambda m, s: Factor("x", "normal", {"mean": m, "sd": s}), finite, sizes),
+    st.builds(lambda m, s: Factor("x", "lognormal", {"mean": m, "sd": s * m}), sizes, st.floats(1e-2, 3)),
+)
+LIMITS = ("minimum", "maximum")
+
+
+@settings(max_examples=60, deadline=None)
+@given(factor=factors, seed=st.integers(0, 2**32 - 1), method=st.sampled_from(["latin", "sobol", "morris"]))
+def test_numbers_are_finite_and_within_their_bounds(factor, seed, method):
+    """Of every method, also of those whose samples touch the ends of 0..1."""
+    numbers = table(made(method, 16, seed, (factor,)))["factor:x"].to_numpy()
+    assert np.isfinite(numbers).all()
+    if set(LIMITS) <= set(factor.numbers):
+        low, high = (factor.numbers[name] for name in LIMITS)
+        least = 4 * np.spacing(max(abs(low), abs(high)))  # rounding of low + u (high - low)
+        assert (numbers >= low - least).all()
+        assert (numbers <= high + least).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(factor=factors, seed=st.integers(0, 2**32 - 1))
+def test_a_latin_hypercube_has_one_sample_in_each_share(factor, seed):
+    """Each n-th of the distribution holds one of n samples, whatever the distribution."""
+    numbers = np.sort(table(made("latin", 16, seed, (factor,)))["factor:x"])
+    edges = quantile(factor, np.arange(17) / 16)
+    least = 1e-9 * np.ptp(edges[1:-1])  # rounding of the inverse distribution functions
+    assert (numbers >= edges[:-1] - least).all()
+    assert (numbers <= edges[1:] + least).all()
+
+
+@pytest.mark.parametrize("factor", FACTORS[:4], ids=lambda f: f.distribution)
+def test_marginals_are_those_of_the_distribution(factor):
+    """Mean and sd by the closed forms of the distributions, which the design does not use.
+
+    1024 stratified samples give the mean to 1e-3 of the sd; of the sd the tails of the lognormal miss 1 %.
+    """
+    n, numbers = factor.numbers, table(made("latin", 1024, 7, (factor,))).iloc[:, 0]
+    if factor.distribution == "uniform":
+        mean, sd = (n["minimum"] + n["maximum"]) / 2, (n["maximum"] - n["minimum"]) / np.sqrt(12)
+    elif factor.distribution == "triangular":
+        a, c, b = n["minimum"], n["mode"], n["maximum"]
+        mean, sd = (a + b + c) / 3, np.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+    else:
+        mean, sd = n["mean"], n["sd"]
+    assert numbers.mean() == pytest.approx(mean, abs=2e-3 * sd)
+    assert numbers.std() == pytest.approx(sd, rel=2e-2)
+
+
+def test_a_normal_factor_is_normal():
+    """Kolmogorov and Smirnov's distance of n stratified samples is at most 1/n."""
+    numbers = table(made("latin", 256, 5, (NORMAL,))).iloc[:, 0]
+    assert stats.kstest(numbers, stats.norm(2.0, 0.5).cdf).statistic <= 1 / 256
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_the_same_study_has_the_same_table(method):
+    """To the last bit; another seed has another one, but for a grid, which has none."""
+    each = (VALUES,) if method == "grid" else FACTORS
+    first = table(made(method, factors=each))
+    assert first.equals(table(made(method, factors=each)))
+    other = table(made(method, factors=each, seed=2))
+    assert first.equals(other) == (method == "grid")
+
+
+def test_methods_are_those_that_a_study_may_name():
+    """No method lacks its samples."""
+    assert set(METHODS) == set(NAMES)
+
+
+def test_sobol_is_balanced():
+    """Each half, quarter ... of each dimension holds as many samples as any other."""
+    cube = samples(made("sobol", 64))
+    for column in cube.T:
+        assert np.bincount((column * 64).astype(int)).tolist() == [1] * 64
+
+
+@pytest.mark.parametrize(("method", "count"), [("saltelli", 8 * (5 + 2)), ("morris", 8 * (5 + 1))])
+def test_sensitivity_designs_have_their_sizes(method, count):
+    """N (k + 2) and N (k + 1) runs; of morris each differs from the one before in one factor."""
+    cube = samples(made(method, 8))
+    assert cube.shape == (count, 5)
+    if method == "morris":
+        steps = np.diff(cube.reshape(8, 6, 5), axis=1)
+        assert (np.count_nonzero(steps, axis=2) == 1).all()
+
+
+def test_a_grid_has_every_combination_once():
+    """In the order of the file, the last factor fastest."""
+    other = Factor("a.w", "values", {"values": (0.0, 9.0)})
+    rows = table(made("grid", 0, factors=(VALUES, other)))
+    expected = [(a, b) for a in (1.0, 2.0, 5.0) for b in (0.0, 9.0)]
+    assert list(rows.itertuples(index=False, name=None)) == expected
+
+
+def test_values_are_equally_likely():
+    """Of 48 stratified samples each of three values has 16."""
+    counts = table(made("latin", 48, factors=(VALUES,)))["factor:a.v"].value_counts()
+    assert counts.to_dict() == {1.0: 16, 2.0: 16, 5.0: 16}
+
+
+def test_choices_are_crossed_with_every_sample():
+    """The samples are the same for each combination, whose runs stand together."""
+    choices = Choice("scenario", ("a", "b")), Choice("arm", ("x", "y", "z"))
+    rows = table(made(runs=4, choices=choices))
+    assert len(rows) == 24
+    groups = [g for _, g in rows.groupby(["choice:scenario", "choice:arm"], sort=False)]
+    assert [tuple(g.index) for g in groups] == [tuple(range(k, k + 4)) for k in range(0, 24, 4)]
+    for group in groups:
+        assert np.array_equal(group.filter(like="factor:"), groups[0].filter(like="factor:"))
+
+
+def test_a_sampled_choice_is_a_dimension_of_its_own():
+    """It multiplies no runs, and each option is as likely."""
+    rows = table(made(runs=12, choices=(Choice("arm", ("x", "y", "z"), sampled=True),)))
+    assert rows["choice:arm"].value_counts().to_dict() == {"x": 4, "y": 4, "z": 4}
+
+
+def test_without_factors_each_combination_is_run_once():
+    """A study may compare variants alone."""
+    study = replace(made("grid", 0, factors=()), choices=(Choice("arm", ("x", "y")),))
+    assert table(study)["choice:arm"].tolist() == ["x", "y"]

@@ -1,0 +1,122 @@
+"""Runs become rows: numbers, bands, and what is told of runs that go wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from sweep.studies import FAILS, GAIN, run, study
+
+from orchestrator import run as single
+from orchestrator.sweep.measures import MEASURES, measure
+from orchestrator.sweep.study import MEASURES as NAMES
+from orchestrator.sweep.study import Output
+
+
+@pytest.fixture(scope="module")
+def gained(gain, one, tmp_path_factory):
+    """The results of the study of the gain."""
+    return run(study(tmp_path_factory.mktemp("gain"), GAIN, gain), one)
+
+
+@pytest.fixture(scope="module")
+def failing(fails, one, tmp_path_factory):
+    """The results of runs that go wrong, each in another way, and the numbers of those that took place."""
+    return run(study(tmp_path_factory.mktemp("fails"), FAILS, fails), one)
+
+
+def test_a_row_is_what_a_single_run_gives(gained, gain):
+    """Outputs and bands are those of `run` with the same start values, to the last bit."""
+    results, _ = gained
+    for row in results.table.itertuples(index=False):
+        factor = results.table.loc[row.run, "factor:gain.factor"]
+        trace = single(gain, step=0.01, stop=0.2, set={"gain.factor": factor, "gain.u": 2.0}).trace
+        assert results.table.loc[row.run, "output:end"] == trace["gain.y"][-1]
+        band = results.bands[results.bands["run"] == row.run]
+        assert band["gain.y"].tolist() == np.interp(band["time"], trace.time, trace["gain.y"]).tolist()
+
+
+def test_every_start_value_is_in_the_row(gained):
+    """Those that are varied, those that are fixed, and those that the FMU has by itself, with their units."""
+    results, _ = gained
+    table = results.table
+    assert (table["start:gain.factor"] == table["factor:gain.factor"]).all()
+    assert set(table["start:gain.u"]) == {2.0}
+    assert set(table["start:gain.offset"]) == {0.0}
+    assert results.units["start:gain.offset"] == results.units["output:end"] == "m"
+
+
+def test_bands_have_their_own_step(gained):
+    """Each run from its begin to its end, every band_step."""
+    results, _ = gained
+    times = results.bands.groupby("run")["time"].apply(list)
+    assert len(times) == 12
+    assert all(t == [0.05 * k for k in range(5)] for t in times)
+
+
+def test_runs_that_go_wrong_are_rows_too(failing):
+    """Status and reason in one line; the process that an FMU takes down is named with its signal."""
+    results, _ = failing
+    table = results.table.set_index("factor:fails.how")
+    assert table["status"].to_dict() == {0: "ok", 3: "failed", 5: "failed", 6: "early", 10: "failed"}
+    assert table.loc[0, "reason"] == ""
+    assert "the pump broke" in table.loc[3, "reason"]
+    assert "fails.y: expected a finite value" in table.loc[5, "reason"]
+    assert "asks to end the simulation" in table.loc[6, "reason"]
+    assert table.loc[10, "reason"] == "the process ended by signal 6 (SIGABRT)"
+    assert not any("\n" in reason for reason in table["reason"])
+
+
+def test_a_crash_costs_nobody_else_a_run(failing):
+    """Each run takes place once, also those in the batch of one that takes the process down."""
+    _, runs = failing
+    assert runs == [0, 1, 2, 3, 4]
+
+
+def test_failed_runs_have_no_numbers(failing):
+    """Not a number for the outputs and no band; a run that ended early has what it came to."""
+    results, _ = failing
+    table = results.table.set_index("factor:fails.how")
+    assert table["output:end"].isna().to_dict() == {0: False, 3: True, 5: True, 6: False, 10: True}
+    # y' = 1 for 0.2 s, integrated exactly but for the rounding of its steps
+    assert table.loc[0, "output:end"] == pytest.approx(0.2, rel=1e-12)
+    early = table.loc[6, "run"]
+    assert set(results.bands["run"]) == {table.loc[0, "run"], early}
+    assert results.bands.loc[results.bands["run"] == early, "time"].max() < 0.2
+
+
+def test_every_measure_is_computed():
+    """The table of measures has those that a study may name."""
+    assert tuple(MEASURES) == tuple(sorted(NAMES, key=list(MEASURES).index))
+    assert set(MEASURES) == set(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("maximum", 1.0),
+        ("minimum", -1.0),
+        ("range", 2.0),
+        ("final", 0.0),
+        ("mean", 0.0),
+        ("rms", math.sqrt(0.5)),
+        ("integral", 0.0),
+        ("time_of_maximum", 0.25),
+    ],
+)
+def test_measures_of_a_sine(name, expected):
+    """Closed forms over a period; the trapezoidal rule is exact there, so only rounding is left."""
+    t = np.linspace(0.0, 1.0, 1001)
+    value = measure(Output("y", "s", name), t, np.sin(2 * np.pi * t))
+    assert value == pytest.approx(expected, abs=1e-12)
+
+
+def test_measures_see_their_window_only():
+    """Both ends belong to it, however a time was added up; where it holds nothing there is no number."""
+    t = np.array([0.1 * k for k in range(11)])
+    assert measure(Output("y", "s", "maximum", stop=0.3), t, t) == t[3]
+    assert measure(Output("y", "s", "minimum", start=0.3), t, t) == t[3]
+    # the mean of t from 0.2 to 0.6 is its middle; the trapezoidal rule is exact for a line, but for rounding
+    assert measure(Output("y", "s", "mean", 0.2, 0.6), t, t) == pytest.approx(0.4, rel=1e-12)
+    assert math.isnan(measure(Output("y", "s", "mean", 2.0, 3.0), t, t))

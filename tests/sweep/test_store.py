@@ -1,0 +1,186 @@
+"""The folder of a study: the same content however it came about, nothing run twice, nothing mixed."""
+
+from __future__ import annotations
+
+import os
+
+import pandas as pd
+import pytest
+from sweep.studies import GAIN, content, run, study
+
+from orchestrator import Problem
+from orchestrator.sweep import store
+from orchestrator.sweep.parts import HALF
+
+
+@pytest.fixture
+def file(gain, tmp_path):
+    """The study of the gain."""
+    return study(tmp_path, GAIN, gain)
+
+
+def test_a_finished_study_is_not_run_again(file, one):
+    """No run takes place, and nothing is written anew."""
+    first, _ = run(file, one)
+    before = content(file.parent / "out")
+    again, runs = run(file, one)
+    assert runs == []
+    assert again.table.equals(first.table)
+    assert content(file.parent / "out") == before
+    assert set(before) == {"runs.parquet", "bands.parquet"}
+
+
+def test_only_missing_runs_take_place(file, one):
+    """A batch that is lost is run again, the others are not, whatever their order."""
+    results, _ = run(file, one, "whole")
+    out, ready = file.parent / "out", store_of(file, file.parent / "out")
+    rows = [rows_of(file, one)[n] for n in (7, 2, 3)]
+    ready.add(rows)
+    (out / "parts" / f"runs-000000000.parquet{HALF}").write_bytes(b"half a file")
+    _, runs = run(file, one)
+    assert runs == [0, 1, 4, 5, 6, 8, 9, 10, 11]
+    assert content(out) == content(file.parent / "whole")
+    assert results.table["run"].tolist() == list(range(12))
+
+
+def rows_of(file, client):
+    """Run -> row, computed apart from any folder."""
+    from orchestrator.sweep.cluster import rows
+    from orchestrator.sweep.command import plan
+
+    ready = plan(file)
+    return {r.run: r for batch in rows(client, ready.packet, ready.samples) for r in batch}
+
+
+def store_of(file, folder):
+    """The folder of a study, ready to take rows."""
+    from orchestrator.sweep.command import plan
+    from orchestrator.sweep.fingerprint import fingerprint
+
+    folder.mkdir()
+    ready = plan(file)
+    return store.Store(folder, ready.study, file.read_bytes(), fingerprint(ready.packet, ready.table))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("seed = 3", "seed = 4", "seed was 3, is 4"),
+        ("runs = 12", "runs = 13", "runs was 12, is 13"),
+        ("maximum = 3", "maximum = 2", "factors was "),
+        ('"gain.u" = 2', '"gain.u" = 1', 'fixed was {"gain.u": 2.0}, is {"gain.u": 1.0}'),
+        ("stop = 0.2", "stop = 0.3", "stop was 0.2, is 0.3"),
+    ],
+)
+def test_a_changed_study_is_refused(file, one, old, new, told):
+    """The line says what changed and that --fresh deletes what is there."""
+    run(file, one)
+    file.write_text(GAIN.replace(old, new), encoding="utf-8")
+    with pytest.raises(Problem) as refused:
+        run(file, one)
+    assert str(refused.value).startswith(f"{file.parent / 'out'}: holds runs of another study: {told}")
+    assert str(refused.value).endswith("; --fresh deletes them")
+    assert "\n" not in str(refused.value)
+    _, runs = run(file, one, fresh=True)
+    assert 0 in runs
+
+
+def test_a_changed_fmu_is_refused(file, one, workshop):
+    """It is its content that counts, not its name or its date."""
+    run(file, one)
+    fmu = file.parent / "gain.fmu"
+    os.utime(fmu, (0, 0))
+    assert run(file, one)[1] == []
+    fmu.write_bytes(workshop.make("gain", "other_gain", more="<!-- another -->").read_bytes())
+    with pytest.raises(Problem, match=r"another study: the FMU of gain changed; --fresh deletes them$"):
+        run(file, one)
+
+
+def test_another_title_is_the_same_study(file, one):
+    """It changes no result, so nothing is run again."""
+    run(file, one)
+    file.write_text(GAIN.replace("A gain", "Another title"), encoding="utf-8")
+    results, runs = run(file, one)
+    assert runs == []
+    assert results.study.title == "Another title"
+
+
+def test_two_processes_do_not_share_a_folder(file, one):
+    """The second one is refused, until the first is done."""
+    with store.locked(file.parent / "out"), pytest.raises(Problem, match="another process runs it"):
+        run(file, one)
+    run(file, one)
+
+
+def test_an_unfinished_study_has_no_results(tmp_path):
+    """The line names what is missing."""
+    with pytest.raises(Problem, match=r"expected a finished study, runs.parquet is missing$"):
+        store.read(tmp_path)
+
+
+def test_the_log_stands_apart(file, one):
+    """Times are in a table of their own: one row for each run, one header for all batches."""
+    store_of(file, file.parent / "out").add([rows_of(file, one)[7]])
+    run(file, one)
+    log = pd.read_csv(file.parent / "out" / "log.csv")
+    assert list(log) == ["run", "status", "seconds"]
+    assert sorted(log["run"]) == list(range(12))
+    assert set(log["status"]) == {"ok"}
+    assert (log["seconds"] > 0).all()
+
+
+def test_a_broken_part_is_named_and_its_runs_are_run_again_without_it(file, one):
+    """One line; nothing of it is taken for a result. So it is where only the signals of a part are lost."""
+    run(file, one, "whole")
+    out = file.parent / "out"
+    ready = store_of(file, out)
+    rows = rows_of(file, one)
+    ready.add([rows[0], rows[1]])
+    ready.add([rows[2]])
+    broken = out / "parts" / "runs-000000000.parquet"
+    broken.write_bytes(broken.read_bytes()[:100])
+    with pytest.raises(
+        Problem, match=r"runs-000000000.parquet: cannot be read [^\n]+; without this file its"
+    ):
+        run(file, one)
+    broken.unlink()
+    (out / "parts" / "bands-000000002.parquet").unlink()
+    assert run(file, one)[1] == list(range(12))
+    assert content(out) == content(file.parent / "whole")
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "half a fi"])
+def test_a_folder_that_is_not_understood_is_refused(file, one, text):
+    """Its study.json is not one of a study; --fresh deletes it."""
+    run(file, one)
+    (file.parent / "out" / "study.json").write_text(text)
+    with pytest.raises(Problem, match=r"study.json: expected that of a study, got something else; --fresh"):
+        run(file, one)
+    assert run(file, one, fresh=True)[1] == list(range(12))
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("name", ["runs.parquet", "report.html"])
+def test_files_of_others_are_left_alone(file, one, name, fresh):
+    """A folder with such a file that no study wrote is refused, also by --fresh."""
+    other = file.parent / "out" / name
+    other.parent.mkdir()
+    other.write_text("of somebody else")
+    with pytest.raises(Problem, match=f"out: expected a folder for this study alone, got {name} too$"):
+        run(file, one, fresh=fresh)
+    assert other.read_text() == "of somebody else"
+
+
+def test_a_study_may_lie_in_its_own_folder(file, one):
+    """Its file stays, also when it begins anew."""
+    text = file.read_text()
+    run(file, one, ".")
+    assert run(file, one, ".", fresh=True)[1] == list(range(12))
+    assert file.read_text() == text
+
+
+def test_a_file_is_no_folder_for_results(file, one):
+    """One line says so."""
+    (file.parent / "out").write_text("")
+    with pytest.raises(Problem, match=r"out: cannot be a folder for results: File exists$"):
+        run(file, one)

@@ -1,0 +1,89 @@
+"""A study that is killed or interrupted: what was finished is kept, the content is the same in the end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from sweep.studies import GAIN, content, run, study
+
+RUNS = 120
+LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 40")  # some seconds in all
+
+
+@pytest.fixture(scope="module")
+def long(gain, two, tmp_path_factory):
+    """The file of a study of some seconds, and its content when nobody disturbs it."""
+    file = study(tmp_path_factory.mktemp("long"), LONG, gain)
+    _, runs = run(file, two, "undisturbed")
+    assert runs == list(range(RUNS))
+    return file, content(file.parent / "undisturbed")
+
+
+def started(file: Path, out: Path) -> subprocess.Popen[str]:
+    """The command line in a process group of its own, after its first batch is kept."""
+    arguments = ["sweep", str(file), "--out", str(out), "--no-report"]
+    # a process that was started in the background would ignore Ctrl-C: its handler is set again
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    begin += f"import sys; from orchestrator.__main__ import main; sys.exit(main({arguments!r}))"
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        [sys.executable, "-c", begin], stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    )
+    while not list(out.glob("parts/runs-*.parquet")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    return process
+
+
+def kept(out: Path) -> set[int]:
+    """The runs that are finished."""
+    return {n for f in out.glob("parts/runs-*.parquet") for n in pq.read_table(f)["run"].to_pylist()}
+
+
+def test_killed_and_started_again_the_content_is_the_same(long, one):
+    """Byte by byte, with another number of workers; the runs that were kept do not take place again."""
+    file, undisturbed = long
+    out = file.parent / "killed"
+    process = started(file, out)
+    children = psutil.Process(process.pid).children()
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert children
+    assert psutil.wait_procs(children, timeout=60)[1] == []  # they see that nobody asks them any more
+    there = kept(out)
+    assert 0 < len(there) < RUNS
+    assert not (out / "runs.parquet").exists()
+    _, runs = run(file, one, "killed")
+    assert runs == sorted(set(range(RUNS)) - there)
+    assert content(out) == undisturbed
+
+
+def test_an_interrupt_keeps_what_is_finished(long):
+    """One line, the exit status of an interrupt, and what was finished is there."""
+    file, _ = long
+    out = file.parent / "interrupted"
+    process = started(file, out)
+    os.killpg(process.pid, signal.SIGINT)  # as the terminal does, to all processes of the command
+    told, wrong = process.communicate()
+    assert process.returncode == 130
+    assert told == ""
+    *progress, last = wrong.splitlines()
+    assert last == (
+        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are kept in {out}, the same command goes on"
+    )
+    assert all(f" of {RUNS} runs, " in line for line in progress)
+
+
+def test_one_worker_and_two_have_the_same_content(long, one):
+    """Byte by byte."""
+    file, undisturbed = long
+    run(file, one, "alone")
+    assert content(file.parent / "alone") == undisturbed
