@@ -135,6 +135,19 @@ def levers(axes: Axes) -> None:
         area(axes, [(50 + 28 * side, 61), (50 + 28 * side, 77), (50 + 40 * side, 69)])
 
 
+def controller(axes: Axes) -> None:
+    """The stick end on its path."""
+    line(axes, [(14, 12), (14, 40), (38, 74), (70, 46)], DARK, 6.5)
+    for joint in ((14, 40), (38, 74)):
+        disc(axes, joint, 5.5, DARK, 2.4)
+    line(axes, [(42, 18), (66, 18)], ORANGE, 5)
+    area(axes, [(62, 9), (62, 27), (80, 18)], ORANGE)
+    line(axes, [(70, 46), (70, 36)], DARK, 4)
+    disc(axes, (70, 46), 9, ORANGE, 4)
+    for x in (24, 33):
+        disc(axes, (x, 18), 2.6, ORANGE)
+
+
 def harvester(axes: Axes) -> None:
     """The machine at a tree."""
     line(axes, [(85, 10), (85, 70)], GREEN, 6)
@@ -147,7 +160,7 @@ def harvester(axes: Axes) -> None:
 
 
 ICONS: Mapping[str, Callable[[Axes], None]] = {
-    f.__name__: f for f in (swing, boom_stick, manipulator, supply, levers, harvester)
+    f.__name__: f for f in (swing, boom_stick, manipulator, supply, levers, controller, harvester)
 }
 
 

@@ -1,0 +1,160 @@
+"""What pages take from the program itself, in place of a mark such as `<!-- commands -->`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from typing import Any
+
+Row = Iterable[object]
+
+
+def filled(markdown: str) -> str:
+    """A page with its marks replaced."""
+    for name, made in TABLES.items():
+        mark = f"<!-- {name} -->"
+        if mark in markdown:
+            markdown = markdown.replace(mark, made())
+    return markdown
+
+
+def table(head: Row, rows: Iterable[Row]) -> Iterator[str]:
+    """The lines of a table."""
+    cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (head, *rows)]
+    yield from (f"| {' | '.join(row)} |" for row in (cells[0], ["---"] * len(cells[0]), *cells[1:]))
+    yield ""
+
+
+@cache
+def commands() -> str:
+    """All commands with their arguments and options, as `--help` has them."""
+    import typer
+
+    from orchestrator.cli import app
+
+    group: Any = typer.main.get_command(app)
+    return "\n".join(line for name, command in group.commands.items() for line in _command(name, command))
+
+
+def _command(name: str, command: Any) -> Iterator[str]:
+    shown = [p for p in command.params if not getattr(p, "hidden", False) and p.name != "help"]
+    words = [p for p in shown if p.param_type_name == "argument"]
+    arguments = [_word(p) if p.required else f"[{_word(p)}]" for p in words]
+    yield f"## {name}\n\n{command.help}\n"
+    yield f"```text\nharvester {' '.join([name, *arguments, '[OPTIONS]'])}\n```\n"
+    rows = [(f"`{_option(p)}`", p.help or "", _usual(p)) for p in shown]
+    yield from table(("", "", "default"), rows) if rows else ()
+
+
+def _word(parameter: Any) -> str:
+    return parameter.metavar or parameter.name.upper()
+
+
+def _option(p: Any) -> str:
+    if p.param_type_name == "argument":
+        return _word(p)
+    names = " / ".join([*p.opts, *p.secondary_opts])
+    return names if p.is_flag else f"{names} {p.metavar or p.type.name.upper()}"
+
+
+def _usual(p: Any) -> str:
+    if p.required:
+        return "required"
+    none = p.default is None or p.default == () or p.default == "" or callable(p.default)
+    if none or (getattr(p, "is_flag", False) and not p.secondary_opts):
+        return ""
+    if getattr(p, "is_flag", False):
+        return f"`{p.opts[0] if p.default else p.secondary_opts[0]}`"
+    return f"`{p.default}`"
+
+
+def _subsystems() -> list[Any]:
+    from fmus.levers import LEVERS
+    from fmus.machine import FAMILIES
+
+    return [*(sub for family in FAMILIES.values() for sub in family.values()), LEVERS]
+
+
+@cache
+def variants() -> str:
+    """The variants of each part."""
+    from fmus.contract import quantities
+    from fmus.machine import FAMILIES
+
+    lines = []
+    for part, family in FAMILIES.items():
+        lines += [f"## {part}", ""]
+        rows = [
+            (f"`{v}`", sub.text, sub.validity, *(len(quantities(g)) for g in (sub.states, sub.parameters)))
+            for v, sub in family.items()
+        ]
+        lines += table(("variant", "what it is", "holds for", "states", "parameters"), rows)
+    return "\n".join(lines)
+
+
+@cache
+def ports() -> str:
+    """Inputs and outputs of each part; of a variant what it has more."""
+    from fmus.contract import quantities
+
+    lines, known = [], dict[str, set[str]]()
+    for sub in _subsystems():
+        groups = ("input", quantities(sub.inputs)), ("output", quantities(sub.outputs))
+        seen = known.setdefault(sub.component, set())
+        rows = [
+            (f"`{name}`", kind, q.unit, q.text, f"rate of `{_fed(group, name)}`" if _fed(group, name) else "")
+            for kind, group in groups
+            for name, q in group.items()
+            if name not in seen
+        ]
+        if rows:
+            more = " has more" if seen else ""
+            lines += [f"## {sub.name}{more}", "", sub.text, ""]
+            lines += table(("name", "", "unit", "meaning", ""), rows)
+        seen.update(name for _, group in groups for name in group)
+    return "\n".join(lines)
+
+
+def _fed(group: Any, name: str) -> str:
+    return next((other for other, q in group.items() if q.rate == name), "")
+
+
+@cache
+def parameters() -> str:
+    """Every number with unit and source; of a variant what the usual one does not have."""
+    from fmus.contract import quantities
+    from fmus.parameters import numbers
+
+    lines, known = [], dict[str, set[str]]()
+    for sub in _subsystems():
+        declared = quantities(sub.parameters) | quantities(sub.inputs) | quantities(sub.states)
+        seen = known.setdefault(sub.component, set())
+        rows = []
+        for section, entries in numbers(sub).items():
+            for name, n in entries.items():
+                if (key := f"{section}.{name}") not in seen:
+                    seen.add(key)
+                    start = " (start)" if section == "start" else ""
+                    told = f"{declared[name].text}. {n.note}" if n.note else declared[name].text
+                    rows.append((f"`{name}`{start}", f"{n.value:.6g}", n.unit, n.source, told))
+        if rows:
+            more = "" if sub.name == sub.component else " has more"
+            lines += [f"## {sub.name}{more}", "", *table(("name", "value", "unit", "source", ""), rows)]
+    return "\n".join(lines)
+
+
+@cache
+def sources() -> str:
+    """The words of the column `source`."""
+    from fmus.parameters import SOURCES
+
+    return "\n".join(table(("source", "meaning"), ((f"`{word}`", text) for word, text in SOURCES.items())))
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "commands": commands,
+    "variants": variants,
+    "ports": ports,
+    "parameters": parameters,
+    "sources": sources,
+}

@@ -1,0 +1,127 @@
+"""The documentation site: it builds without a warning, shows everything, and needs no other server."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from lxml import html
+from markdown_it import MarkdownIt
+
+ROOT = Path(__file__).parents[1]
+# those of docs/reference are filled in by the site
+DOCUMENTS = sorted(
+    p.relative_to(ROOT).as_posix()
+    for p in ROOT.rglob("*.md")
+    if not re.match(r"(\.|build/|docs/reference/)", p.relative_to(ROOT).as_posix())
+)
+PLACES = {"README.md": "overview", "CONTRIBUTING.md": "contributing", "CHANGELOG.md": "changelog"}
+FETCHING = "//script/@src | //img/@src | //iframe/@src | //source/@src | //link[@rel != 'canonical']/@href"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built as `make docs` does."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    """All pages by their path in the site."""
+    return {p.relative_to(site).as_posix(): html.parse(str(p)).getroot() for p in site.rglob("*.html")}
+
+
+def place(document: str) -> str:
+    """The page of a document: a file of the project."""
+    path = PLACES.get(document, document.removeprefix("docs/").removesuffix(".md"))
+    return re.sub(r"README$", "index", path) + ".html"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_a_page_shows_what_a_git_server_shows(pages, document):
+    """Two readers of Markdown, the site's and one like that of git servers, find as many of everything."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    plain = html.fromstring(f"<div>{MarkdownIt('gfm-like', {'linkify': False}).render(text)}</div>")
+    (page,) = pages[place(document)].xpath("//article")
+    for tag in ("h1", "h2", "h3", "li", "table", "tr", "pre", "img", "strong", "em"):
+        assert len(page.xpath(f".//{tag}")) == len(plain.xpath(f".//{tag}")), tag
+
+
+def test_links_lead_somewhere(site, pages):
+    """Every link inside the site leads to a file, and to a place in it."""
+    for name, page in pages.items():
+        for link in page.xpath(f"//a/@href | {FETCHING}"):
+            if name == "404.html" or link.startswith(("http:", "https:", "mailto:", "data:", "javascript:")):
+                continue
+            path, _, anchor = link.partition("#")
+            there = (site / name).parent / path if path else site / name
+            there = there / "index.html" if there.is_dir() else there
+            assert there.is_file(), f"{name}: {link}"
+            if anchor and there.suffix == ".html":
+                known = pages[there.resolve().relative_to(site.resolve()).as_posix()]
+                assert known.xpath("//*[@id=$id]", id=anchor), f"{name}: {link}"
+
+
+def test_nothing_comes_from_other_servers(site, pages):
+    """No page and no style names a script, a font, a style or a picture elsewhere."""
+    for name, page in pages.items():
+        assert [u for u in page.xpath(FETCHING) if re.match(r"(https?:)?//", u)] == [], name
+    for style in site.rglob("*.css"):
+        assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text(encoding="utf-8")), (
+            style
+        )
+
+
+def test_the_reference_is_complete(pages):
+    """It has every command, every variant, every parameter of every part, and what `orchestrator` exports."""
+    import orchestrator
+    from fmus.contract import quantities
+    from fmus.machine import FAMILIES
+    from orchestrator.cli import app
+
+    def text(name: str) -> str:
+        return pages[f"reference/{name}.html"].xpath("string(//article)")
+
+    for command in app.registered_commands:
+        assert pages["reference/commands.html"].xpath("//h2[@id=$id]", id=command.callback.__name__)
+    for family in FAMILIES.values():
+        for variant, sub in family.items():
+            assert variant in text("variants")
+            assert all(name in text("parameters") for name in quantities(sub.parameters))
+            assert all(name in text("ports") for name in quantities(sub.outputs))
+    api = "".join(text(f"api/{path.stem}") for path in (ROOT / "docs" / "reference" / "api").glob("*.md"))
+    assert [name for name in orchestrator.__all__ if not re.search(rf"\b{name}\b", api)] == []
+
+
+def test_two_columns_of_a_docstring_are_a_table(pages):
+    """What `run` tells of its arguments stands in a table, with continued lines."""
+    rows = pages["reference/api/running.html"].xpath("//tr[td/code='step']/td[3]")
+    assert "communication step [s]" in rows[0].text_content()
+    assert "1e-3" in rows[0].text_content()
+
+
+def test_the_search_works_in_a_page_opened_as_a_file(site, chromium):
+    """A browser without a server finds a word, and asks no other server for anything."""
+    asked, faults = [], []
+    page = chromium.new_page()
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("pageerror", lambda fault: faults.append(str(fault)))
+    page.goto((site / "index.html").as_uri())
+    page.click(".md-search__input")
+    page.keyboard.type("anti-cavitation")
+    page.wait_for_selector(".md-search-result__item")
+    found = page.inner_text(".md-search-result__list")
+    page.close()
+    assert "cavitation" in found
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
+    assert faults == []
