@@ -8,8 +8,9 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 TESTING := .venv/testing
 PEERS := .venv/peers
+DOCUMENTING := .venv/documenting
 
-.PHONY: demo test test-long lint bench bench-sensitivities bench-peers coverage clean
+.PHONY: demo test test-long lint bench bench-sensitivities bench-sweep bench-peers bench-live coverage docs clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -35,11 +36,22 @@ bench-sensitivities: $(INSTALLED)
 	$(BIN)/python -m benchmarks.sensitivities
 	$(BIN)/python -m benchmarks.starts
 
+bench-live: $(TESTING)
+	$(BIN)/python -m benchmarks.live --browser
+
+bench-sweep: $(INSTALLED)
+	test -f build/harvester.ssp || $(BIN)/harvester build
+	$(BIN)/python -m benchmarks.sweep
+
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
 
 coverage: $(INSTALLED)
 	$(BIN)/python -m benchmarks.coverage
+
+# the site, as build/site/index.html; NO_MKDOCS_2_WARNING: an announcement of its theme's makers
+docs: $(DOCUMENTING)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf build .venv
@@ -56,4 +68,8 @@ $(TESTING): $(INSTALLED)
 
 $(PEERS): $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
+	touch $@
+
+$(DOCUMENTING): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	touch $@

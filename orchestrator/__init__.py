@@ -13,25 +13,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orchestrator.coupling.settings import Coupling
     from orchestrator.errors import Problem
     from orchestrator.files.trace import Trace, read, write
+    from orchestrator.linear.linearize import linearize
+    from orchestrator.linear.result import Linear
     from orchestrator.runs.card import Card
     from orchestrator.runs.simulation import Interrupted, Result, RunFailed, run
+    from orchestrator.settings import Coupling
     from orchestrator.system.assembly import assemble
     from orchestrator.system.ssp import load
     from orchestrator.system.system import System
 
 _WHERE = {
     "Card": "runs.card",
-    "Coupling": "coupling.settings",
+    "Coupling": "settings",
     "Interrupted": "runs.simulation",
+    "Linear": "linear.result",
     "Problem": "errors",
     "Result": "runs.simulation",
     "RunFailed": "runs.simulation",
     "System": "system.system",
     "Trace": "files.trace",
     "assemble": "system.assembly",
+    "linearize": "linear.linearize",
     "load": "system.ssp",
     "read": "files.trace",
     "run": "runs.simulation",
@@ -39,8 +43,8 @@ _WHERE = {
 }
 
 __all__ = [
-    "Card", "Coupling", "Interrupted", "Problem", "Result", "RunFailed", "System", "Trace",
-    "assemble", "load", "read", "run", "write",
+    "Card", "Coupling", "Interrupted", "Linear", "Problem", "Result", "RunFailed", "System", "Trace",
+    "assemble", "linearize", "load", "read", "run", "write",
 ]  # fmt: skip
 
 

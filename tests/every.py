@@ -11,6 +11,7 @@ import numpy as np
 from driver import Driver, driving
 
 from fmus.contract import Subsystem, quantities
+from fmus.controller import CONTROLLER
 from fmus.export.proof import STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.levers import LEVERS
@@ -18,7 +19,7 @@ from fmus.machine import FAMILIES
 
 EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()
-} | {LEVERS.name: LEVERS}
+} | {LEVERS.name: LEVERS, CONTROLLER.name: CONTROLLER}
 
 # machines that hold every variant of every part at least once
 MACHINES: tuple[dict[str, str], ...] = (
@@ -29,14 +30,19 @@ MACHINES: tuple[dict[str, str], ...] = (
 )
 
 
-@cache
 def work(sub: Subsystem) -> dict[str, np.ndarray]:
     """Inputs over time, a value every 10 ms, as the machine at work gives them to this part."""
-    path = data_file(sub, "input.csv")
+    known = _read(data_file(sub, "input.csv"))
+    return {name: samples for name, samples in known.items() if name in quantities(sub.inputs)}
+
+
+@cache
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a file; none without it."""
     if not path.is_file():
         return {}
     table = np.genfromtxt(path, delimiter=",", names=True)
-    return {name: table[name] for name in table.dtype.names if name in quantities(sub.inputs)}
+    return {name: table[name] for name in table.dtype.names}
 
 
 def row(sub: Subsystem, k: int) -> dict[str, float]:
@@ -61,7 +67,11 @@ def outputs(sub: Subsystem) -> list[str]:
 
 def native(name: str, folder: Path) -> Path:
     """The native FMU in a folder that `build_machine` filled."""
-    return folder / f"{name}.fmu" if name == LEVERS.name else folder / "variants" / f"{name}.fmu"
+    return (
+        folder / f"{name}.fmu"
+        if name in (LEVERS.name, CONTROLLER.name)
+        else folder / "variants" / f"{name}.fmu"
+    )
 
 
 def python(name: str, folder: Path) -> Path:

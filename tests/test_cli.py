@@ -44,7 +44,8 @@ def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
     """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
     monkeypatch.chdir(tmp_path)
     assert main(["build", "--out", "new/folder"]) == 0
-    files = [*(f"{name}.fmu" for name in (*ALL, "harvester")), "harvester.ssp"]
+    files = [*(f"{name}.fmu" for name in (*ALL, "controller", "harvester"))]
+    files += ["harvester.ssp", "harvester_control.ssp"]
     files += [f"variants/{part}_{v}.fmu" for part, variants in FAMILIES.items() for v in variants]
     names = [*files, *(f"fmi3/{name}" for name in files)]
     printed = capsys.readouterr().out.splitlines()

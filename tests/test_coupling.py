@@ -10,8 +10,8 @@ import pytest
 from fmus.build import data
 from fmus.machine import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
-from orchestrator.coupling.settings import Coupling
 from orchestrator.runs.march import March
+from orchestrator.settings import Coupling
 from orchestrator.validation import Validation, compare, read_reference
 
 MASTERS = ("jacobi", "gauss-seidel")

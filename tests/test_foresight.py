@@ -12,9 +12,9 @@ import pytest
 
 from fmus.build import data
 from orchestrator import RunFailed, System, Trace, load, run
-from orchestrator.coupling.settings import Coupling
 from orchestrator.coupling.sweep import Sweep
 from orchestrator.runs import native
+from orchestrator.settings import Coupling
 from orchestrator.validation import compare, read_reference
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "hydraulic_manipulator"

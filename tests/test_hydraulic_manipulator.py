@@ -21,7 +21,7 @@ from fmus.parameters import values
 from orchestrator import read
 from orchestrator import run as orchestrate
 from orchestrator.convergence import choose
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.validation import read_reference
 
 ROOT = Path(__file__).parents[1]

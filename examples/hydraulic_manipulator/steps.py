@@ -18,7 +18,7 @@ from orchestrator import load, read, run
 from orchestrator.convergence import SETTINGS, Setting, Study, Truth, from_run, study
 from orchestrator.convergence.command import tell, watched
 from orchestrator.convergence.table import maximum, show
-from orchestrator.coupling.settings import Coupling
+from orchestrator.settings import Coupling
 from orchestrator.validation import read_reference
 
 FOLDER = Path("build/hydraulic_manipulator")

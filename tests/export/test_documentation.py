@@ -10,6 +10,7 @@ import pytest
 from lxml import etree, html
 
 from fmus.contract import quantities
+from fmus.controller import CONTROLLER
 from fmus.export.interface import interface
 from fmus.export.package import package
 from fmus.export.prose import prose, slug
@@ -20,7 +21,7 @@ from fmus.machine import ALL, FAMILIES
 from fmus.parameters import numbers, values
 
 OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]
-SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, HARVESTER)}
+SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER)}
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 

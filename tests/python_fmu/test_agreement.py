@@ -12,6 +12,7 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from fmus.contract import Subsystem, quantities
+from fmus.controller import CONTROLLER
 from fmus.export.build import build
 from fmus.export.proof import STEP, data_file
 from fmus.export.python.build import build_python
@@ -21,7 +22,10 @@ from fmus.machine import FAMILIES
 from fmus.parameters import values
 from python_fmu.stimulus import Array, stimulus
 
-SUBS = {sub.name: sub for family in FAMILIES.values() for sub in family.values()} | {"levers": LEVERS}
+SUBS = {sub.name: sub for family in FAMILIES.values() for sub in family.values()} | {
+    "levers": LEVERS,
+    "controller": CONTROLLER,
+}
 STOP = 3.0  # s: boom and swing are moved in this part of the work cycle
 Run = dict[str, Array]
 

@@ -1,0 +1,108 @@
+"""The command for control design: linearize."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.cli.app import BUILD, SYSTEM, app
+from orchestrator.commands.options import Swap, System
+from orchestrator.commands.reading import seconds
+from orchestrator.commands.texts import assignments, swaps
+from orchestrator.errors import Problem
+
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Start value, as in run, also of an input of the model, such as boom_command=3; repeatable.",
+    ),
+]
+Pose = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--pose",
+        "--parameters",
+        metavar="NAME",
+        help="Parameter set: the name of one in the system, or a FILE.ssv; repeatable.",
+    ),
+]
+
+
+@app.command()
+def linearize(
+    system: System = SYSTEM,
+    pose: Pose = None,
+    input_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="NAME",
+            help="Input of the linear model; its wire is cut; repeatable; default: what the levers feed"
+            " and inputs of the system.",
+        ),
+    ] = None,
+    output: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Outputs, such as '*_angle'; repeatable; default: all."),
+    ] = None,
+    steady: Annotated[
+        bool,
+        typer.Option("--steady", help="Find the steady state: joints held where they are, all else at rest."),
+    ] = False,
+    speed: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT=V",
+            help="With --steady: speed of a joint, such as boom=0.1 [rad/s]; default 0; repeatable.",
+        ),
+    ] = None,
+    time: Annotated[
+        float | None,
+        typer.Option(
+            metavar="T",
+            help="Operating point: at this time [s] of a run; default: its start.",
+            parser=seconds,
+        ),
+    ] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --time: inputs over time of that run.")
+    ] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="With --time: communication step of that run [s].", parser=seconds),
+    ] = None,
+    swap: Swap = None,
+    set_: Set = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Where the arrays go (.npz); names and modes: .json beside.")
+    ] = BUILD / "linear.npz",
+) -> None:
+    """Modes of a system at an operating point, and A, B, C, D.
+
+    The point: the start (default), a time of a run (--time), or a steady state (--steady).
+
+    A controller: harvester linearize build/harvester_control.ssp --set engaged=1 --time 10
+    """
+    from orchestrator.commands.commands import there
+    from orchestrator.linear import command
+
+    if time is None and (scenario or step):
+        raise Problem("--scenario, --step: expected --time with them, the operating point is the start else")
+    command.run(
+        there(system),
+        out,
+        parameters=pose or (),
+        inputs=input_ or (),
+        outputs=output or (),
+        steady=steady,
+        speeds=command.speeds(speed or []),
+        time=time,
+        scenario=scenario,
+        step=step,
+        swap=swaps(swap or []),
+        set=assignments(set_ or []),
+    )

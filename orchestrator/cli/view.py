@@ -1,0 +1,72 @@
+"""The command for people who watch and drive: view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.cli.app import BUILD, SYSTEM, app
+from orchestrator.commands.options import Swap
+from orchestrator.commands.texts import assignments, swaps
+
+CONTROL = BUILD / "harvester_control.ssp"
+
+
+@app.command()
+def view(
+    system: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SYSTEM",
+            help="An .ssp or .fmu file; default: build/harvester_control.ssp, which also drives the tip, else"
+            " build/harvester.ssp.",
+        ),
+    ] = None,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Show a result file (.csv, .parquet) first.")
+    ] = None,
+    pose: Annotated[
+        str, typer.Option(metavar="NAME", help="Pose to start from, such as reach; default: the system's.")
+    ] = "",
+    swap: Swap = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Start value as of run, such as manipulator.head_mass=900; repeatable.",
+        ),
+    ] = None,
+    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="0 takes a free one.")] = 8080,
+    host: Annotated[
+        str,
+        typer.Option(
+            metavar="H", help="Address to listen on; another one than this computer's own needs a token."
+        ),
+    ] = "127.0.0.1",
+    token: Annotated[
+        str, typer.Option(metavar="TEXT", help="The token, 16 characters or more; default: a fresh one.")
+    ] = "",
+    open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    results: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where result files to replay lie, and sessions go.")
+    ] = BUILD,
+) -> None:
+    """Watch and drive the machine in a browser, in real time; or replay a result file."""
+    from orchestrator.view.command import view as shown
+
+    chosen = system or (CONTROL if CONTROL.exists() else SYSTEM)
+    shown(
+        chosen,
+        replay,
+        pose,
+        swaps(swap or []),
+        assignments(set_ or []),
+        host=host,
+        port=port,
+        token=token,
+        open_=open_,
+        results=results,
+    )
