@@ -40,13 +40,13 @@ class Tip:
 
 def tip(q: Joints, p: Any) -> Tip:
     """Where the stick end is."""
-    _, (radius, height) = arm.points(q, p)  # type: ignore[arg-type]
+    _, (radius, height) = arm.points(q, p)
     return Tip(radius, height, q.swing_angle)
 
 
 def tip_velocity(q: Joints, p: Any) -> Tip:
     """How it moves."""
-    return Tip(*arm.tip_velocity(q, p), q.swing_speed)  # type: ignore[arg-type]
+    return Tip(*arm.tip_velocity(q, p), q.swing_speed)
 
 
 def distance(a: Tip, b: Tip) -> Scalar:
@@ -59,13 +59,13 @@ def distance(a: Tip, b: Tip) -> Scalar:
 
 def pistons(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     """(position [m], moment arm dx/dq [m]) of the boom and of the stick piston."""
-    boom, stick = arm.triangles(q, p)  # type: ignore[arg-type]
+    boom, stick = arm.triangles(q, p)
     return (boom.length - p.boom_closed_length, boom.arm), (stick.length - p.stick_closed_length, stick.arm)
 
 
 def joint_speeds(q: Joints, velocity: Tip, p: Any) -> tuple[Scalar, Scalar, Scalar]:
     """Speeds [rad/s] of swing, boom and stick that move the tip as wanted, damped near a singularity."""
-    elbow, end = arm.points(q, p)  # type: ignore[arg-type]
+    elbow, end = arm.points(q, p)
     upper = elbow[0] - p.boom_pivot_x, elbow[1] - p.boom_pivot_z
     lower = end[0] - elbow[0], end[1] - elbow[1]
     # rows r, h; columns boom, stick

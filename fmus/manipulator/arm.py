@@ -8,6 +8,7 @@ the boom cylinder raises the boom; extending the stick cylinder folds the stick 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import casadi as ca
 
@@ -19,14 +20,34 @@ from fmus.manipulator.design import Head, Tip
 from fmus.manipulator.variables import ManipulatorParameters, ManipulatorState
 
 
-def points(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Point, Point]:
+class Posture(Protocol):
+    """Whatever has the angles of boom and stick [rad]: a state, or what a controller wants."""
+
+    @property
+    def boom_angle(self) -> Scalar: ...
+
+    @property
+    def stick_angle(self) -> Scalar: ...
+
+
+class Motion(Posture, Protocol):
+    """And their speeds [rad/s]."""
+
+    @property
+    def boom_speed(self) -> Scalar: ...
+
+    @property
+    def stick_speed(self) -> Scalar: ...
+
+
+def points(x: Posture, p: ManipulatorParameters) -> tuple[Point, Point]:
     """Stick pivot (elbow) and stick end (tip) as (radius, height) [m]."""
     pitch = x.boom_angle + x.stick_angle
     elbow = _add((p.boom_pivot_x, p.boom_pivot_z), _turn(x.boom_angle, (p.stick_pivot_x, p.stick_pivot_z)))
     return elbow, _add(elbow, _turn(pitch, (p.stick_length, 0)))
 
 
-def tip_velocity(x: ManipulatorState, p: ManipulatorParameters) -> Point:
+def tip_velocity(x: Motion, p: ManipulatorParameters) -> Point:
     """Velocity of the stick end in the plane of the arm, outwards and upwards [m/s]."""
     elbow, tip = points(x, p)
     upper = _add(elbow, (p.boom_pivot_x, p.boom_pivot_z), -1)
@@ -96,7 +117,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     return equations_of_motion(kinetic, potential, column(*angles), column(*speeds))
 
 
-def triangles(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Triangle, Triangle]:
+def triangles(x: Posture, p: ManipulatorParameters) -> tuple[Triangle, Triangle]:
     """Cylinder triangles of boom and stick."""
     return (
         linkage.triangle(x.boom_angle, (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)),

@@ -52,6 +52,7 @@ def urgent() -> str:
     if os.environ.get(WISH) == "ordinary":
         return "ordinary scheduling, as wished"
     with suppress(AttributeError, OSError):
+        # only Linux has these names
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))  # type: ignore[attr-defined,unused-ignore]
         return f"real-time priority {PRIORITY} (SCHED_FIFO)"
     if sys.platform != "win32":

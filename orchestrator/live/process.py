@@ -74,7 +74,8 @@ def _start(memory: Memory) -> subprocess.Popen[bytes]:
 def _end(child: subprocess.Popen[bytes], folder: str) -> None:
     """Close the pipe, wait, kill if need be, and leave nothing behind."""
     with suppress(OSError):
-        child.stdin.close()  # type: ignore[union-attr]
+        if child.stdin is not None:
+            child.stdin.close()
     try:
         child.wait(PATIENCE)
     except subprocess.TimeoutExpired:

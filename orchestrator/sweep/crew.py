@@ -58,9 +58,9 @@ class Hand:
 
     def close(self) -> None:
         """End the process, whatever it does, and remove its files."""
-        for pipe in (self._process.stdin, self._process.stdout):
+        for pipe in filter(None, (self._process.stdin, self._process.stdout)):
             with suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]
+                pipe.close()
         with suppress(OSError):
             self._process.kill()
         self._process.wait()
@@ -90,7 +90,7 @@ class Hand:
         return f"the process ended with status {status}{told}"
 
 
-class Crew(WorkerPlugin):  # type: ignore[misc]
+class Crew(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     """The processes of a worker, as many as it has threads; they are started when they are needed."""
 
     def __init__(self, name: str, packet: bytes) -> None:
@@ -99,12 +99,12 @@ class Crew(WorkerPlugin):  # type: ignore[misc]
         self._idle: queue.SimpleQueue[Hand]
         self._hands: set[Hand]
 
-    def setup(self, worker: Any) -> None:  # noqa: ARG002
+    def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """On the worker."""
         packet: Packet = pickle.loads(self._packet)
         self._study, self._idle, self._hands = packet.study, queue.SimpleQueue(), set()
 
-    def teardown(self, worker: Any) -> None:  # noqa: ARG002
+    def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """End the processes, also those that are at work."""
         for hand in tuple(self._hands):
             self._dismiss(hand)

@@ -7,9 +7,11 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from orchestrator.errors import Problem, suggest
+
+Word = TypeVar("Word", bound=str)
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Table:
             raise self.wrong(key, "a text")
         return value
 
-    def one_of(self, key: str, known: Iterable[str]) -> str:
+    def one_of(self, key: str, known: Iterable[Word]) -> Word:
         """One of some words."""
         names = list(known)
         expected = f"one of {', '.join(names)}"
@@ -52,7 +54,7 @@ class Table:
         if value not in names:
             near = suggest(value, names) if isinstance(value, str) else ""
             raise Problem(f"{self.wrong(key, expected)}{near}")
-        return str(value)
+        return names[names.index(value)]
 
     def number(self, key: str, positive: bool = False) -> float | None:
         """A finite number."""

@@ -18,11 +18,11 @@ class _Private:
         """Open no port."""
 
 
-class _Scheduler(_Private, Scheduler):  # type: ignore[misc]
+class _Scheduler(_Private, Scheduler):  # type: ignore[misc]  # Dask has no types
     pass
 
 
-class _Worker(_Private, Worker):  # type: ignore[misc]
+class _Worker(_Private, Worker):  # type: ignore[misc]  # Dask has no types
     pass
 
 

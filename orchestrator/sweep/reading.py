@@ -64,7 +64,7 @@ def _frame(table: Table, file: Path) -> Study:
     return Study(
         title=table.text("title") or file.stem,
         system=table.text("system") or "",
-        method=method,  # type: ignore[arg-type]
+        method=method,
         runs=_runs(table, method),
         seed=table.whole("seed", 0) or 0,
         stop=table.number("stop"),
@@ -162,7 +162,7 @@ def _output(name: str, table: Table, systems: Iterable[System]) -> Output:
             raise Problem(f"{table.where}: signal: {problem}") from None
     own = units.pop() if len(units) == 1 else ""
     band = table.truth("band")
-    return Output(name, signal, measure, start, stop, band, unit(measure, own), own)  # type: ignore[arg-type]
+    return Output(name, signal, measure, start, stop, band, unit(measure, own), own)
 
 
 def _signal_unit(system: System, name: str) -> str:

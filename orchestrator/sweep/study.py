@@ -13,8 +13,8 @@ from typing import Literal, get_args
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
-METHODS: tuple[str, ...] = get_args(Method)
-MEASURES: tuple[str, ...] = get_args(Measure)
+METHODS: tuple[Method, ...] = get_args(Method)
+MEASURES: tuple[Measure, ...] = get_args(Measure)
 START = "start:"  # of a column with the start value of a component.variable
 
 

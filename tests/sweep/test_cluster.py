@@ -37,14 +37,15 @@ class Killer(Watch):
     def __init__(self, address: str) -> None:
         self._address, self.killed = address, 0
 
-    def see(self, rows: Sequence[Row]) -> None:  # noqa: ARG002
+    def see(self, rows: Sequence[Row]) -> None:  # noqa: ARG002  a watch is told them
         if not self.killed:
             with Client(self._address) as client:
                 self.killed = next(iter(client.run(os.getpid).values()))
             os.kill(self.killed, signal.SIGKILL)
 
 
-def test_no_port_is_opened_on_this_machine(one):  # noqa: ARG001
+@pytest.mark.usefixtures("one")
+def test_no_port_is_opened_on_this_machine():
     """The workers of a local cluster are threads: nobody can reach them from outside."""
     listening = [c for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN]
     assert listening == []

@@ -111,7 +111,14 @@ def serving(host: str = "127.0.0.1", patience: float = 0.2, absence: float = 0.5
 
 def wait(condition: Any, seconds: float = 20.0) -> None:
     """Until something holds; fails if it does not. The time only bounds a failure."""
+    assert comes(condition, seconds), "it did not come to hold"
+
+
+def comes(condition: Any, seconds: float) -> bool:
+    """Whether something comes to hold in this time."""
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come to hold"
+        if time.monotonic() > end:
+            return False
         time.sleep(0.005)
+    return True

@@ -24,7 +24,8 @@ FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
 
 def main(port: int) -> None:
     machine = StandIn(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
-    pilot, training = Pilot(machine), Training(machine)
+    # a computer that does much else may halt for a second: that is no driver who went away
+    pilot, training = Pilot(machine, absence=4.0), Training(machine)
     seats: list[Seat] = []
     endpoint.serve(app, pilot)
     watchdog = endpoint.watching(pilot)

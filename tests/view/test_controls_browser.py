@@ -12,7 +12,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from view.driving import BOOM, STICK, SWING, answers, command, full, heard, open_page, state
+from view.driving import (
+    BOOM,
+    STICK,
+    SWING,
+    Hands,
+    answers,
+    command,
+    full,
+    heard,
+    hold,
+    keys,
+    open_page,
+    state,
+    swings,
+    take,
+)
 from view.standin import wait
 
 from orchestrator.view.safety.pilot import AFRESH, HOLD
@@ -48,11 +63,7 @@ def page(chromium: Any, address: str) -> Iterator[Any]:
     """A page that drives, by the keyboard alone."""
     opened = open_page(chromium, address)
     wait(lambda: state(address)["role"] == "free", 10)
-    opened.get_by_role("button", name="Take controls").focus()
-    opened.keyboard.press("Enter")
-    opened.wait_for_function("document.activeElement.className === 'harvester-sticks'")
-    ready = "document.querySelector('.harvester-sticks .state').innerText"
-    opened.wait_for_function(f"{ready} === '{HOLD}'")
+    take(opened, address)
     yield opened
     opened.close()
 
@@ -67,9 +78,7 @@ KEYS = {
 def test_keys(page: Any, address: str, dead_man: str) -> None:
     """With the dead-man each key moves its function; none scrolls the page; without it nothing moves."""
     for key, (name, sign) in KEYS.items() if dead_man == "Space" else [("KeyA", (SWING, 1))]:
-        page.keyboard.down(dead_man)
-        page.keyboard.down(key)
-        wait(lambda name=name, sign=sign: full(address, name, sign))
+        hold(page, address, keys(page, dead_man, key), lambda name=name, sign=sign: full(address, name, sign))
         page.keyboard.up(dead_man)
         wait(lambda: command(address) == {})
         page.keyboard.up(key)
@@ -87,9 +96,7 @@ LET_GO = {
 @pytest.mark.parametrize("way", LET_GO)
 def test_let_go(page: Any, address: str, way: str) -> None:
     """Whatever may swallow the release of a key counts as its release; it takes a new press to move again."""
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     page.evaluate(LET_GO[way])
     wait(lambda: command(address) == {})
     time.sleep(0.3)  # ten further messages
@@ -100,9 +107,7 @@ def test_let_go(page: Any, address: str, way: str) -> None:
 
 def test_lost_release(page: Any, address: str) -> None:
     """A key that is pressed twice without a release between lets go of everything."""
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { code: 'KeyA' }))")
     wait(lambda: command(address) == {})
 
@@ -115,13 +120,11 @@ def hang(page: Any, milliseconds: int) -> None:
 
 def test_frozen_page(page: Any, address: str) -> None:
     """A page that hangs lets go of the dead-man; then it is silent, and others can drive."""
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
-    hang(page, 6000)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
+    hang(page, 12000)
     wait(lambda: command(address) == {})
     assert state(address)["role"] == "driving", "a page that is slow for a moment keeps the controls"
-    wait(lambda: state(address)["role"] == "free")  # within 5 s, so the page hangs still
+    wait(lambda: state(address)["role"] == "free", 10)  # so the page hangs still
     page.keyboard.up("Space")
     page.keyboard.up("KeyA")
 
@@ -129,9 +132,7 @@ def test_frozen_page(page: Any, address: str) -> None:
 def test_slow_page(page: Any, address: str) -> None:
     """After a long picture the page says what to do, draws cheaper ones, and goes on after a new hold."""
     page.evaluate("() => window.addEventListener('harvester-slow', () => (window.slow = true))")
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     hang(page, 600)
     wait(lambda: command(address) == {})
     page.get_by_text(AFRESH).wait_for()
@@ -140,17 +141,14 @@ def test_slow_page(page: Any, address: str) -> None:
     assert command(address) == {}
     page.keyboard.up("Space")
     page.get_by_text(HOLD).wait_for()
-    page.keyboard.down("Space")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space"), lambda: swings(address))
     page.keyboard.up("Space")
     page.keyboard.up("KeyA")
 
 
 def test_busy_page(page: Any, address: str) -> None:
     """Messages do not wait for the page: many come while it does nothing but compute."""
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     hang(page, 5000)
     wait(lambda: command(address) == {})  # it hangs: its own timers have stopped
     before = heard(address)
@@ -190,11 +188,18 @@ def test_gamepad(page: Any, address: str, axis: int, value: int, name: str, sign
     page.evaluate(f"pad.axes[{axis}] = {value}")
     time.sleep(0.2)
     assert command(address) == {}, "no bumper is held"
-    page.evaluate("pad.buttons[5].pressed = true")
-    wait(lambda: full(address, name, sign))
-    for off, on in (("pad.connected = false", "pad.connected = true"), ("pad.mapping = ''", "0")):
+    bumper = Hands(
+        lambda: page.evaluate("pad.buttons[5].pressed = true"),
+        lambda: page.evaluate("pad.buttons[5].pressed = false"),
+    )
+    for off, on in (
+        ("pad.connected = false", "pad.connected = true"),
+        ("pad.mapping = ''", "pad.mapping = 'standard'"),
+    ):
+        hold(page, address, bumper, lambda: full(address, name, sign))
         page.evaluate(off)
         wait(lambda: command(address) == {})
+        bumper.release()
         page.evaluate(on)
 
 
@@ -202,9 +207,7 @@ def test_gamepad_that_drifts(page: Any, address: str) -> None:
     """A stick of a gamepad whose bumper is not held does not count when the keyboard's dead-man is."""
     page.evaluate(PAD)
     page.evaluate("pad.axes[0] = 1")
-    page.keyboard.down("Space")
-    page.keyboard.down("ArrowDown")
-    wait(lambda: full(address, BOOM, 1))
+    hold(page, address, keys(page, "Space", "ArrowDown"), lambda: full(address, BOOM, 1))
     page.keyboard.up("Space")
     page.keyboard.up("ArrowDown")
 
@@ -213,19 +216,20 @@ def test_mouse(page: Any, address: str) -> None:
     """A stick on the screen follows the mouse, springs back, and is its own dead-man."""
     box = page.locator("[data-hand=left]").bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(*middle)
-    page.mouse.down()
-    page.mouse.move(middle[0] - 200, middle[1])
-    wait(lambda: full(address, SWING, 1))
+
+    def press() -> None:
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] - 200, middle[1])
+
+    hold(page, address, Hands(press, page.mouse.up), lambda: full(address, SWING, 1))
     page.mouse.up()
     wait(lambda: command(address) == {})
 
 
 def test_second_page(page: Any, chromium: Any, address: str) -> None:
     """A second page sees who drives and asks; closing the first is rest, and the second can take over."""
-    page.keyboard.down("Space")
-    page.keyboard.down("KeyA")
-    wait(lambda: command(address).get(SWING, 0) > 0)
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     second = chromium.new_context().new_page()  # a window of its own: the first one keeps its focus
     second.goto(address)
     second.get_by_role("button", name="Ask for controls").click()

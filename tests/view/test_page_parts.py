@@ -123,7 +123,10 @@ def test_cells() -> None:
     assert cells(frame(state="failed", message="it broke"), None, drives=True)[-1][1:] == ("it broke", "bad")
 
 
-def frame(t: float = 1.0, state: str = "running", message: str = "", pulse: Pulse = Pulse()) -> Frame:  # noqa: B008
+PULSE = Pulse()
+
+
+def frame(t: float = 1.0, state: str = "running", message: str = "", pulse: Pulse = PULSE) -> Frame:
     return Frame(1, t, np.zeros(0), np.zeros(0), state, message, pulse)
 
 

@@ -9,7 +9,10 @@ Modelling & Software 22, 1509-1518. It orders factors; it is no share of a varia
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
+from numpy.typing import NDArray
 from SALib.analyze import morris
 
 from orchestrator.sweep.analysis.outcome import MU_STAR, Effect, Estimate, Sensitivity
@@ -89,6 +92,10 @@ def _pooled(apart: list[list[Effect]]) -> list[Effect]:
     return pooled
 
 
+def _mean_size(differences: Array, rows: NDArray[np.intp]) -> Array:
+    return np.array([np.abs(differences[rows]).mean()])
+
+
 def _choices(design: Samples) -> list[Effect]:
     """Crossed choices: mean absolute difference of two options, all else equal."""
     width = len(design.names) + 1
@@ -97,7 +104,7 @@ def _choices(design: Samples) -> list[Effect]:
     effects = []
     for axis, choice in enumerate(design.crossed, start=2):
         differences = _pairs(np.moveaxis(y, axis, -1))
-        star = intervals(lambda rows, d=differences: np.array([np.abs(d[rows]).mean()]), len(y))[0]  # type: ignore[misc]
+        star = intervals(partial(_mean_size, differences), len(y))[0]
         more = {"mu": float(differences.mean()), "sigma": float(differences.std())}
         effects.append(Effect(choice.what, "choice", {MU_STAR: star}, more))
     return effects

@@ -35,7 +35,7 @@ KEYS = (
 STYLE = Path(__file__).with_name("assets") / "sticks.css"
 
 
-class Sticks(Element, component="assets/sticks.js", esm=LIBRARY):  # type: ignore[misc, call-arg]
+class Sticks(Element, component="assets/sticks.js", esm=LIBRARY):
     """The part in the browser; it speaks to the pilot through its own websocket."""
 
     def __init__(self, seat: Seat) -> None:

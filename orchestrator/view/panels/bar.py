@@ -21,7 +21,7 @@ SPEEDS: Mapping[float, str] = {f: f"\N{MULTIPLICATION SIGN} {f:g}" for f in (0.1
 Allowed = Callable[[], str]
 
 
-class Shortcuts(Element, component="shortcuts.js"):  # type: ignore[misc, call-arg]
+class Shortcuts(Element, component="shortcuts.js"):
     """Keys for the page, by their places on the keyboard."""
 
     def __init__(self, actions: Mapping[str, Callable[[], Any]]) -> None:
@@ -115,6 +115,8 @@ class Bar:
             path = await run.io_bound(self._session.save)
         except Problem as problem:
             ui.notify(str(problem), type="negative", multi_line=True)
+            return
+        if path is None:  # the server ends
             return
         ui.notify(f"saved: {path}", type="positive")
         ui.download(path)

@@ -87,7 +87,7 @@ def known(reading: Reading) -> list[tuple[str, list[Gauge]]]:
     return [(title, gauges) for title, gauges in groups if gauges]
 
 
-class Gauges(Element, component="gauges.js"):  # type: ignore[misc, call-arg]
+class Gauges(Element, component="gauges.js"):
     """Bars and numbers of one page."""
 
     def __init__(self) -> None:

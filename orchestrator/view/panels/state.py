@@ -64,7 +64,7 @@ def cells(frame: Frame, factor: float | None, drives: bool) -> list[Cell]:
     return [*found, ("", frame.message, BAD if frame.state == "failed" else "")] if frame.message else found
 
 
-class Line(Element, component="state.js"):  # type: ignore[misc, call-arg]
+class Line(Element, component="state.js"):
     """The line on one page."""
 
     def show(self, frame: Frame, factor: float | None, drives: bool) -> None:

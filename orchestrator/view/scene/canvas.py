@@ -26,19 +26,19 @@ VIEWS: Mapping[str, tuple[float, float, float, float, float, float]] = {
 TIP = "with the tip"
 
 
-class Rig(Object3D, component="rig.js"):  # type: ignore[misc, call-arg]
+class Rig(Object3D, component="rig.js"):
     """All that moves, and the carrier; its numbers come by `show`."""
 
 
-class Ground(Object3D, component="ground.js"):  # type: ignore[misc, call-arg]
+class Ground(Object3D, component="ground.js"):
     """Ground, trees and light."""
 
 
-class Marks(Object3D, component="marks.js"):  # type: ignore[misc, call-arg]
+class Marks(Object3D, component="marks.js"):
     """Targets of a task, by `show`."""
 
 
-class Brush(Object3D, component="brush.js"):  # type: ignore[misc, call-arg]
+class Brush(Object3D, component="brush.js"):
     """When the picture is drawn."""
 
 
@@ -77,7 +77,8 @@ class Canvas:
         if self._following:
             return
         x, y, z, *at = VIEWS[name]
-        self.scene.move_camera(x, y, z, *at, duration=duration)
+        eye = dict(zip(("look_at_x", "look_at_y", "look_at_z"), at, strict=True))
+        self.scene.move_camera(x, y, z, **eye, duration=duration)
 
     def show(self, number: int, pose: Pose, colours: Mapping[str, str], again: bool = False) -> bool:
         """Move to a pose; False if it looks as before. Of the colours only those that changed are sent."""

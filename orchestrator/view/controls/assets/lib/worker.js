@@ -51,7 +51,9 @@ onmessage = ({ data }) => {
   }
   // a word that comes late is one too many: what the hands did meanwhile nobody has seen
   if (performance.now() - said > FRESH && held && !late) slow(true);
+  const first = said === -Infinity;
   [sticks, held, said] = [data.sticks, data.held, performance.now()];
   if (!held && late) slow(false);
-  if (!held && sent) send(); // at once
+  // at once; after silence too, or a hold that follows would overwrite the release that the server waits for
+  if (!held && (sent || first)) send();
 };
