@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fmus.contract import ModelError
@@ -31,10 +31,15 @@ def _point(text: str) -> Point:
     return x, y, z
 
 
-def course(label: str, radius: float, height: float, angle: float) -> dict[str, float]:
-    """Start angles [rad] that put the tip to a place [m, m, rad], by `component.variable`."""
+def course(label: str, place: Point, arm: Mapping[str, float]) -> dict[str, float]:
+    """Start angles [rad] that put the tip to a place, by `component.variable`.
+
+    place (radius, height, angle) [m, m, rad]
+    arm   lengths and pivots of the machine, by the names of the manipulator; the usual ones where it has none
+    """
+    radius, height, angle = place
     try:
-        boom, stick = joints(radius, height, values(MANIPULATOR).p)
+        boom, stick = joints(radius, height, {**values(MANIPULATOR).p, **arm})
     except ModelError as error:
         raise ModelError(f"{label}: {error}") from None
     angles = {"swing": angle, "boom": boom, "stick": stick}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -89,7 +90,7 @@ def track(
     if path and through:
         raise Problem("--path and --through: expected one of them")
     files = [route(through, speed, out)] if through else [_file(p) for p in path or PATHS]
-    courses = [Course(file, course(str(file), *first(file))) for file in files]
+    courses = [Course(file, partial(course, str(file), first(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     most = None if limit is None else limit / 1e3

@@ -15,7 +15,7 @@ from orchestrator.sweep.study import Study
 from orchestrator.system.interface import Value
 from orchestrator.system.parameters import with_sets
 from orchestrator.system.ssp import load
-from orchestrator.system.system import Component, Port, System, coerce
+from orchestrator.system.system import Port, System
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # what a choice is of, if not of a component
 
@@ -78,17 +78,7 @@ def signal(system: System, name: str) -> Port:
 
 def values(system: System, name: str) -> dict[Port, Value]:
     """What the variables behind a name are at the start, if nothing else is set, in the units of the FMU."""
-    return {port: of(system.components[port.component], port.variable) for port, _ in system.targets(name)}
-
-
-def of(component: Component, variable: str) -> Value:
-    """The start value of a variable: the system's, else the FMU's own; NaN where neither tells one."""
-    declared = component.interface.variables[variable]
-    if variable in component.start:
-        return component.start[variable]
-    if declared.start is None:
-        return "" if declared.kind == "String" else float("nan")
-    return coerce(f"{component.name}.{variable}", declared, declared.start)
+    return {port: system.components[port.component].value(port.variable) for port, _ in system.targets(name)}
 
 
 def driven(case: Case, names: Iterable[str]) -> list[str]:

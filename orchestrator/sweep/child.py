@@ -10,7 +10,6 @@ import os
 import pickle
 import queue
 import shutil
-import signal
 import sys
 import threading
 import time
@@ -25,9 +24,6 @@ from orchestrator.sweep.running import Row, row
 
 def main(folder: Path) -> None:
     """folder: for unpacked FMUs; this process removes it when it ends by itself."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C reaches the whole group; who started this one ends it
     compiled.CORES = 1  # there is a process on every core
     answers = _own_output()
     requests: queue.SimpleQueue[Any] = queue.SimpleQueue()

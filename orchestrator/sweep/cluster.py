@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -63,13 +63,18 @@ def available() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def rows(connection: Client, packet: Packet, samples: Sequence[Sample]) -> Generator[list[Row], None, None]:
-    """Run samples, in batches as they are done: in any order, each sample once."""
+def rows(
+    connection: Client, packet: Packet, samples: Sequence[Sample], look: Callable[[], None] = lambda: None
+) -> Generator[list[Row], None, None]:
+    """Run samples, in batches as they are done: in any order, each sample once.
+
+    look   called all the time while this waits; what it raises ends the runs
+    """
     data = dumps(packet)
     crew = Crew(f"sweep-{digest(data)[:16]}", data)
     try:
         connection.register_plugin(crew, name=crew.name)
-        yield from Batches(connection, crew.name, packet, list(samples)).done()
+        yield from Batches(connection, crew.name, packet, list(samples), look).done()
     finally:
         with suppress(Exception):  # the cluster may be gone
             connection.unregister_worker_plugin(crew.name)
@@ -78,8 +83,16 @@ def rows(connection: Client, packet: Packet, samples: Sequence[Sample]) -> Gener
 class Batches:
     """Samples on their way through a cluster."""
 
-    def __init__(self, connection: Client, name: str, packet: Packet, samples: list[Sample]) -> None:
+    def __init__(
+        self,
+        connection: Client,
+        name: str,
+        packet: Packet,
+        samples: list[Sample],
+        look: Callable[[], None],
+    ) -> None:
         self._connection, self._name, self._packet, self._left = connection, name, packet, samples[::-1]
+        self._look = look
         self._away: dict[Future, list[Sample]] = {}
         self._size, self._began = FIRST, time.perf_counter()
         self._suspects: list[Sample] = []
@@ -103,9 +116,11 @@ class Batches:
                 self._connection.cancel(list(self._away), force=True)
 
     def _wait(self, queue: Any) -> None:
-        """Until a batch has ended; `distributed.wait` would tell of its own end at Ctrl-C."""
+        """Until a batch has ended."""
         began = time.perf_counter()
+        self._look()
         while not queue.has_ready():
+            self._look()
             time.sleep(LOOK)
             if time.perf_counter() - began > LOST:
                 if not self._connection.nthreads():

@@ -12,6 +12,7 @@ import pyarrow as pa
 from distributed import Client
 
 from orchestrator.errors import Stopped
+from orchestrator.runs.interrupts import Interrupts
 from orchestrator.sweep import cluster, design, printing, progress, reading, starts, store
 from orchestrator.sweep.cases import cases
 from orchestrator.sweep.factors import samples
@@ -118,7 +119,8 @@ def _complete(ready: Plan, kept: store.Store, where: Where, watch: progress.Watc
     try:
         with (
             where.connect() as client,
-            closing(cluster.rows(client, ready.packet, missing)) as batches,
+            Interrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
+            closing(cluster.rows(client, ready.packet, missing, interrupts.look)) as batches,
         ):
             for rows in batches:
                 kept.add(rows)

@@ -23,6 +23,10 @@ from orchestrator.sweep.running import Row, Sample, failed
 
 # one thread each: there is a process on every core
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+# Ctrl-C is for who started this one, who ends it; it may come before the process could ignore it
+APART: dict[str, Any] = {"process_group": 0}
+if sys.platform == "win32":
+    APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 LAST = 200  # characters of what a process said before it died
 
 
@@ -39,6 +43,7 @@ class Hand:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 env={**os.environ, **one},
+                **APART,
             )
         self._put(packet)
         if self._next() is None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from orchestrator.sweep.cases import Case, Options, of
+from orchestrator.sweep.cases import Case, Options
 from orchestrator.sweep.running import Sample
 from orchestrator.sweep.study import START, Study
 from orchestrator.system.system import Port, System, coerce
@@ -38,7 +38,7 @@ def starts(study: Study, cases: Mapping[Options, Case], samples: Sequence[Sample
                 for i in places[options]:
                     column[i] = coerce(str(port), variable, samples[i].factors[name], linear)
             else:
-                constant = _plain(of(case.system.components[port.component], port.variable))
+                constant = _plain(case.system.components[port.component].value(port.variable))
                 for i in places[options]:
                     column[i] = constant
     return pa.table({f"{START}{port}": pa.array(columns[port], kinds[port]) for port in columns})

@@ -41,6 +41,22 @@ class Component:
     start: Mapping[str, Value] = field(default_factory=dict)
     replaced: Interface | None = None
 
+    def value(self, variable: str) -> Value:
+        """The start value of a variable: the system's, else the FMU's own; NaN where neither tells one."""
+        declared = self.interface.variables[variable]
+        if variable in self.start:
+            return self.start[variable]
+        if declared.start is None:
+            return "" if declared.kind == "String" else float("nan")
+        return coerce(f"{self.name}.{variable}", declared, declared.start)
+
+    def numbers(self) -> dict[str, float]:
+        """Parameters that are real numbers and have a value, by name."""
+        real = [v for v in self.interface.variables.values() if v.is_real and v.causality == "parameter"]
+        return {
+            v.name: float(self.value(v.name)) for v in real if v.name in self.start or v.start is not None
+        }
+
 
 @dataclass(frozen=True)
 class Connection:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from orchestrator.commands.commands import folder
 from orchestrator.errors import Problem
+from orchestrator.system.interface import Value
 from orchestrator.system.ssp import load
+from orchestrator.system.system import System
 from orchestrator.tracking.figure import draw
-from orchestrator.tracking.follow import SWITCH, Ride, ride
+from orchestrator.tracking.follow import MANIPULATOR, SWITCH, Ride, ride
 from orchestrator.tracking.table import MM, data, text
 from orchestrator.validation.figures import png
 
@@ -21,10 +23,13 @@ MAKE, EXAMPLE = "harvester build", "build/harvester_control.ssp"
 
 @dataclass(frozen=True)
 class Course:
-    """A scenario with a path, and the start values that put the tip to its beginning."""
+    """A scenario with a path, and how to get to its beginning.
+
+    start   start values that put the tip there, from the numbers of the arm {name: value}
+    """
 
     scenario: Path
-    start: Mapping[str, float]
+    start: Callable[[Mapping[str, float]], Mapping[str, float]]
 
 
 def track(
@@ -42,12 +47,13 @@ def track(
     """
     if not system.exists():
         raise Problem(f"{system}: no such file; make it with: {MAKE}")
-    if not load(system).has(SWITCH):
+    whole = load(system)
+    if not whole.has(SWITCH):
         raise Problem(f"{system}: has no {SWITCH}, expected a machine with the controller, such as {EXAMPLE}")
     folder(out)
     given = options.pop("set", {})
     rides = [
-        _ride(system, course, name, on, swap=swap, set={**course.start, **given}, **options)
+        _ride(whole, course, name, on, swap, given, options)
         for course in courses
         for name, swap in machines.items()
         for on in feedback
@@ -60,10 +66,19 @@ def track(
     return not missed and not any(r.failure for r in rides)
 
 
-def _ride(system: Path, course: Course, machine: str, feedback: bool, **options: Any) -> Ride:
+def _ride(
+    system: System,
+    course: Course,
+    machine: str,
+    feedback: bool,
+    swap: Mapping[str, str],
+    given: Mapping[str, Value | str],
+    options: Mapping[str, Any],
+) -> Ride:
     """A ride; what does not fit a machine, such as a name that its parts lack, is told with the machine."""
     try:
-        return ride(system, course.scenario, machine, feedback, **options)
+        start = course.start(system.swapped(swap).with_start(given).components[MANIPULATOR].numbers())
+        return ride(system, course.scenario, machine, feedback, swap=swap, set={**start, **given}, **options)
     except Problem as problem:
         raise Problem(f"{course.scenario.stem}, {machine}: {problem}") from None
 

@@ -8,6 +8,7 @@ manipulator: the machine's own motion, whatever its controller says about it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,12 +20,14 @@ from numpy.typing import NDArray
 from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace, read
 from orchestrator.runs.simulation import RunFailed, run
+from orchestrator.system.system import System
 
 Array = NDArray[np.float64]
 PATH = ("path_radius", "path_height", "path_angle")
 VELOCITY = ("radial_velocity", "vertical_velocity", "swing_velocity")
-TIP = ("manipulator.tip_radius", "manipulator.tip_height", "manipulator.swing_angle")
-SWITCH = "controller.feedback"
+MANIPULATOR = "manipulator"  # the component
+TIP = tuple(f"{MANIPULATOR}.{name}" for name in ("tip_radius", "tip_height", "swing_angle"))
+SWITCH = "controller.feedback"  # 1 where the controller looks at the machine, 0 where it does not
 RECORD = 5e-3  # s, as the paths are sampled
 
 
@@ -87,27 +90,26 @@ class Ride:
 
 
 def ride(
-    system: str | Path,
+    system: System,
     path: Path,
     machine: str,
     feedback: bool,
-    switch: str = SWITCH,
     **options: Any,
 ) -> Ride:
-    """Run a system along the path of a scenario; `options` go to `run`.
+    """Run a system along the path of a scenario, with the controller's feedback or without.
 
-    switch   the parameter that is 1 where the controller looks at the machine and 0 where it does not
+    options   of `run`
     """
     scenario = read(path)
     places(scenario, PATH, str(path))  # a file without a path is told before anything runs
-    given = {**options.pop("set", {}), switch: float(feedback)}
+    given = {**options.pop("set", {}), SWITCH: float(feedback)}
     failure = ""
     try:
         trace = run(system, completed(scenario), set=given, record=TIP, record_step=RECORD, **options).trace
     except RunFailed as failed:
         trace, failure = failed.result.trace, str(failed)
     wanted = places(scenario.at(trace.time), PATH, str(path))
-    return Ride(path.stem, machine, feedback, trace.time, wanted, places(trace, TIP, str(system)), failure)
+    return Ride(path.stem, machine, feedback, trace.time, wanted, places(trace, TIP, MANIPULATOR), failure)
 
 
 def completed(scenario: Trace) -> Trace:
@@ -118,7 +120,7 @@ def completed(scenario: Trace) -> Trace:
     return replace(scenario, signals=own | dict(scenario.signals))
 
 
-def places(trace: Trace, names: tuple[str, str, str], where: str) -> Array:
+def places(trace: Trace, names: Sequence[str], where: str) -> Array:
     """Radius, height and angle of these names as x, y, z, shape (n, 3) [m]."""
     if missing := [n for n in names if n not in trace.signals]:
         raise Problem(f"{where}: expected {', '.join(names)}, got no {', '.join(missing)}")

@@ -98,12 +98,19 @@ def test_upright_paths_are_seen_from_the_side():
 def test_start_puts_the_tip_to_the_path():
     """With the start angles of a course the manipulator has its tip at the path's first point."""
     v, model = values(MANIPULATOR), symbolic(MANIPULATOR)
-    p = {**v.p, **{n.partition(".")[2]: a for n, a in course("path", 4.2, 0.7, 0.3).items()}}
+    p = {**v.p, **{n.partition(".")[2]: a for n, a in course("path", (4.2, 0.7, 0.3), {}).items()}}
     x = model.initial()(list(v.x.values()), list(v.u.values()), list(p.values()))
     y = model.function()(x, list(v.u.values()), list(p.values()))[1].full()[:, 0]
     told = dict(zip(quantities(MANIPULATOR.outputs), y, strict=True))
     found = told["tip_radius"], told["tip_height"], told["swing_angle"]
     assert found == pytest.approx((4.2, 0.7, 0.3), abs=1e-12)  # both closed forms
+
+
+def test_a_longer_stick_starts_on_the_path_too(fmu_dir, tmp_path):
+    """Where machine and controller have another length, the ride begins at its path and stays near it."""
+    longer = [f"--set={part}.stick_length=3.3" for part in ("manipulator", "controller")]
+    given = ["--path", "square", "--no-compare", "--swap", "swing=lumped", *longer, "--limit", "30"]
+    assert main(["track", str(fmu_dir / "harvester_control.ssp"), *given, "--out", str(tmp_path)]) == 0
 
 
 def test_command_keeps_the_bars(fmu_dir, tmp_path, capsys):

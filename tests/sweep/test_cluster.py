@@ -106,7 +106,7 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
     monkeypatch.setattr(cluster, "as_completed", Nothing)
     monkeypatch.setattr(cluster, "LOST", 0.0)
-    batches = cluster.Batches(Deserted(), "study", None, [Sample(0, (), {})])
+    batches = cluster.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
     with pytest.raises(
         Problem, match=r"^no worker is left in the Dask cluster; what is finished is kept, the"
     ):

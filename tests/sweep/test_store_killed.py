@@ -27,16 +27,26 @@ def long(gain, two, tmp_path_factory):
     return file, content(file.parent / "undisturbed")
 
 
-def started(file: Path, out: Path) -> subprocess.Popen[str]:
-    """The command line in a process group of its own, after its first batch is kept."""
+def command(file: Path, out: Path, **environment: str) -> subprocess.Popen[str]:
+    """The command line in a process group of its own, as a terminal starts it."""
     arguments = ["sweep", str(file), "--out", str(out), "--no-report"]
     # a process that was started in the background would ignore Ctrl-C: its handler is set again
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     begin += f"import sys; from orchestrator.__main__ import main; sys.exit(main({arguments!r}))"
     pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        [sys.executable, "-c", begin], stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    return subprocess.Popen(
+        [sys.executable, "-c", begin],
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,
+        env=os.environ | environment,
     )
+
+
+def started(file: Path, out: Path) -> subprocess.Popen[str]:
+    """The same, after its first batch is kept."""
+    process = command(file, out)
     while not list(out.glob("parts/runs-*.parquet")):
         assert process.poll() is None, process.communicate()
         time.sleep(0.01)
@@ -73,13 +83,25 @@ def test_an_interrupt_keeps_what_is_finished(long):
     process = started(file, out)
     os.killpg(process.pid, signal.SIGINT)  # as the terminal does, to all processes of the command
     told, wrong = process.communicate()
-    assert process.returncode == 130
+    assert process.returncode == 130, wrong
     assert told == ""
     *progress, last = wrong.splitlines()
     assert last == (
         f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are kept in {out}, the same command goes on"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
+
+
+def test_an_interrupt_while_the_processes_start(long, tmp_path):
+    """It is an interrupt, no process that could not be started."""
+    file, _ = long
+    process = command(file, file.parent / "early", TMPDIR=str(tmp_path))
+    while not list(tmp_path.glob("sweep-*/errors")):
+        assert process.poll() is None, process.communicate()
+    os.killpg(process.pid, signal.SIGINT)
+    _, wrong = process.communicate()
+    assert process.returncode == 130, wrong
+    assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are kept")
 
 
 def test_one_worker_and_two_have_the_same_content(long, one):

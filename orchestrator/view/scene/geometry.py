@@ -76,11 +76,7 @@ def start(system: System) -> Start:
 
 def _numbers(component: Component) -> Mapping[str, float]:
     """Values of the real parameters: set in the system, else those of the FMU."""
-    found = dict[str, float]()
-    for v in component.interface.variables.values():
-        value = component.start.get(v.name, v.start)
-        if v.is_real and v.causality == "parameter" and value is not None:
-            found[v.name] = float(value)
+    found = component.numbers()
     wrong = [name for name, value in found.items() if not math.isfinite(value)]
     if wrong:
         raise Problem(f"{component.name}.{wrong[0]}: expected a finite number, got {found[wrong[0]]}")
