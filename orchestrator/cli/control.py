@@ -8,34 +8,16 @@ from typing import Annotated
 import typer
 
 from orchestrator.cli.app import BUILD, SYSTEM, app
-from orchestrator.commands.options import Swap, System
+from orchestrator.commands.options import Parameters, Set, Swap, System
 from orchestrator.commands.reading import seconds
 from orchestrator.commands.texts import assignments, swaps
 from orchestrator.errors import Problem
-
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Start value, as in run, also of an input of the model, such as boom_command=3; repeatable.",
-    ),
-]
-Pose = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--pose",
-        "--parameters",
-        metavar="NAME",
-        help="Parameter set: the name of one in the system, or a FILE.ssv; repeatable.",
-    ),
-]
 
 
 @app.command()
 def linearize(
     system: System = SYSTEM,
-    pose: Pose = None,
+    pose: Parameters = None,
     input_: Annotated[
         list[str] | None,
         typer.Option(

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.cli.app import BUILD, app
-from orchestrator.commands.options import Swap
+from orchestrator.commands.options import Set, Swap
 from orchestrator.commands.reading import number
 from orchestrator.commands.texts import assignments, swaps
 from orchestrator.errors import Problem
@@ -56,15 +56,7 @@ def track(
         ),
     ] = 0.5,
     swap: Swap = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Start value, such as manipulator.head_mass=600; all machines must have it: with"
-            " supply.pressure_setting=15e6 comes --swap supply=ideal; repeatable.",
-        ),
-    ] = None,
+    set_: Set = None,
     compare: Annotated[
         bool, typer.Option("--compare/--no-compare", help="Run without the controller's feedback, too.")
     ] = True,
@@ -80,7 +72,8 @@ def track(
 
     With the controller's feedback and without.
 
-    By the machine as built and by the detailed one; with --swap by that one alone.
+    By the machine as built and by the detailed one; with --swap by that one alone. A value of --set must be
+    there in each: with supply.pressure_setting=15e6 comes --swap supply=ideal.
     """
     from fmus.controller.courses import course, route
     from orchestrator.tracking.command import Course

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.cli.app import BUILD, SYSTEM, app
-from orchestrator.commands.options import Swap
+from orchestrator.commands.options import Set, Swap
 from orchestrator.commands.texts import assignments, swaps
 
 CONTROL = BUILD / "harvester_control.ssp"
@@ -31,14 +31,7 @@ def view(
         str, typer.Option(metavar="NAME", help="Pose to start from, such as reach; default: the system's.")
     ] = "",
     swap: Swap = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Start value as of run, such as manipulator.head_mass=900; repeatable.",
-        ),
-    ] = None,
+    set_: Set = None,
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="0 takes a free one.")] = 8080,
     host: Annotated[
         str,

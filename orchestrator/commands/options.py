@@ -23,6 +23,25 @@ Swap = Annotated[
     ),
 ]
 
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--parameters",
+        "--pose",
+        metavar="SET",
+        help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Start value of a COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs of a"
+        " name (supply_pressure sets both drives); repeatable.",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class Case:
@@ -39,24 +58,8 @@ class Case:
     start: Start = None
     stop: Stop = None
     swap: Swap = None
-    parameters: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--parameters",
-            "--pose",
-            metavar="SET",
-            help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
-        ),
-    ] = None
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Start value of a COMPONENT.VARIABLE, or of all inputs of a name"
-            " (supply_pressure sets both drives); repeatable.",
-        ),
-    ] = None
+    parameters: Parameters = None
+    set_: Set = None
     cut: Annotated[
         list[str] | None,
         typer.Option(
