@@ -141,9 +141,11 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     ports = ("pressure_a", "pressure_b") if name == "swing" else ("head_pressure", "rod_pressure")
     pressure = np.array([getattr(u, f"{name}_{n}") for n in ports])
     speed = ref.arm.arms[i] * (b + p.lead_time * (b - late) / p.lead_filter_time)
+    kind = "swing" if name == "swing" else "piston"
+    damping, slowly = getattr(p, f"{kind}_damping_rate"), getattr(p, f"{kind}_load_time")
     k, side = (o.a**2 / o.c).sum(), np.array([1, -1])
     swinging = o.a * side @ pressure - load
-    v = speed + p.feedback * (p.position_gain * error + h * speed - p.damping_rate * swinging / k)
+    v = speed + p.feedback * (p.position_gain * error + h * speed - damping * swinging / k)
     head, rod = np.linalg.solve([o.a * side, o.c / o.a], [load, (pressure * o.c / o.a).sum()])
     s, t = u.supply_pressure, u.tank_pressure
     by, w = o.a / o.c, 2e5
@@ -175,7 +177,7 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
         f"{name}_command": (target - getattr(x, f"{name}_command")) / p.amplifier_time,
         f"reference_{name}": ref.rates[i],
         f"{name}_gain": taught - (1 - ref.e) * h / p.tracking_time,
-        f"{name}_load": swinging / p.load_time,
+        f"{name}_load": swinging / slowly,
         f"{name}_late_speed": (b - late) / p.lead_filter_time,
     }
 

@@ -49,6 +49,14 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Damper:
+    """Feedback of pressure: rate g at which a force decays [1/s]; time over which a load is steady [s]."""
+
+    rate: Scalar
+    load_time: Scalar
+
+
+@dataclass(frozen=True)
 class Action:
     """Command [V] and the rates of the gain and of the steady load."""
 
@@ -63,11 +71,18 @@ def force(a: Actuator, m: Measured) -> Scalar:
 
 
 def action(
-    a: Actuator, m: Measured, task: Task, gain: Scalar, load: Scalar, nominal_load: Scalar, p: Any
+    a: Actuator,
+    m: Measured,
+    task: Task,
+    damper: Damper,
+    gain: Scalar,
+    load: Scalar,
+    nominal_load: Scalar,
+    p: Any,
 ) -> Action:
     """What the drive does."""
     swinging = force(a, m) - load
-    corrected = p.position_gain * task.error + gain * task.speed - p.damping_rate * swinging / a.stiffness
+    corrected = p.position_gain * task.error + gain * task.speed - damper.rate * swinging / a.stiffness
     wanted = task.speed + p.feedback * corrected
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
     known = valve.full_speeds(a, *valve.steadied(a, m.head, m.rod, load), m.supply, m.tank)
@@ -85,5 +100,5 @@ def action(
     return Action(
         command=valve.command(a.valve, possible, p.foot_share),
         gain_rate=learnt / ca.sqrt(1 + (learnt / FASTEST) ** 2) - over / p.unwinding_time,
-        load_rate=swinging / p.load_time,
+        load_rate=swinging / damper.load_time,
     )

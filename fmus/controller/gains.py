@@ -29,12 +29,30 @@ class Gains:
         Scalar,
         Quantity("1/s2", "Rate of the speed by the integrators per error", 10.0, minimum=0.0, tunable=True),
     ]
-    damping_rate: Annotated[
+    swing_damping_rate: Annotated[
         Scalar,
-        Quantity("1/s", "Rate at which pressure feedback lets a force decay", 5.0, minimum=0.0, tunable=True),
+        Quantity(
+            *("1/s", "Rate at which pressure feedback lets the swing's torque decay", 5.0),
+            minimum=0.0,
+            tunable=True,
+        ),
     ]
-    load_time: Annotated[
-        Scalar, Quantity("s", "Time over which a load counts as steady: high-pass of the pressure feedback")
+    swing_load_time: Annotated[
+        Scalar,
+        Quantity("s", "Time over which its torque counts as steady: high-pass of that feedback"),
+    ]
+    piston_damping_rate: Annotated[
+        Scalar,
+        Quantity(
+            "1/s",
+            "Rate at which pressure feedback lets a piston's force decay",
+            5.0,
+            minimum=0.0,
+            tunable=True,
+        ),
+    ]
+    piston_load_time: Annotated[
+        Scalar, Quantity("s", "Time over which a piston's force counts as steady, in the same way")
     ]
     gain_limit: Annotated[
         Scalar, Quantity("1", "Largest correction of the feedforward, as share of it", minimum=1e-3)
