@@ -164,7 +164,7 @@ def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
 def test_engaging_at_full_swing_brings_the_arm_to_rest(machine):
     """1.1 rad/s and the boom rising, then engaged with the joystick at rest: it stops and stays.
 
-    The arm swings out on its oil; five seconds later 5 mm are left.
+    The arm swings out on its oil; in the sixth second after it 0.5 mm are left.
     """
     trace = driven(
         machine,

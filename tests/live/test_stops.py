@@ -53,9 +53,9 @@ def test_a_released_stick_is_a_soft_stop(fmu_dir, system, mode, swap, pose):
     full = speed[HELD - 100 : HELD].mean()  # over a second: the stretched arm swings on its oil meanwhile
     assert full > 0.35  # rad/s; 0.4 of the tip, 0.84 of the lever are asked for
     peak = max(found[f"swing_pressure_{port}"][HELD:].max() for port in "ab")
-    assert peak < 20.7e6  # Pa, the pressure of the supply without flow; measured: 18.8 at most
-    assert np.abs(speed[HELD + 200 :]).max() < 0.1 * full  # what swings on the oil; measured: 6 %
-    assert angle[HELD - 1 :].max() - angle[HELD - 1] < np.radians(35)  # measured: 31
+    assert peak < 20.7e6  # Pa, the pressure of the supply without flow; measured: 19.1 at most
+    assert np.abs(speed[HELD + 200 :]).max() < 0.1 * full  # what swings on the oil; measured: 5 %
+    assert angle[HELD - 1 :].max() - angle[HELD - 1] < np.radians(35)  # measured: 32
 
 
 def test_the_controller_brakes_and_then_lets_go(fmu_dir):
