@@ -50,7 +50,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
     monkeypatch.setattr(
         parent, "_kill", lambda child, kill=parent._kill: (started.append(child.pid), kill(child))
     )
-    with limits(Limits(call=10.0, work=0.2)):
+    with limits(Limits(call=PATIENCE, work=2.0)):
         apply(oscillators.make(fault="starts"), tmp_path, "default")
     assert started
     assert until(lambda: not any(group(pid) for pid in started))
@@ -59,7 +59,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
 @linux
 def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
     """The limit is told, and where the FMU stood."""
-    with limits(Limits(call=10.0, work=0.2, memory=2e8)):
+    with limits(Limits(call=PATIENCE, work=2.0, memory=2e8)):
         found = apply(oscillators.make(fault="eats"), tmp_path, "default")
     text = "co-simulation: takes more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
     assert ("error", text) in [(f.severity, f.text) for f in found]
@@ -70,15 +70,29 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(tmp_path):
     errors = tmp_path / "errors"
     errors.write_bytes(bytes(parent.MESSAGES + 1))
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    beacon = Beacon(tmp_path / "beacon")
+    beacon.call("fmi2DoStep")
     try:
         with limits(Limits(call=0.2)):
-            end, late = parent._watch(child, Beacon(tmp_path / "beacon"), errors)
+            end, late = parent._watch(child, beacon, errors)
     finally:
         child.kill()
         child.wait()
-    assert end.startswith("hang: no return within 0.2 s")
+    assert end == "hang: no return within 0.2 s in fmi2DoStep"
     assert not late
     assert errors.stat().st_size == 0
+
+
+def test_a_python_that_starts_slowly_is_no_hang(tmp_path):
+    """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    try:
+        with limits(Limits(call=0.1, probe=0.3)):
+            end, late = parent._watch(child, Beacon(tmp_path / "beacon"), tmp_path)
+    finally:
+        child.kill()
+        child.wait()
+    assert (end, late) == ("not done within 0.3 s, stopped before the first call", True)
 
 
 def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):

@@ -149,7 +149,7 @@ def _watch(child: subprocess.Popen[bytes], beacon: Beacon, errors: Path) -> tupl
         seen, now = beacon.read(), time.monotonic()
         if seen.count != count:
             count, moved = seen.count, now
-        if now - moved > current().call:
+        if count and now - moved > current().call:  # before the first call it is Python that starts
             return f"hang: no return within {current().call:g} s {seen}", False
         if _used(child.pid) > most:
             return f"takes more than {most / 1e9:.3g} GB of memory, stopped {seen}", False
