@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+LONG = 120.0  # s for a browser to start; only bounds a failure
 INSTALL = "no Chromium found; install one: apt install chromium, or any Chrome in the search path"
 # pictures are drawn by the processor; without the calls home that a fresh browser makes
 FLAGS = (
@@ -20,6 +22,11 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+# how long an example takes is a matter of the computer and of what else it does
+settings.register_profile(
+    "unhurried", settings.default, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("unhurried")
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +38,7 @@ def chromium() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=found, args=list(FLAGS))
+        browser = play.chromium.launch(executable_path=found, args=list(FLAGS), timeout=1e3 * LONG)
         yield browser
         browser.close()
 

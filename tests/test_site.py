@@ -114,6 +114,7 @@ def test_the_search_works_in_a_page_opened_as_a_file(site, chromium):
     """A browser without a server finds a word, and asks no other server for anything."""
     asked, faults = [], []
     page = chromium.new_page()
+    page.set_default_timeout(60e3)  # ms; only bounds a failure, on a computer that does much else
     page.on("request", lambda request: asked.append(request.url))
     page.on("pageerror", lambda fault: faults.append(str(fault)))
     page.goto((site / "index.html").as_uri())

@@ -37,7 +37,7 @@ def zig(platform: str | None = None) -> list[str]:
 def run(command: Sequence[object], **more: object) -> subprocess.CompletedProcess[str]:
     """Run a program to its end; what it says is the failure."""
     words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, **more)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=1800, **more)
     assert done.returncode == 0, (
         f"{' '.join(words[:6])}: exit status {done.returncode}\n{done.stderr[-3000:]}"
     )
