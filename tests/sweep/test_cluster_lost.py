@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from distributed import Client
 from sweep.studies import GAIN, content, run, study
 
 RUNS = 240
+PATIENCE = 600  # s; only bounds a failure, on a computer that does much else
 LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
-# the command line, but for the time that it gives a scheduler to come back
+# the command line, which kills the scheduler itself when its first batch is kept: in the middle, however slow
+# or fast this computer is
 COMMAND = """
-import sys
+import os, signal, sys
 from orchestrator.__main__ import main
-from orchestrator.sweep import cluster
-cluster.PATIENCE = 2.0
+from orchestrator.sweep.store import Store
+scheduler, add = int(sys.argv.pop(1)), Store.add
+def first(self, rows):
+    add(self, rows)
+    Store.add = add
+    os.kill(scheduler, signal.SIGKILL)
+Store.add = first
 sys.exit(main())
 """
 
@@ -37,28 +44,45 @@ def _dask(*arguments: str) -> subprocess.Popen[bytes]:
 def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Its address and its process; one worker is with it."""
     file = tmp_path / "scheduler.json"
-    process = _dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
-    while not file.exists():
-        assert process.poll() is None
-        time.sleep(0.05)
-    worker = _dask("worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny")
-    yield json.loads(file.read_text())["address"], process
-    for one in (worker, process):
-        one.kill()
-        one.wait()
+    with ExitStack() as ends:
+        process = _dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        ends.callback(_end, process)
+        while not (address := _address(file)):
+            assert process.poll() is None
+            time.sleep(0.05)
+        worker = _dask("worker", address, "--nthreads", "1", "--no-nanny")
+        ends.callback(_end, worker)
+        with Client(address, timeout=PATIENCE) as client:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        yield address, process
+
+
+def _address(file: Path) -> str:
+    """Of the scheduler, when all of its file is written."""
+    try:
+        return json.loads(file.read_text())["address"]
+    except (OSError, ValueError):
+        return ""
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
 
 
 def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tmp_path) -> None:
     """No log of Dask and no traceback, exit status 2; what was finished is kept, and the study goes on."""
     address, process = scheduler
     file, out = study(tmp_path, LONG, gain), tmp_path / "out"
-    command = [sys.executable, "-c", COMMAND, "sweep", str(file), "--out", str(out), "--scheduler", address]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sweep:
-        while not list(out.glob("parts/runs-*.parquet")):
-            assert sweep.poll() is None, sweep.communicate()
-            time.sleep(0.02)
-        os.kill(process.pid, signal.SIGKILL)
-        told, wrong = sweep.communicate(timeout=60)
+    options = ["sweep", str(file), "--out", str(out), "--scheduler", address]
+    sweep = subprocess.run(
+        [sys.executable, "-c", COMMAND, str(process.pid), *options],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE,
+    )
+    told, wrong = sweep.stdout, sweep.stderr
     *progress, last = wrong.splitlines()
     assert last == "harvester: the Dask scheduler is gone; what is finished is kept, the same command goes on"
     assert all(f" of {RUNS} runs, " in line for line in progress), wrong
