@@ -79,7 +79,7 @@ def test_it_rests_when_nobody_commands(opened, drift):
     until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
     moves = np.diff(station.trace()["u"])
     assert moves.min() >= -0.1 - 1e-15  # rounding
-    assert station.latest().state == "running"
+    until(lambda: station.latest().state == "running")  # one that halts for long has failed until it goes on
 
 
 def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
@@ -149,7 +149,7 @@ def test_commands_from_many_threads(opened, drift):
         thread.join()
     station.command({"u": 0.5})
     until(lambda: u(station) == 0.5)
-    assert station.latest().state == "running"
+    until(lambda: station.latest().state == "running")  # one that halts for long has failed until it goes on
 
 
 def test_the_pulse_counts_every_frame(opened, drift):

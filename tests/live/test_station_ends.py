@@ -23,7 +23,8 @@ from .conftest import gone, posix, until
 
 def test_a_failed_fmu_is_told_and_a_restart_works(opened, failing, drift):
     """One line; what was seen until then stays; neither the page nor the machine is lost."""
-    station = opened(failing)
+    station = opened(failing, playing=False)  # or it might have failed before anybody has seen it start
+    station.play()
     until(lambda: station.latest().state == "failed")
     frame = station.latest()
     assert frame.message.startswith("fails: the step failed at t = 0.195 s")
@@ -66,9 +67,10 @@ def test_a_process_that_dies_is_told_and_a_restart_works(opened, drift):
 @posix
 def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
     """As when an FMU does not return; it may come back, and it can be ended."""
-    monkeypatch.setattr(session, "SILENT", 0.5)
     station = opened(drift)
+    until(lambda: station.latest().state == "running")
     os.kill(station.pid, signal.SIGSTOP)
+    monkeypatch.setattr(session, "SILENT", 0.5)
     until(lambda: station.latest().state == "failed")
     assert station.latest().message.startswith("the machine has not answered for ")
     os.kill(station.pid, signal.SIGCONT)
