@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +18,8 @@ from orchestrator.view.controls import endpoint
 from orchestrator.view.safety.access import Guard, Rules, rules
 from orchestrator.view.safety.pilot import Pilot
 
+LONG = 60.0  # s; only bounds a failure, on a computer that does much else
+PATIENCE, ABSENCE = 4 * LONG, 8 * LONG  # s, of a pilot that must not lose them by itself
 LEVERS = ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command")
 CONTROLLER = tuple(
     f"controller.{name}"
@@ -65,12 +67,13 @@ class StandIn:
 
 @dataclass
 class Server:
-    """A running server on a port of its own."""
+    """A running server on a port of its own; `silence` moves the clock of its pilot on."""
 
     machine: StandIn
     pilot: Pilot
     port: int
     rules: Rules
+    silence: Callable[[float], None]
 
     @property
     def http(self) -> str:
@@ -81,10 +84,15 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(host: str = "127.0.0.1", patience: float = 0.2, absence: float = 0.5) -> Iterator[Server]:
-    """The websocket of the controls, one plain page, and the guard around both."""
-    machine = StandIn()
-    pilot, asked = Pilot(machine, patience=patience, absence=absence), rules(host)
+def serving(host: str = "127.0.0.1") -> Iterator[Server]:
+    """The websocket of the controls, one plain page, and the guard around both.
+
+    Its pilot has so much patience that a halt of this computer never uses it up, and no test waits for it:
+    what rests does so for a reason. Silence comes by moving the pilot's clock.
+    """
+    machine, passed = StandIn(), [0.0]
+    pilot = Pilot(machine, patience=PATIENCE, absence=ABSENCE, clock=lambda: time.monotonic() + sum(passed))
+    asked = rules(host)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
@@ -103,13 +111,14 @@ def serving(host: str = "127.0.0.1", patience: float = 0.2, absence: float = 0.5
     thread.start()
     wait(lambda: server.started)
     try:
-        yield Server(machine, pilot, server.servers[0].sockets[0].getsockname()[1], asked)
+        port = server.servers[0].sockets[0].getsockname()[1]
+        yield Server(machine, pilot, port, asked, passed.append)
     finally:
         server.should_exit = True
-        thread.join(10)
+        thread.join(LONG)
 
 
-def wait(condition: Any, seconds: float = 20.0) -> None:
+def wait(condition: Any, seconds: float = LONG) -> None:
     """Until something holds; fails if it does not. The time only bounds a failure."""
     assert comes(condition, seconds), "it did not come to hold"
 

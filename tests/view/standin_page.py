@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +24,24 @@ from orchestrator.view.task.training import Training
 FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
 
 
+@dataclass
+class Machine(StandIn):
+    """Notes who had the controls when it came to rest last; empty: nobody."""
+
+    rested: str = ""
+    driver: Callable[[], str] = str
+
+    def command(self, values: Mapping[str, float]) -> None:
+        if self.moving and not any(values.values()):
+            self.rested = self.driver()
+        super().command(values)
+
+
 def main(port: int) -> None:
-    machine = StandIn(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
-    # a computer that does much else may halt for a second: that is no driver who went away
-    pilot, training = Pilot(machine, absence=4.0), Training(machine)
+    machine = Machine(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
+    # a computer that does much else may halt for some seconds: that is no driver who went away
+    pilot, training = Pilot(machine, absence=6.0), Training(machine)
+    machine.driver = lambda: pilot.status().driver
     seats: list[Seat] = []
     endpoint.serve(app, pilot)
     watchdog = endpoint.watching(pilot)
@@ -36,7 +52,12 @@ def main(port: int) -> None:
     @app.get("/last")
     def last() -> dict[str, Any]:
         heard = sum(seat.counts["accepted"] for seat in seats)
-        return {"command": machine.commands[-1:], "heard": heard, **vars(pilot.status())}
+        return {
+            "command": machine.commands[-1:],
+            "rested": machine.rested,
+            "heard": heard,
+            **vars(pilot.status()),
+        }
 
     @ui.page("/")
     def page() -> None:

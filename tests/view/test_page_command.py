@@ -5,54 +5,59 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import httpx
 import pytest
+from view.standin import LONG
 
 from orchestrator.__main__ import main
 
 POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
 URL = 1  # line of the output
 RECORDING = "recording.csv"  # of a test rig, with names of its own
+get = partial(httpx.get, timeout=LONG)
 
 
-def started(fmu_dir: Path, folder: Path, *options: str) -> tuple[subprocess.Popen[str], list[str]]:
-    """A server in a process of its own, and the lines it says when it is ready."""
+@contextmanager
+def started(fmu_dir: Path, folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """A server in a process of its own, and the lines it says when it is ready; it ends in any case."""
     command = [sys.executable, "-m", "orchestrator", "view", str(fmu_dir / "harvester.ssp"), "--no-open"]
     command += ["--port", "0", "--results", str(folder), *options]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    return child, [child.stdout.readline().strip() for _ in range(3)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        try:
+            yield child, [child.stdout.readline().strip() for _ in range(3)]
+        finally:
+            child.kill()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
 def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
     """It tells its address, serves there, and ends by an interrupt without a traceback."""
-    child, said = started(fmu_dir, tmp_path, *POSED)
-    assert said[0] == "harvester.ssp, reach, swing detailed, manipulator.head_mass=900"
-    assert said[URL].startswith("http://127.0.0.1:")
-    assert httpx.get(said[URL]).status_code == 200
-    assert httpx.get(said[URL], headers={"host": "evil.example"}).status_code == 400
-    child.send_signal(signal.SIGINT)
-    _, told = child.communicate(timeout=60)
+    with started(fmu_dir, tmp_path, *POSED) as (child, said):
+        assert said[0] == "harvester.ssp, reach, swing detailed, manipulator.head_mass=900"
+        assert said[URL].startswith("http://127.0.0.1:")
+        assert get(said[URL]).status_code == 200
+        assert get(said[URL], headers={"host": "evil.example"}).status_code == 400
+        child.send_signal(signal.SIGINT)
+        _, told = child.communicate(timeout=LONG)
     assert (child.returncode, told.strip()) == (130, "harvester: interrupted")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
 def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
     """Where others could reach it, the page opens with the token of the address and not without."""
-    child, said = started(fmu_dir, tmp_path, "--host", "0.0.0.0")
-    bare, _, token = said[URL].partition("?token=")
-    port = bare.rstrip("/").rpartition(":")[2]
-    try:
+    with started(fmu_dir, tmp_path, "--host", "0.0.0.0") as (_, said):
+        bare, _, token = said[URL].partition("?token=")
+        port = bare.rstrip("/").rpartition(":")[2]
         assert len(token) >= 32
-        assert httpx.get(f"http://127.0.0.1:{port}/").status_code == 401
-        page = httpx.get(f"http://127.0.0.1:{port}/?token={token}", follow_redirects=True)
+        assert get(f"http://127.0.0.1:{port}/").status_code == 401
+        page = get(f"http://127.0.0.1:{port}/?token={token}", follow_redirects=True)
         assert page.status_code == 200
-    finally:
-        child.send_signal(signal.SIGINT)
-        child.communicate(timeout=60)
 
 
 @pytest.mark.parametrize(

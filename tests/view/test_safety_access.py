@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import httpx
 import pytest
-from view.standin import Server, serving, wait
+from view.standin import LONG, Server, serving, wait
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from orchestrator.view.safety.access import is_loopback, rules
+
+get = partial(httpx.get, timeout=LONG)
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +46,13 @@ FOREIGN = (
 @pytest.mark.parametrize("name", OWN)
 def test_own_names(local: Server, name: str, port: str) -> None:
     """All names of the loopback do, with any port: it may have been forwarded."""
-    assert httpx.get(local.http, headers={"host": name + port}).status_code == 200
+    assert get(local.http, headers={"host": name + port}).status_code == 200
 
 
 @pytest.mark.parametrize("name", FOREIGN)
 def test_foreign_names(local: Server, name: str) -> None:
     """A foreign name that points here gets nothing: neither a page nor a socket."""
-    answer = httpx.get(local.http, headers={"host": name})
+    answer = get(local.http, headers={"host": name})
     assert answer.status_code == 400
     assert answer.text.count("\n") == 1
 
@@ -70,16 +73,16 @@ def test_foreign_pages(local: Server, origin: str) -> None:
     """A page from elsewhere opens no socket and sends no request."""
     seat = local.pilot.join()
     refused = pytest.raises(InvalidStatus, match="403")
-    with refused, connect(local.socket(seat.key), additional_headers={"Origin": origin}):
+    with refused, connect(local.socket(seat.key), open_timeout=LONG, additional_headers={"Origin": origin}):
         pass
-    assert httpx.get(local.http, headers={"origin": origin}).status_code == 400
+    assert get(local.http, headers={"origin": origin}).status_code == 400
     assert not seat.connected
 
 
 def test_own_page(local: Server) -> None:
     """The page's own origin opens its socket."""
     seat = local.pilot.join()
-    with connect(local.socket(seat.key), origin=local.http):
+    with connect(local.socket(seat.key), open_timeout=LONG, origin=local.http):
         wait(lambda: seat.connected)
 
 
@@ -103,9 +106,9 @@ def test_tokens_are_random() -> None:
 )
 def test_without_token(remote: Server, query: str) -> None:
     """No page without the token, and no socket."""
-    assert httpx.get(remote.http + "/" + query).status_code == 401
+    assert get(remote.http + "/" + query).status_code == 401
     seat = remote.pilot.join()
-    with pytest.raises(InvalidStatus, match="403"), connect(remote.socket(seat.key)):
+    with pytest.raises(InvalidStatus, match="403"), connect(remote.socket(seat.key), open_timeout=LONG):
         pass
 
 
@@ -115,12 +118,12 @@ def test_without_token(remote: Server, query: str) -> None:
 def test_wrong_cookie(remote: Server, cookie: str) -> None:
     """A cookie counts with the right name and value only."""
     text = cookie.format(name=remote.rules.cookie, token=remote.rules.token)
-    assert httpx.get(remote.http, headers={"cookie": text.encode("latin-1")}).status_code == 401
+    assert get(remote.http, headers={"cookie": text.encode("latin-1")}).status_code == 401
 
 
 def test_token_becomes_a_cookie(remote: Server) -> None:
     """Once in the address, then in a cookie that no script and no other site gets; the address goes clean."""
-    answer = httpx.get(f"{remote.http}/?token={remote.rules.token}&file=run.csv")
+    answer = get(f"{remote.http}/?token={remote.rules.token}&file=run.csv")
     assert answer.status_code == 200
     assert 'url=?file=run.csv"' in answer.text
     assert remote.rules.token not in answer.text
@@ -129,23 +132,21 @@ def test_token_becomes_a_cookie(remote: Server) -> None:
     assert "HttpOnly" in kept
     assert "SameSite=Strict" in kept
     cookie = kept.partition(";")[0]
-    assert httpx.get(remote.http, headers={"cookie": cookie}).text == '"the page"'
+    assert get(remote.http, headers={"cookie": cookie}).text == '"the page"'
     seat = remote.pilot.join()
-    with connect(remote.socket(seat.key), additional_headers={"Cookie": cookie}):
+    with connect(remote.socket(seat.key), open_timeout=LONG, additional_headers={"Cookie": cookie}):
         wait(lambda: seat.connected)
 
 
 def test_door_shows_no_script(remote: Server) -> None:
     """What else stands in the address does not become part of the page."""
-    answer = httpx.get(
-        f"{remote.http}/", params={"token": remote.rules.token, "x": '"><script>alert(1)</script>'}
-    )
+    answer = get(f"{remote.http}/", params={"token": remote.rules.token, "x": '"><script>alert(1)</script>'})
     assert "<script>" not in answer.text
 
 
 def test_names_with_a_token(remote: Server) -> None:
     """With a token any address in figures will do; a foreign name still does not."""
     cookie = {"cookie": f"{remote.rules.cookie}={remote.rules.token}"}
-    assert httpx.get(remote.http, headers={"host": "192.168.1.5:80", **cookie}).status_code == 200
-    assert httpx.get(remote.http, headers={"host": "evil.example", **cookie}).status_code == 400
+    assert get(remote.http, headers={"host": "192.168.1.5:80", **cookie}).status_code == 200
+    assert get(remote.http, headers={"host": "evil.example", **cookie}).status_code == 400
     assert "host.lan" in rules("0.0.0.0", names=("Host.lan",)).names

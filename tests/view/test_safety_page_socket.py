@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import httpx
 import pytest
+from view.standin import LONG
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -28,6 +30,8 @@ NONSENSE = (
     *('451-["event",{"_placeholder":true,"num":0}]', '459999999-["event"]', '0{"sid":1}', "2probe"),
     *("x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
 )
+
+opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
 
 
 @pytest.fixture(scope="module")
@@ -48,19 +52,20 @@ def test_nonsense(served: tuple[str, subprocess.Popen]) -> None:
     url, child = served
     for piece in NONSENSE:
         address = f"{url.replace('http', 'ws')}{SOCKET}&transport=websocket"
-        with contextlib.suppress(ConnectionClosed), connect(address, compression=None) as socket:
-            socket.recv(timeout=10)
+        with contextlib.suppress(ConnectionClosed), opened(address) as socket:
+            socket.recv(timeout=LONG)
             socket.send("40" + json.dumps({}))
             socket.send(piece)
-            socket.ping().wait(0.2)  # until it was read, or the connection was closed over it
+            # until it was read, or the connection was closed over it
+            assert socket.ping(ack_on_close=True).wait(LONG)
     for piece in (b"garbage", b"\x1e" * 10, b"x" * 2_000_000):
-        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece).status_code == 400
+        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece, timeout=LONG).status_code == 400
     refused = pytest.raises(InvalidStatus, match="403")
-    with refused, connect(address, origin="http://evil.example"):
+    with refused, opened(address, origin="http://evil.example"):
         pass
-    assert httpx.get(url).status_code == 200
+    assert httpx.get(url, timeout=LONG).status_code == 200
     child.send_signal(signal.SIGINT)
-    _, told = child.communicate(timeout=60)
+    _, told = child.communicate(timeout=LONG)
     assert child.returncode == 130
     assert "Traceback" not in told
     assert max(map(len, told.splitlines())) < 200

@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
-from view.standin import Server, serving, wait
+from view.standin import ABSENCE, LONG, PATIENCE, Server, serving, wait
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -20,15 +20,7 @@ from orchestrator.view.safety.seat import Seat
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Server]:
-    # a busy computer may stop for a while: what rests here must rest for a reason, not by its patience
-    with serving(patience=3.0, absence=4.0) as server:
-        yield server
-
-
-@pytest.fixture
-def hasty() -> Iterator[Server]:
-    """One that loses its patience soon."""
-    with serving(patience=0.8, absence=1.0) as server:
+    with serving() as server:
         yield server
 
 
@@ -38,7 +30,7 @@ def server(running: Server) -> Iterator[Server]:
     yield running
     wait(lambda: not running.machine.moving)
     wait(lambda: running.pilot.status().role == "free")
-    assert httpx.get(running.http).status_code == 200
+    assert httpx.get(running.http, timeout=LONG).status_code == 200
     with page(running) as (socket, seat):
         drive(running, socket, seat)
 
@@ -50,7 +42,8 @@ class page:
         self._server, self._seat = server, server.pilot.join()
 
     def __enter__(self) -> tuple[ClientConnection, Seat]:
-        self._opened = connect(self._server.socket(self._seat.key), compression=None)
+        address = self._server.socket(self._seat.key)
+        self._opened = connect(address, compression=None, open_timeout=LONG, ping_timeout=None)
         return self._opened.__enter__(), self._seat
 
     def __exit__(self, *error: Any) -> None:
@@ -105,26 +98,32 @@ def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
         assert all(any(command.values()) for command in server.machine.commands[count:])
 
 
-def test_dropped_messages(hasty: Server) -> None:
-    """Numbers that are missing do no harm; when nothing comes any more, it rests and is free."""
-    with page(hasty) as (socket, seat):
-        drive(hasty, socket, seat)
+def test_dropped_messages(server: Server) -> None:
+    """Numbers that are missing do no harm; when nothing comes any more, it rests, and then is free."""
+    with page(server) as (socket, seat):
+        drive(server, socket, seat)
         for n in (5, 17, 100):
             say(socket, n, sticks=(-1, -1, 0, 0))
-        wait(lambda: hasty.machine.commands[-1]["boom_stick.stick_command"] > 0)
-        wait(lambda: not hasty.machine.moving)
-        wait(lambda: hasty.pilot.status(seat).role == "free")
+        wait(lambda: seat.counts["accepted"] == 5)
+        assert server.machine.commands[-1]["boom_stick.stick_command"] > 0
+        server.silence(1.1 * PATIENCE)
+        wait(lambda: not server.machine.moving)
+        assert server.pilot.status(seat).role == "driving"
+        server.silence(ABSENCE)
+        wait(lambda: server.pilot.status(seat).role == "free")
         assert seat.counts["accepted"] == 5
 
 
-def test_old_messages(hasty: Server) -> None:
+def test_old_messages(server: Server) -> None:
     """The same message again and again is silence."""
-    with page(hasty) as (socket, seat):
-        drive(hasty, socket, seat)
-        while hasty.machine.moving:
+    with page(server) as (socket, seat):
+        drive(server, socket, seat)
+        for n in range(1, 5):
+            server.silence(0.3 * PATIENCE)
             say(socket, 1)
-            socket.recv(timeout=1)
-        assert seat.counts["old"] > 0
+            wait(lambda n=n: seat.counts["old"] == n)
+        wait(lambda: not server.machine.moving)
+        assert server.pilot.status(seat).role == "driving"
 
 
 def test_second_browser(server: Server) -> None:
@@ -136,10 +135,10 @@ def test_second_browser(server: Server) -> None:
             say(second, 0, dead_man=False)
             say(second, 1, sticks=(1, 1, 1, 1))
             wait(lambda: other.counts["accepted"] == 2)
-            told = json.loads(second.recv(timeout=1))
+            told = json.loads(second.recv(timeout=LONG))
             assert server.machine.commands[-1]["swing.swing_command"] > 0
         while told["role"] == "watching":
-            told = json.loads(second.recv(timeout=1))
+            told = json.loads(second.recv(timeout=LONG))
         assert told["role"] == "free"
         assert not server.machine.moving
         wait(lambda: server.pilot.take(other))
@@ -183,5 +182,6 @@ def test_flood(server: Server) -> None:
 @pytest.mark.parametrize("key", ["", "nobody", "%00", "../../etc/passwd", "x" * 5000, "%ff%fe"])
 def test_unknown_page(server: Server, key: str) -> None:
     """Who does not know the key of an open page is not let in, whatever is in its place."""
-    with pytest.raises(InvalidStatus, match="403"), connect(server.socket(key)):
+    refused = pytest.raises(InvalidStatus, match="403")
+    with refused, connect(server.socket(key), open_timeout=LONG):
         pass
