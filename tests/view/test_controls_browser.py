@@ -130,7 +130,9 @@ def test_frozen_page(page: Any, address: str) -> None:
     wait(lambda: command(address) == {})
     assert state(address)["rested"], "a page that is slow for a moment keeps the controls"
     wait(lambda: state(address)["role"] == "free")
-    assert state(address)["why"] == "the driver was silent"
+    # where the browser stands still, too, its connections may end before the silence is noticed
+    gone = ("the driver was silent", "the driver's page was closed", "the connection to the driver was lost")
+    assert state(address)["why"] in gone
     page.keyboard.up("Space")
     page.keyboard.up("KeyA")
 
