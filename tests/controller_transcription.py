@@ -111,9 +111,11 @@ def references(x: Group, u: Group, p: Group) -> Group:
     share = 1 / (1 + r((use**8 + ends**8 + 1e-24) ** (1 / 8) - 0.9, 0.2))
     errors = np.array([q[0] - q_m[0], *(np.array(arm.pistons) - machine.pistons)[1:]])
     scale = np.array([p.swing_error_limit, p.piston_error_limit, p.piston_error_limit])
-    wait = p.feedback * ((errors / scale) ** 2).sum()
+    far = p.feedback * ((errors / scale) ** 2).sum()
+    lag = errors / scale * y / np.sqrt(y**2 + (p.learning_share * limit) ** 2)
+    wait = p.feedback * (np.maximum(0, lag) ** 2).sum()
     share *= 1 - rise((wait - 0.25) / 0.75)
-    own = share * speeds + p.return_rate * r(wait - 1, 0.5) * (q_m - q)
+    own = share * speeds + p.return_rate * r(far - 1, 0.5) * (q_m - q)
     there = np.array([machine.tip.real, machine.tip.imag, q_m[0]])
     moving = np.array([*machine.velocity(*w_m[1:]), w_m[0]])
     return Group(
@@ -142,10 +144,12 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     pressure = np.array([getattr(u, f"{name}_{n}") for n in ports])
     speed = ref.arm.arms[i] * (b + p.lead_time * (b - late) / p.lead_filter_time)
     kind = "swing" if name == "swing" else "piston"
-    damping, slowly = getattr(p, f"{kind}_damping_rate"), getattr(p, f"{kind}_load_time")
+    kp, ki, g, slowly = (
+        getattr(p, f"{kind}_{n}") for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
+    )
     k, side = (o.a**2 / o.c).sum(), np.array([1, -1])
     swinging = o.a * side @ pressure - load
-    v = speed + p.feedback * (p.position_gain * error + h * speed - damping * swinging / k)
+    v = speed + p.feedback * (kp * error + h * speed - g * swinging / k)
     head, rod = np.linalg.solve([o.a * side, o.c / o.a], [load, (pressure * o.c / o.a).sum()])
     s, t = u.supply_pressure, u.tank_pressure
     by, w = o.a / o.c, 2e5
@@ -169,7 +173,7 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)
     target = lever + x.coordination * (volts(had, o, p.foot_share) - lever)
     slow, most = p.learning_share * getattr(p, f"{name}_speed_limit"), p.gain_limit
-    learn = p.integral_gain * error - (wide - had) * mean / p.unwinding_time
+    learn = ki * error - (wide - had) * mean / p.unwinding_time
     learn *= speed / (speed**2 + slow**2)
     over = (r(h - most, most / 10) - r(-h - most, most / 10)) / p.unwinding_time
     taught = ref.e * p.feedback * (learn / np.sqrt(1 + (learn / 2) ** 2) - over)

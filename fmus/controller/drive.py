@@ -49,10 +49,12 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Damper:
-    """Feedback of pressure: rate g at which a force decays [1/s]; time over which a load is steady [s]."""
+class Loop:
+    """Of a drive: kp [1/s], ki [1/s2], rate g at which a force decays [1/s], time of a steady load [s]."""
 
-    rate: Scalar
+    position_gain: Scalar
+    integral_gain: Scalar
+    damping_rate: Scalar
     load_time: Scalar
 
 
@@ -74,7 +76,7 @@ def action(
     a: Actuator,
     m: Measured,
     task: Task,
-    damper: Damper,
+    loop: Loop,
     gain: Scalar,
     load: Scalar,
     nominal_load: Scalar,
@@ -82,7 +84,8 @@ def action(
 ) -> Action:
     """What the drive does."""
     swinging = force(a, m) - load
-    corrected = p.position_gain * task.error + gain * task.speed - damper.rate * swinging / a.stiffness
+    damping = loop.damping_rate * swinging / a.stiffness
+    corrected = loop.position_gain * task.error + gain * task.speed - damping
     wanted = task.speed + p.feedback * corrected
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
     known = valve.full_speeds(a, *valve.steadied(a, m.head, m.rod, load), m.supply, m.tank)
@@ -95,10 +98,10 @@ def action(
     slow = p.learning_share * task.limit
     moving = task.speed / (task.speed**2 + slow**2)
     largest = p.gain_limit
-    learnt = (p.integral_gain * task.error - beyond / p.unwinding_time) * moving
+    learnt = (loop.integral_gain * task.error - beyond / p.unwinding_time) * moving
     over = ramp(gain - largest, largest / 10) - ramp(-gain - largest, largest / 10)
     return Action(
         command=valve.command(a.valve, possible, p.foot_share),
         gain_rate=learnt / ca.sqrt(1 + (learnt / FASTEST) ** 2) - over / p.unwinding_time,
-        load_rate=swinging / damper.load_time,
+        load_rate=swinging / loop.load_time,
     )

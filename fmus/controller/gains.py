@@ -22,12 +22,16 @@ class Gains:
             group="Feedback",
         ),
     ]
-    position_gain: Annotated[
-        Scalar, Quantity("1/s", "Speed wanted per error of an actuator", 5.0, minimum=0.0, tunable=True)
+    swing_position_gain: Annotated[
+        Scalar, Quantity("1/s", "Speed wanted per error of the swing", 5.0, minimum=0.0, tunable=True)
     ]
-    integral_gain: Annotated[
+    swing_integral_gain: Annotated[
         Scalar,
-        Quantity("1/s2", "Rate of the speed by the integrators per error", 10.0, minimum=0.0, tunable=True),
+        Quantity(
+            *("1/s2", "Rate of the speed by the swing's integrator per error", 10.0),
+            minimum=0.0,
+            tunable=True,
+        ),
     ]
     swing_damping_rate: Annotated[
         Scalar,
@@ -40,6 +44,17 @@ class Gains:
     swing_load_time: Annotated[
         Scalar,
         Quantity("s", "Time over which its torque counts as steady: high-pass of that feedback"),
+    ]
+    piston_position_gain: Annotated[
+        Scalar, Quantity("1/s", "Speed wanted per error of a piston", 5.0, minimum=0.0, tunable=True)
+    ]
+    piston_integral_gain: Annotated[
+        Scalar,
+        Quantity(
+            *("1/s2", "Rate of the speed by a piston's integrator per error", 10.0),
+            minimum=0.0,
+            tunable=True,
+        ),
     ]
     piston_damping_rate: Annotated[
         Scalar,
@@ -130,11 +145,11 @@ class Gains:
     ]
     swing_error_limit: Annotated[
         Scalar,
-        Quantity("rad", "Error of the swing at which the reference waits for the machine", 0.1, minimum=1e-4),
+        Quantity("rad", "Lag of the swing at which the reference waits for the machine", 0.1, minimum=1e-4),
     ]
     piston_error_limit: Annotated[
         Scalar,
-        Quantity("m", "Error of a piston at which the reference waits for the machine", 0.01, minimum=1e-5),
+        Quantity("m", "Lag of a piston at which the reference waits for the machine", 0.01, minimum=1e-5),
     ]
     return_rate: Annotated[
         Scalar, Quantity("1/s", "Rate at which the reference comes back beyond that error", minimum=0.0)

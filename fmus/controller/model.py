@@ -12,6 +12,7 @@ Errors are reference less machine.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import casadi as ca
@@ -21,7 +22,7 @@ from fmus.components import cylinder, ports
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.controller import drive, geometry
-from fmus.controller.drive import Action, Damper, Measured, Task
+from fmus.controller.drive import Action, Loop, Measured, Task
 from fmus.controller.numbers import FILE, merged
 from fmus.controller.reference import Reference, engaged, errors, machine, reference
 from fmus.controller.valve import Actuator
@@ -79,9 +80,9 @@ def _actions(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Action]:
         task = Task(arm * ahead, error, getattr(p, f"{name}_speed_limit"))
         nominal = 0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
         kind = "swing" if name == "swing" else "piston"
-        damper = Damper(getattr(p, f"{kind}_damping_rate"), getattr(p, f"{kind}_load_time"))
+        loop = Loop(**{f.name: getattr(p, f"{kind}_{f.name}") for f in fields(Loop)})
         state = (getattr(x, f"{name}_gain"), getattr(x, f"{name}_load"))
-        found[name] = drive.action(acting[name], measured[name], task, damper, *state, nominal, p)
+        found[name] = drive.action(acting[name], measured[name], task, loop, *state, nominal, p)
     return found
 
 

@@ -4,7 +4,9 @@
 
 with e engaged, s the share of `limits`, v the velocity wanted: of the joystick, filtered; or with `follow` of
 the path as it is, and drawn to its point. Where the machine is behind by nearly the error limits, g lets the
-reference wait, and beyond them c draws it back: it never runs away from a machine that cannot follow.
+reference wait, and beyond them c draws it back: it never runs away from a machine that cannot follow. Where
+the machine is ahead, the reference goes on: if it waited then too, its feedforward would push a swinging arm
+twice in each period, and both would swing on for ever.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components.smooth import ramp, s_curve
+from fmus.components.smooth import direction, ramp, s_curve
 from fmus.contract import Scalar
 from fmus.controller import geometry, limits
 from fmus.controller.geometry import Joints, Tip
@@ -27,7 +29,7 @@ class Reference:
 
     speeds   of the joints, of the reference alone [rad/s]
     rates    of the states, with what ties it to the machine [rad/s]
-    wait     error over the error limit
+    wait     how far the machine is behind, over the error limit
     """
 
     joints: Joints
@@ -90,10 +92,15 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     moving = [("boom", boom_at, boom_arm * boom), ("stick", stick_at, stick_arm * stick)]
     use = limits.use(swing, moving, p)
     scale = p.swing_error_limit, p.piston_error_limit, p.piston_error_limit
-    square = sum((e / s) ** 2 for e, s in zip(errors(x, u, p), scale, strict=True))
-    wait = p.feedback * square
+    off = [e / s for e, s in zip(errors(x, u, p), scale, strict=True)]
+    ways = (
+        direction(speed, p.learning_share * getattr(p, f"{name}_speed_limit"))
+        for name, speed in (("swing", swing), *((name, velocity) for name, _, velocity in moving))
+    )
+    error = p.feedback * sum(e**2 for e in off)
+    wait = p.feedback * sum(ca.fmax(0, e * way) ** 2 for e, way in zip(off, ways, strict=True))
     share = use.share * (1 - s_curve((wait - 0.25) / 0.75))
-    back = p.return_rate * ramp(wait - 1, 0.5)
+    back = p.return_rate * ramp(error - 1, 0.5)
     speeds = swing * share, boom * share, stick * share
     here = (now.swing_angle, now.boom_angle, now.stick_angle)
     there = (q.swing_angle, q.boom_angle, q.stick_angle)

@@ -185,7 +185,8 @@ class ControllerOutputs(Commands):
         Scalar, Quantity("1", "Speed wanted over speed allowed so near the ends of the strokes; acts above 1")
     ]
     wait_use: Annotated[
-        Scalar, Quantity("1", "Error over the one at which the reference waits; acts from about a half on")
+        Scalar,
+        Quantity("1", "Lag of the machine over that at which the reference waits; acts from a half on"),
     ]
     reference_share: Annotated[
         Scalar, Quantity("1", "Share of the speed wanted that the limits let the reference have")

@@ -162,7 +162,7 @@ def test_numbers_are_those_of_the_machine():
 def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
     """`harvester build --parameters`: of all parts, of one part, a gain, and of the controller alone."""
     entry = '[parameters.{}]\nvalue = {}\nunit = "{}"\nsource = "identified"\nnote = "bench"\n'
-    given = (("valve_area", 4.1e-5, "m2"), ("stick_length", 3.0, "m"), ("position_gain", 5.0, "1/s"))
+    given = (("valve_area", 4.1e-5, "m2"), ("stick_length", 3.0, "m"), ("piston_position_gain", 5.0, "1/s"))
     text = "".join(entry.format(*one) for one in given)
     text += entry.format('"swing.valve_dead_band"', 0.8, "V") + entry.format(
         '"controller.density"', 900.0, "kg/m3"
@@ -171,7 +171,12 @@ def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
     path.write_text(text, encoding="utf-8")
     found = values(controller_of(parts(path)[0], path)).p
     expected = {
-        **{"valve_area": 4.1e-5, "swing_valve_area": 4.1e-5, "stick_length": 3.0, "position_gain": 5.0},
+        **{
+            "valve_area": 4.1e-5,
+            "swing_valve_area": 4.1e-5,
+            "stick_length": 3.0,
+            "piston_position_gain": 5.0,
+        },
         **{"swing_valve_dead_band": 0.8, "valve_dead_band": 0.6, "density": 900.0, "swing_density": 970.0},
     }
     assert {n: found[n] for n in expected} == expected

@@ -3,36 +3,52 @@
 import numpy as np
 import pytest
 
-from orchestrator import linearize, run
+from orchestrator import Trace, linearize, run
 
 SPEED = "manipulator.swing_speed"
-SLEW = {"engaged": 1.0, "swing_velocity": 0.4}  # rad/s; what a full stick asks for
+# the pistons' gains, which the swing had once
+OLD = {"position_gain": 5.0, "integral_gain": 10.0, "damping_rate": 15.0, "load_time": 0.4}
+STRETCHED = ["reach"]
 
 
 @pytest.fixture(scope="module")
-def slewing(fmu_dir):
-    """Full tip swing at full reach from rest, 8 s."""
-    system = fmu_dir / "harvester_control.ssp"
-    return run(system, parameters=["reach"], set=SLEW, stop=8, record=[SPEED], record_step=0.01).trace
+def machine(fmu_dir):
+    """harvester_control.ssp."""
+    return fmu_dir / "harvester_control.ssp"
 
 
-def test_the_closed_loop_of_the_stretched_arm_is_damped(fmu_dir):
-    """Its mode below 1 Hz dies away in two periods; where the swinging passes for a load it hardly does."""
-    system, point = fmu_dir / "harvester_control.ssp", {"parameters": ["reach"], "time": 4.0}
-    before = {"controller.swing_load_time": 0.4, "controller.swing_damping_rate": 15.0}
-    now, then = (slowest(linearize(system, set=SLEW | more, **point)) for more in ({}, before))
-    assert 0.6 < now.frequency < 1.0  # Hz: position gain and inertia
-    assert now.damping > 0.2  # measured: 0.23
-    assert then.damping < 0.05  # the figure of docs/control.md: 0.034
+def slewed(machine, time, wanted, **more):
+    """Swing speed and time from 0 to 20 s of the stretched arm, with swing velocities wanted over time."""
+    signals = {"swing_velocity": np.array(wanted, float), "engaged": np.ones(len(time))}
+    scenario = Trace(np.array(time, float), signals)
+    trace = run(machine, scenario, parameters=STRETCHED, set=more, record=[SPEED], record_step=0.01).trace
+    return trace.time, trace[SPEED]
 
 
-def slowest(linear):
-    """The swing's mode of least damping."""
-    swings = [m for m in linear.modes if m.name.startswith("swing swings") and m.frequency]
-    return min(swings, key=lambda m: m.damping)
+def damping(machine, **gains):
+    """Of the swing's least damped slow mode while it turns at 0.4 rad/s."""
+    given = {"engaged": 1.0, "swing_velocity": 0.4} | {f"controller.swing_{n}": v for n, v in gains.items()}
+    linear = linearize(machine, STRETCHED, set=given, time=4.0)
+    return min(m.damping for m in linear.modes if m.name.startswith("swing swings") and m.frequency < 2)
 
 
-def test_the_stretched_arm_swings_evenly_after_a_start(slewing):
-    """From 5 s on the speed is the wanted one within 1 %; it rang by 0.1 rad/s before."""
-    speed = slewing[SPEED][slewing.time > 5]
-    np.testing.assert_allclose(speed, SLEW["swing_velocity"], rtol=0.01)
+def test_the_closed_loop_of_the_stretched_arm_is_damped(machine):
+    """Damped with its own gains; with those of the pistons it hardly was."""
+    assert damping(machine) > 0.25  # measured: 0.28
+    assert damping(machine, **OLD) < 0.05  # the figure of docs/control.md: 0.034
+
+
+@pytest.mark.parametrize("limit", [0.1, 0.03], ids=["usual", "tight"])
+@pytest.mark.parametrize("before", [0.4, 0.0, -0.4, -0.6])
+@pytest.mark.parametrize("after", [0.4, 0.6])
+def test_what_is_asked_at_once_is_reached(machine, before, after, limit):
+    """However the speed wanted jumps and however soon the reference waits, the arm does not swing on.
+
+    A reference that also waited for a machine ahead of it kept the arm between -0.3 and 0.9 rad/s for ever.
+    """
+    time, speed = slewed(
+        machine, [0, 6, 6.001, 20], [before, before, after, after], **{"controller.swing_error_limit": limit}
+    )
+    last = speed[time > 16]
+    assert np.ptp(last) < 0.01  # rad/s
+    assert last.mean() == pytest.approx(after, rel=0.02)  # at 0.6 the speed limit takes 1.8 %
