@@ -9,7 +9,7 @@ from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 RIGID = manipulator(
-    text="Swing column, boom, stick and processing head with joint and piston friction",
+    text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",
     validity="rigid slender links, the head does not swing, viscous friction",
     parameters=ManipulatorParameters,
     states=ManipulatorState,
