@@ -67,7 +67,10 @@ def linearize(
 
     The point: the start (default), a time of a run (--time), or a steady state (--steady).
 
-    A controller: harvester linearize build/harvester_control.ssp --set engaged=1 --time 10
+    A controller that moves the machine, so that its loops are closed:
+
+    harvester linearize build/harvester_control.ssp --pose reach --time 2 --set engaged=1
+    --set radial_velocity=-0.3 --set swing_velocity=0.3
     """
     from orchestrator.commands.commands import there
     from orchestrator.linear import command

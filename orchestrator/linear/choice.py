@@ -10,6 +10,8 @@ from orchestrator.errors import Problem, suggest
 from orchestrator.system.interface import Interface
 from orchestrator.system.system import Inlet, Port, System
 
+FEW = 8  # names in a message
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -80,9 +82,15 @@ def outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]:
     names = [str(p) for p in ports]
     for pattern in patterns:
         if not any(map(_fits(pattern), names)):
-            near = suggest(pattern, names) or f"; there are {', '.join(names[:8]) or 'none'}"
-            raise Problem(f"--output {pattern}: no output fits{near}")
+            raise Problem(f"--output {pattern}: no output fits{suggest(pattern, names) or _some(names)}")
     return [p for p in ports if not patterns or any(_fits(x)(str(p)) for x in patterns)]
+
+
+def _some(names: Sequence[str]) -> str:
+    """All names, or the first of many."""
+    if len(names) <= FEW:
+        return f"; there are {', '.join(names) or 'none'}"
+    return f"; there are {len(names)} outputs, such as {', '.join(names[:FEW])}"
 
 
 def _fits(pattern: str) -> Callable[[str], bool]:

@@ -15,11 +15,15 @@ from orchestrator.comparison.table import aligned
 from orchestrator.errors import Problem
 from orchestrator.linear.linearize import linearize
 from orchestrator.linear.modes import Mode
-from orchestrator.linear.result import Linear, Named
+from orchestrator.linear.result import Array, Linear, Named
 
 HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12
 AT_REST = 1e-4  # of its size per second: a state that moves no faster counts as steady in the text
+AT_ONCE, LITTLE = (
+    1e-3,
+    1e-2,
+)  # s, and of its size: a state that settles so soon, and goes no further, is not told
 
 
 def speeds(texts: Iterable[str]) -> dict[str, float]:
@@ -57,14 +61,23 @@ def text(linear: Linear) -> str:
 def _point(linear: Linear) -> list[str]:
     """The inputs, and what is not at rest."""
     told = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
-    size = np.array([s.size for s in linear.states])
-    rate = np.abs(linear.f0) / size
+    rate = _rates(linear)
     moving = [
         f"{linear.states[i].name} by {linear.f0[i]:.3g}{_unit(linear.states[i])} per s"
         for i in np.argsort(-rate)[:3]
     ]
     rest = [m for m, i in zip(moving, np.argsort(-rate)[:3], strict=False) if rate[i] > AT_REST]
     return [f"inputs: {', '.join(told) or 'none'}", f"not at rest: {', '.join(rest) or 'nothing'}"]
+
+
+def _rates(linear: Linear) -> Array:
+    """How fast each state moves, of its size per second; 0 where it settles at once, as the flow in a line.
+
+    By itself a state of time constant T = -1 / A_ii goes f0 T further.
+    """
+    rate = np.abs(linear.f0) / np.array([s.size for s in linear.states])
+    own = -np.diag(linear.a)
+    return np.where((own > 1.0 / AT_ONCE) & (rate <= LITTLE * own), 0.0, rate)
 
 
 def _stability(modes: Sequence[Mode]) -> str:

@@ -12,10 +12,10 @@ from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace
 from orchestrator.linear.choice import choose
 from orchestrator.linear.choice import outputs as chosen_outputs
-from orchestrator.linear.member import Array
 from orchestrator.linear.operating import along
 from orchestrator.linear.plant import Plant
 from orchestrator.linear.result import Linear, Named
+from orchestrator.linear.silent import silent
 from orchestrator.linear.steady import steady as find_steady
 from orchestrator.system.interface import Value
 from orchestrator.system.parameters import with_sets
@@ -117,17 +117,8 @@ def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, 
         y0=plant.y[rows],
         f0=plant.f.copy(),
         time=time,
-        notes=notes + _silent(matrices.b[:, :count], [i.name for i in inlets]),
+        notes=notes + silent(plant, matrices.b[:, :count]),
     )
-
-
-def _silent(b: Array, inputs: Sequence[str]) -> tuple[str, ...]:
-    """What to say about inputs that move nothing."""
-    if not len(b):
-        return ()
-    none = [name for name, column in zip(inputs, b.T, strict=True) if not column.any()]
-    why = "a command in its dead band, a controller that is off"
-    return (f"no state depends here on {', '.join(none)} ({why})",) if none else ()
 
 
 def _named(system: System, port: Port) -> Named:

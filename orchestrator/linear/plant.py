@@ -115,7 +115,7 @@ class Plant:
                 break
             if (np.abs(off) <= EXACT * np.maximum(np.abs(wanted), np.abs(self.wires) @ np.abs(self.y))).all():
                 return
-            self.v += self._closed(self.blocks().d) @ off
+            self.v += self.closed(self.blocks().d) @ off
         raise Problem(f"{self.system.name}: its wires cannot be made to agree: {self._worst(off)}")
 
     def _worst(self, off: Array) -> str:
@@ -140,11 +140,11 @@ class Plant:
     def matrices(self) -> Matrices:
         """A, B, C, D from the inputs from outside to all outputs."""
         own = self.blocks()
-        closed = self._closed(own.d)
+        closed = self.closed(own.d)
         of_x, of_u = closed @ (self.wires @ own.c), closed @ self.feeds
         return Matrices(own.a + own.b @ of_x, own.b @ of_u, own.c + own.d @ of_x, own.d @ of_u)
 
-    def _closed(self, d: Array) -> Array:
+    def closed(self, d: Array) -> Array:
         """K = 1 / (1 - L D). Without a loop of direct feed-through a finite sum, without rounding."""
         through = self.wires @ d
         total = power = np.eye(len(through))

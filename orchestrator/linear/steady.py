@@ -26,6 +26,7 @@ from orchestrator.linear.search import Search
 from orchestrator.units import BASES, Unit
 
 ROUNDED = 12  # digits after the point, of a command in a note
+SETTLE = "let a run settle with --time in place of --steady"
 METRE, RADIAN = (tuple(int(b == base) for b in BASES) for base in ("m", "rad"))
 
 
@@ -44,9 +45,9 @@ def steady(plant: Plant, speeds: Mapping[str, float] | None = None) -> tuple[str
     search = Search(plant, joints.values(), idle)
     if not search.run(given):
         told = ", ".join(f"{plant.states[j.speed]} = {given.get(n, 0.0):g}" for n, j in joints.items())
-        raise Problem(
-            f"no steady state found with {told or 'all free'}: {search.equations.worst()} is not at rest"
-        )
+        worst = search.equations.worst()
+        other = "expected slower joints" if any(given.values()) else SETTLE
+        raise Problem(f"no steady state found with {told or 'all free'}: {worst} is not at rest; {other}")
     return _told(plant, joints, idle, search.equations.free)
 
 
@@ -64,7 +65,7 @@ def _joints(plant: Plant, m: Matrices) -> dict[str, Joint]:
             continue
         if len(mine) > 1 or word in found:
             names = ", ".join(plant.choice.inputs[k].name for k in mine)
-            other = "name one with --input, or let a run settle with --time in place of --steady"
+            other = f"{SETTLE}, or name one with --input"
             raise Problem(f"--steady: {plant.states[i]} has more than one input, {names}: {other}")
         found[word] = Joint(word, i, j, mine[0])
     return found

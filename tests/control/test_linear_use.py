@@ -31,6 +31,35 @@ def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
     np.testing.assert_array_equal(one.a, every.a)
 
 
+def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
+    """A swing at rest is in its dead band, which opens its loop; with all joints moving all are closed."""
+    system = fmu_dir / "harvester_control.ssp"
+    rest = linearize(system, ["reach"], set={"engaged": 1.0}, time=3.0)
+    moving = {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
+    moves = linearize(system, ["reach"], set=moving, time=2.0)
+    assert any("loops are open here at controller.swing_command" in note for note in rest.notes)
+    assert not any("loops are open" in note for note in moves.notes)
+
+
+def test_a_command_beyond_its_range_is_told(fmu_dir):
+    """At 99 V the valve is wide open, so no state depends on the command; the note names both reasons."""
+    linear = linearize(
+        fmu_dir / "harvester.ssp", ["reach"], inputs=["boom_command"], set={"boom_command": 99.0}
+    )
+    told = "no state depends here on boom_command (a command in its dead band or beyond its range, "
+    assert any(note.startswith(told) for note in linear.notes)
+
+
+def test_a_flow_that_settles_at_once_is_not_told_as_moving(fmu_dir):
+    """At the start flows are 0.03 % of their size off and settle in microseconds; pressures do move."""
+    linear = linearize(fmu_dir / "harvester.ssp", ["reach"])
+    rates = {state.name: abs(rate) for state, rate in zip(linear.states, linear.f0, strict=True)}
+    assert rates["swing.swing_flow_b"] > 1.0  # m3/s2: what is not told is not zero
+    line = next(line for line in text(linear).splitlines() if line.startswith("not at rest: "))
+    assert "swing.swing_pressure_b" in line
+    assert "_flow" not in line
+
+
 def test_a_loop_that_is_cut_and_closed_again_is_the_closed_loop(fmu_dir):
     """Tip moving inwards: cut at the command of the boom, then u = y, A is that of the whole."""
     system = fmu_dir / "harvester_control.ssp"
@@ -49,6 +78,9 @@ ERRORS = {
     "parameter set 'reech' is unknown; did you mean reach": {"parameters": ["reech"]},
     "unknown variable 'boom_comand'; did you mean": {"inputs": ["boom_comand"]},
     "--input boom_command_rate: it only carries": {"inputs": ["boom_command_rate"]},
+    "--output foo\\*: no output fits; there are 72 outputs, such as manipulator.swing_angle, ": {
+        "outputs": ["foo*"]
+    },
     "--output \\*angel: no output fits": {"outputs": ["*angel"]},
     "--speed head: no such joint, expected swing, boom, stick": {"steady": True, "speeds": {"head": 1.0}},
     "--speed: expected --steady": {"speeds": {"boom": 0.1}},
@@ -57,7 +89,10 @@ ERRORS = {
     "--time 0.0015: expected a multiple of the communication step": {"time": 0.0015},
     "--set tank_pressure: fed by supply.tank_pressure .*; expected --input": {"set": {"tank_pressure": 1e5}},
     "--set boom_command: fed by levers.*; expected --scenario": {"set": {"boom_command": 3.0}, "time": 1.0},
-    "no steady state found with .*boom_speed = 9": {"steady": True, "speeds": {"boom": 9.0}},
+    "no steady state found with .*boom_speed = 9.*expected slower joints": {
+        "steady": True,
+        "speeds": {"boom": 9.0},
+    },
 }
 
 
@@ -71,7 +106,9 @@ def test_mistakes_are_told_in_one_line(fmu_dir, message):
 
 def test_two_inputs_of_one_joint_are_told(fmu_dir):
     """Lever and velocity of a controller both have a joint's name: which one holds it has to be said."""
-    with pytest.raises(Problem, match=r"--steady: .*swing_velocity, swing_lever: name one with --input"):
+    with pytest.raises(
+        Problem, match=r"--steady: .*swing_velocity, swing_lever: let a run settle with --time"
+    ):
         linearize(fmu_dir / "harvester_control.ssp", steady=True)
 
 
