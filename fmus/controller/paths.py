@@ -89,6 +89,11 @@ def _reachable(length: float, path: Route) -> float:
     return a * (-r + math.sqrt(r**2 + 4 * length / a)) / 2  # v (v/a + r) = length
 
 
+def fastest(path: Route) -> float:
+    """Highest speed [m/s] on any of its segments."""
+    return max(min(path.speed, _reachable(math.dist(a, b), path)) for a, b in pairwise(path.points))
+
+
 def moved(time: Array, length: float, path: Route) -> tuple[Array, Array]:
     """Way [m] and speed [m/s] at `time` [s] after the start of a segment."""
     duration, corners, phases, jerks = travel(length, path)

@@ -76,14 +76,21 @@ def track(
     there in each: with supply.pressure_setting=15e6 comes --swap supply=ideal.
     """
     from fmus.controller.courses import course, route
+    from fmus.controller.courses import through as reached
     from orchestrator.tracking.command import Course
     from orchestrator.tracking.command import track as tracked
     from orchestrator.tracking.follow import first
 
     if path and through:
         raise Problem("--path and --through: expected one of them")
-    files = [route(through, speed, out)] if through else [_file(p) for p in path or PATHS]
-    courses = [Course(file, partial(course, str(file), first(file))) for file in files]
+    if through:
+        file, highest = route(through, speed, out)
+        courses = [Course(file, partial(reached, through))]
+        if highest < speed:
+            print(f"note: --speed {speed:g}: up to {highest:.2g} m/s, the way is too short for more")
+    else:
+        files = [_file(p) for p in path or PATHS]
+        courses = [Course(file, partial(course, str(file), first(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     most = None if limit is None else limit / 1e3

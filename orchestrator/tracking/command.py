@@ -15,6 +15,7 @@ from orchestrator.system.ssp import load
 from orchestrator.system.system import System
 from orchestrator.tracking.figure import draw
 from orchestrator.tracking.follow import MANIPULATOR, SWITCH, Ride, ride
+from orchestrator.tracking.machines import assembled, differences
 from orchestrator.tracking.table import MM, data, text
 from orchestrator.validation.figures import png
 
@@ -25,7 +26,8 @@ MAKE, EXAMPLE = "harvester build", "build/harvester_control.ssp"
 class Course:
     """A scenario with a path, and how to get to its beginning.
 
-    start   start values that put the tip there, from the numbers of the arm {name: value}
+    start   start values that put the tip there, from the numbers of the arm {name: value}; refuses what the
+            arm cannot reach
     """
 
     scenario: Path
@@ -52,10 +54,17 @@ def track(
         raise Problem(f"{system}: has no {SWITCH}, expected a machine with the controller, such as {EXAMPLE}")
     folder(out)
     given = options.pop("set", {})
-    rides = [
-        _ride(whole, course, name, on, swap, given, options)
+    found = assembled(whole, machines, given)
+    starts = {
+        (course, name): {**course.start(machine.components[MANIPULATOR].numbers()), **given}
         for course in courses
-        for name, swap in machines.items()
+        for name, machine in found.items()
+    }
+    for note in dict.fromkeys(n for machine in found.values() for n in differences(machine)):
+        print(f"note: {note}")
+    rides = [
+        _ride(found[name], course, name, on, start, options)
+        for (course, name), start in starts.items()
         for on in feedback
     ]
     print(text(rides))
@@ -71,16 +80,14 @@ def _ride(
     course: Course,
     machine: str,
     feedback: bool,
-    swap: Mapping[str, str],
-    given: Mapping[str, Value | str],
+    start: Mapping[str, Value | str],
     options: Mapping[str, Any],
 ) -> Ride:
-    """A ride; what does not fit a machine, such as a name that its parts lack, is told with the machine."""
+    """A ride; what goes wrong with one machine is told with its name."""
     try:
-        start = course.start(system.swapped(swap).with_start(given).components[MANIPULATOR].numbers())
-        return ride(system, course.scenario, machine, feedback, swap=swap, set={**start, **given}, **options)
+        return ride(system, course.scenario, machine, feedback, set=start, **options)
     except Problem as problem:
-        raise Problem(f"{course.scenario.stem}, {machine}: {problem}") from None
+        raise Problem(f"machine {machine}, path {course.scenario.stem}: {problem}") from None
 
 
 def _write(rides: Iterable[Ride], out: Path) -> tuple[Path, Path]:

@@ -8,8 +8,8 @@ manipulator: the machine's own motion, whatever its controller says about it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ VELOCITY = ("radial_velocity", "vertical_velocity", "swing_velocity")
 MANIPULATOR = "manipulator"  # the component
 TIP = tuple(f"{MANIPULATOR}.{name}" for name in ("tip_radius", "tip_height", "swing_angle"))
 SWITCH = "controller.feedback"  # 1 where the controller looks at the machine, 0 where it does not
+USES = tuple(f"controller.{name}_use" for name in ("stroke", "speed", "wait"))  # of limits
 RECORD = 5e-3  # s, as the paths are sampled
 
 
@@ -39,6 +40,7 @@ class Ride:
     time      shape (n,) [s]
     wanted    places of the path, shape (n, 3): x forward, y to the left, z up [m]; `tip`: those of the tip
     failure   why the run ended early; empty when it came to the end
+    uses      what the controller tells about its limits {name: shape (n,)}
     """
 
     path: str
@@ -48,6 +50,7 @@ class Ride:
     wanted: Array
     tip: Array
     failure: str = ""
+    uses: Mapping[str, Array] = field(default_factory=dict)
 
     @cached_property
     def error(self) -> Array:
@@ -103,13 +106,17 @@ def ride(
     scenario = read(path)
     places(scenario, PATH, str(path))  # a file without a path is told before anything runs
     given = {**options.pop("set", {}), SWITCH: float(feedback)}
-    failure = ""
+    failure, uses = "", [name for name in USES if system.has(name)]
+    record = [*TIP, *uses]
     try:
-        trace = run(system, completed(scenario), set=given, record=TIP, record_step=RECORD, **options).trace
+        trace = run(
+            system, completed(scenario), set=given, record=record, record_step=RECORD, **options
+        ).trace
     except RunFailed as failed:
         trace, failure = failed.result.trace, str(failed)
     wanted = places(scenario.at(trace.time), PATH, str(path))
-    return Ride(path.stem, machine, feedback, trace.time, wanted, places(trace, TIP, MANIPULATOR), failure)
+    tip, told = places(trace, TIP, MANIPULATOR), {name: trace[name] for name in uses}
+    return Ride(path.stem, machine, feedback, trace.time, wanted, tip, failure, told)
 
 
 def completed(scenario: Trace) -> Trace:

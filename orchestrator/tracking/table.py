@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.tracking.causes import cause
 from orchestrator.tracking.follow import Ride
 
 HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
 NAMES = 3  # columns of words
 MM = 1e3
-LOST = 0.1  # m: ten times what is left at the end of a path that can be followed
+LOST = 0.1  # m: ten times what is usual on a path that can be followed
 
 
 def rows(rides: Sequence[Ride]) -> list[tuple[str, ...]]:
@@ -35,7 +36,7 @@ def twin(ride: Ride, rides: Sequence[Ride]) -> Ride | None:
 
 
 def text(rides: Sequence[Ride]) -> str:
-    """The table, with what failed or was not reached below it."""
+    """The table, with what failed or went far off below it."""
     lines = [HEAD, *rows(rides)]
     if all(r.feedback for r in rides):  # nothing to compare with
         lines = [line[:-1] for line in lines]
@@ -43,10 +44,9 @@ def text(rides: Sequence[Ride]) -> str:
     table = ["  ".join(map(_cell, range(len(line)), line, widths)).rstrip() for line in lines]
     early = [r for r in rides if r.failure]
     failed = [f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}" for r in early]
-    lost = [r for r in rides if r.feedback and not r.failure and r.last > LOST]
+    lost = [r for r in rides if r.feedback and not r.failure and r.largest > LOST]
     away = [
-        f"{r.path}, {r.machine}: the tip ends {r.last:.2f} m away; the path is out of its reach, or asks for"
-        " more than the machine can"
+        f"{r.path}, {r.machine}: the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{cause(r)}"
         for r in lost
     ]
     return "\n".join([*table, *failed, *away])
@@ -70,6 +70,7 @@ def data(rides: Sequence[Ride]) -> list[dict[str, Any]]:
             "time of the largest error [s]": r.when,
             "RMS error [m]": r.rms,
             "error at the end [m]": r.last,
+            "largest uses of limits": {name: float(use.max()) for name, use in r.uses.items()},
             "failure": r.failure,
         }
         for r in rides

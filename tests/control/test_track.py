@@ -13,9 +13,8 @@ from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.__main__ import main
 from orchestrator.files.trace import Trace
-from orchestrator.tracking.figure import plane
 from orchestrator.tracking.follow import Ride, places
-from orchestrator.tracking.table import rows, text
+from orchestrator.tracking.table import rows
 
 DETAILED = [
     "--swap", "swing=detailed", "--swap", "boom_stick=detailed",
@@ -51,12 +50,6 @@ def test_parts_of_the_error_are_seen_from_the_column():
     assert parts == pytest.approx(np.tile(away, (7, 1)), abs=1e-12)  # rounding of turns there and back
 
 
-def test_a_path_out_of_reach_is_told():
-    """A tip that ends 0.3 m from its path has a line of its own; one that ends 3 cm away has none."""
-    assert "made, thing: the tip ends 0.30 m away" in text([made(0.1, True)])
-    assert "the tip ends" not in text([made(0.01, True)])
-
-
 def test_a_tip_that_is_late_has_an_error():
     """A tip that is late on its line has the error speed times time, not that to the nearest point."""
     time = np.linspace(0, 4, 401)
@@ -84,15 +77,6 @@ def test_places_are_those_of_the_manipulator():
 def test_table_tells_how_many_times_as_large_without_feedback():
     """The last cell of the row without feedback is its largest error over that of the ride with feedback."""
     assert [row[-1] for row in rows([made(0.01, True), made(0.07, False)])] == ["", "7.0"]
-
-
-def test_upright_paths_are_seen_from_the_side():
-    """A path that rises is drawn over its height with its true lengths, a level one over the ground."""
-    square = np.array([[3, 0, 0], [4, 1, 0], [4, 1, 1], [3, 0, 1.0]])
-    directions, names = plane(square)
-    assert names[1] == "height [m]"
-    assert np.ptp(directions @ square.T, axis=1) == pytest.approx([np.sqrt(2), 1.0])
-    assert plane(square[:2])[1] == ("to the right [m]", "forward [m]")
 
 
 def test_start_puts_the_tip_to_the_path():
@@ -148,6 +132,13 @@ def test_a_missed_limit_is_told(fmu_dir, tmp_path, capsys):
     [
         (["--through", "3,0,1"], "expected two points or more, got one"),
         (["--through", "3,0", "--through", "3,1,1"], "--through 3,0: expected x,y,z in metres"),
+        (["--through", "3,0"], "--through 3,0: expected x,y,z in metres"),
+        (["--through", "3,0,0", "--through", "9,0,0"], "--through 9,0,0: tip at radius 9 m, height"),
+        (["--through", "3,0,1", "--through", "4,0,1", "--set", "swing.valve_dead_ban=1"],
+         "harvester: unknown variable 'swing.valve_dead_ban'; did you mean swing.valve_dead_band"),
+        (["--set", "swing.valve_dead_band=0.5"], "the detailed machine has no such variable, only the"),
+        (["--set", "swing.valve_dead_band=0.5"], "alone: --swap swing=lumped, for example"),
+        (["--set", "swing.spool_damping=1"], "alone: --swap swing=detailed, for example"),
         (["--through", "9,0,1", "--through", "3,1,1"], "is 9.18 m from the boom pivot, expected"),
         (["--through", "3,0,1", "--through", "3,0,1"], "expected a distance"),
         (["--path", "line", "--through", "3,0,1"], "--path and --through: expected one of them"),
