@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from orchestrator.linear.member import Array
 from orchestrator.linear.plant import Plant
 from orchestrator.system.system import Port
@@ -30,7 +32,7 @@ def _cut(plant: Plant) -> Iterator[Port]:
     that no pressure depends on a position where nothing flows opens no loop.
     """
     own = plant.blocks()
-    moved = (own.b @ plant.closed(own.d)).any(axis=0)
+    moved = np.asarray((own.b @ plant.closed(own.d)).any(axis=0))
     between = {port.component for inlet in plant.choice.inputs for port, _ in inlet.targets}
     for j, output in enumerate(plant.outputs):
         fed = [i for i, row in enumerate(plant.wires) if row[j]]
