@@ -23,6 +23,7 @@ from fmus.tables import write_csv
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]  # x forward, y to the left, z up, from the foot of the column [m]
 RATE = 200.0  # samples per second
+NEAREST = 0.1  # m, to the swing axis, where the swing angle would jump
 COLUMNS = (
     *("radial_velocity", "vertical_velocity", "swing_velocity"),
     *("path_radius", "path_height", "path_angle", "follow", "engaged"),
@@ -139,6 +140,8 @@ def inputs(points: Array, velocities: Array) -> Array:
     """The controller's inputs (n, 8) in the order of COLUMNS, engaged and following from the start."""
     x, y, z = points.T
     radius, angle = np.hypot(x, y), np.unwrap(np.arctan2(y, x))
+    if (least := float(radius.min())) < NEAREST:
+        raise ModelError(f"path: comes to {least:.2g} m from the swing axis, expected at least {NEAREST:g} m")
     out, left = np.cos(angle), np.sin(angle)
     radial = velocities[:, 0] * out + velocities[:, 1] * left
     turning = (velocities[:, 1] * out - velocities[:, 0] * left) / radius

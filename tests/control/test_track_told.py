@@ -16,7 +16,7 @@ from orchestrator.tracking.machines import differences
 from orchestrator.tracking.table import text
 
 TIME = np.linspace(0, 4, 5)
-STROKE, SPEED, WAIT = (f"controller.{name}_use" for name in ("stroke", "speed", "wait"))
+STROKE = "controller.stroke_use"
 
 
 def made(offset: float, **uses: float) -> Ride:
@@ -69,7 +69,7 @@ def test_a_speed_that_is_not_reached_is_told(fmu_dir, tmp_path, capsys):
 
 
 def test_another_machine_than_the_controller_believes_is_told(fmu_dir):
-    """As built nothing differs; a longer stick and a smaller swing valve have a note each until both are told."""
+    """As built nothing differs; a longer stick and a smaller swing valve have a note each."""
     system = load(fmu_dir / "harvester_control.ssp")
     assert differences(system) == []
     longer = system.with_start({"manipulator.stick_length": 3.2, "swing.valve_area": 3e-5})
