@@ -46,16 +46,16 @@ def released(system: Path, mode: str, pose: str, swap: dict[str, str]) -> dict[s
 def test_a_released_stick_is_a_soft_stop(fmu_dir, system, mode, swap, pose):
     """No more pressure than the supply has, and at rest within 2 s and 35 degrees, in the worst pose too.
 
-    A hard cut-off of the controller has 38 MPa in the lumped machine, one of the levers at 40 V/s 120 MPa.
+    In the lumped machine a hard cut-off of the controller has 37 to 47 MPa, one of the levers at 40 V/s 120.
     """
     found = released(fmu_dir / f"{system}.ssp", mode, pose, swap)
     speed, angle = found["swing_speed"], found["swing_angle"]
-    full = speed[HELD - 100 : HELD].mean()  # over a second: the stretched arm swings on its oil meanwhile
+    full = speed[HELD - 100 : HELD].mean()  # over a second: the head under the stretched arm swings meanwhile
     assert full > 0.35  # rad/s; 0.4 of the tip, 0.84 of the lever are asked for
     peak = max(found[f"swing_pressure_{port}"][HELD:].max() for port in "ab")
     assert peak < 20.7e6  # Pa, the pressure of the supply without flow; measured: 19.1 at most
-    assert np.abs(speed[HELD + 200 :]).max() < 0.1 * full  # what swings on the oil; measured: 5 %
-    assert angle[HELD - 1 :].max() - angle[HELD - 1] < np.radians(35)  # measured: 32
+    assert np.abs(speed[HELD + 200 :]).max() < 0.1 * full  # arm on its oil, head; measured: 4 %
+    assert angle[HELD - 1 :].max() - angle[HELD - 1] < np.radians(35)  # measured: 31
 
 
 def test_the_controller_brakes_and_then_lets_go(fmu_dir):
