@@ -13,7 +13,7 @@ from orchestrator.view.controls.panel import mount
 from orchestrator.view.panels.bar import Bar
 from orchestrator.view.panels.charts import Charts
 from orchestrator.view.panels.gauges import Gauges
-from orchestrator.view.panels.state import Line
+from orchestrator.view.panels.state import Line, limit
 from orchestrator.view.reading import Reading
 from orchestrator.view.safety.pilot import Pilot
 from orchestrator.view.safety.seat import Seat
@@ -102,7 +102,8 @@ class Page:
         self._tell(frame)
         self._canvas.marks(self._rings() if self._task.visible else [])
         if shared.looks % 2 == 0:
-            self._line.show(frame, shared.clock.factor, self._session.machine.drives)
+            held = limit(shared.reading, frame)
+            self._line.show(frame, shared.clock.factor, self._session.machine.drives, held)
             self._charts.show(shared.history, one=self._slow)
 
     def _save_work(self) -> None:

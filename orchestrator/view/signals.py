@@ -27,6 +27,7 @@ SHOWN = (
     *("pump_1_stroke", "pump_2_stroke", "pump_1_flow", "pump_2_flow", "relief_flow"),
     *("swing_command", "boom_command", "stick_command"),
     *("reference_radius", "reference_height", "reference_angle", "tip_error"),
+    *("speed_use", "stroke_use", "reference_share"),
 )
 
 

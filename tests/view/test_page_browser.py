@@ -194,6 +194,31 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
     wait(looked_at)
 
 
+def test_a_tooltip_does_not_cover_the_menu(page: Any) -> None:
+    """The tooltip of a button is seen until its menu opens below it."""
+    page.get_by_role("button", name="View", exact=True).hover()
+    page.locator(".q-tooltip").get_by_text("View").wait_for()
+    page.get_by_role("button", name="View", exact=True).click()
+    page.get_by_text("Quarter").wait_for()
+    assert page.locator(".q-tooltip:visible").count() == 0
+
+
+def test_asking_hides_nothing(page: Any, server: Server) -> None:
+    """On a second page the button is as wide as before, and the answer stands above sticks and keys."""
+    wide = page.get_by_role("button", name="Take controls").bounding_box()["width"]
+    take(page, server)
+    second = page.context.new_page()
+    second.set_default_timeout(1e3 * LONG)
+    second.goto(server.url)
+    ask = second.get_by_role("button", name="Ask for controls")
+    assert ask.bounding_box()["width"] == pytest.approx(wide, abs=0.5)  # px: rounding of the layout
+    ask.click()
+    told = second.locator(".q-notification").get_by_text("asked; who drives has to let go")
+    told.wait_for()
+    box = told.bounding_box()
+    assert box["y"] + box["height"] < second.locator(".hands").bounding_box()["y"]
+
+
 def test_task_in_a_line(page: Any) -> None:
     """The panel is a line with the way to the target; there is no table before the first attempt is over."""
     page.get_by_role("button", name="Training task").click()

@@ -121,7 +121,8 @@ def options(chart: Chart) -> dict[str, Any]:
         "grid": {"left": 30, "right": 6, "top": 22 + 15 * rows, "bottom": 18},
         "legend": {"top": 19, "left": 0, "padding": 0, "itemWidth": 18, "itemHeight": 7, "itemGap": 8}
         | {"textStyle": label, "selectedMode": False},
-        "xAxis": axis | {"min": -WINDOW, "max": 0, "splitNumber": 4},
+        "xAxis": axis
+        | {"min": -WINDOW, "max": 0, "splitNumber": 4, "axisLabel": label | {"formatter": "{value} s"}},
         "yAxis": axis | {"splitNumber": 2},
         "dataset": {"source": {"t": []}},
         "series": [_series(k, curve) for k, curve in enumerate(chart.curves)],

@@ -9,12 +9,15 @@ from collections.abc import Callable
 from nicegui.element import Element
 
 from orchestrator.live.setup import Frame
+from orchestrator.view.reading import Reading
 
 SPAN = 2.0  # s over which the factor is measured
 GOOD, WATCH, BAD = "good", "watch", "bad"
 TONES = {"running": GOOD, "failed": BAD, "starting": WATCH, "paused": WATCH, "ended": WATCH}
 SHARE = 0.005  # of missed frames that is still good
 MILLI = 1e3
+FULL = 0.9  # share of the speed wanted that still counts as all of it
+ENGAGED = 0.5  # of `engaged`, 0 to 1: from there on the controller moves the tip
 
 Cell = tuple[str, str, str]  # name, text, tone
 
@@ -45,13 +48,30 @@ class Clock:
         return (u - t) / (end - begin)
 
 
-def cells(frame: Frame, factor: float | None, drives: bool) -> list[Cell]:
-    """What the line shows."""
+def limit(reading: Reading, frame: Frame) -> str:
+    """Why the controller gives the tip less than the speed wanted; empty where it gives it, or is off.
+
+    The use of speed or strokes acts above 1; else only the wait for the machine is left.
+    """
+    share, engaged, stroke, speed = (
+        reading.value(frame, name) for name in ("reference_share", "engaged", "stroke_use", "speed_use")
+    )
+    if not (share < FULL and engaged > ENGAGED):  # what is not known is not a number
+        return ""
+    if max(stroke, speed) <= 1.0:
+        return "waits for the machine"
+    return "at the end of a stroke" if stroke > speed else "at a speed limit"
+
+
+def cells(frame: Frame, factor: float | None, drives: bool, held: str = "") -> list[Cell]:
+    """What the line shows; held: what limits the tip."""
     pulse = frame.pulse
     state = frame.state if drives or frame.state != "running" else "replaying"
     found: list[Cell] = [("", state, TONES.get(frame.state, WATCH))]
     found.append(("t", f"{frame.t:.1f} s" if frame.t == frame.t else "–", ""))  # noqa: RUF001
     found.append(("real time", "–" if factor is None else f"× {factor:.2f}", ""))  # noqa: RUF001
+    if held:
+        found.append(("tip", held, WATCH))
     if drives and pulse.frames:
         share = pulse.missed / pulse.frames
         middle, high, worst = (MILLI * value for value in pulse.latency)
@@ -67,6 +87,6 @@ def cells(frame: Frame, factor: float | None, drives: bool) -> list[Cell]:
 class Line(Element, component="state.js"):
     """The line on one page."""
 
-    def show(self, frame: Frame, factor: float | None, drives: bool) -> None:
+    def show(self, frame: Frame, factor: float | None, drives: bool, held: str = "") -> None:
         """New texts."""
-        self.run_method("show", cells(frame, factor, drives))
+        self.run_method("show", cells(frame, factor, drives, held))
