@@ -37,7 +37,7 @@ def cases(study: Study) -> dict[Options, Case]:
     systems = {o: case.system for o, case in found.items()}
     for name in (*study.fixed, *(f.name for f in study.factors)):
         known(systems.values(), name)
-    return {o: replace(case, system=_fixed(study, case.system)) for o, case in found.items()}
+    return {o: replace(case, system=fixed(study, case.system)) for o, case in found.items()}
 
 
 def opened(study: Study) -> System:
@@ -110,6 +110,12 @@ def is_file(what: str, option: str) -> bool:
     return what == SCENARIO or option.lower().endswith((".ssv", ".fmu"))
 
 
+def fixed(study: Study, system: System) -> System:
+    """A system with the start values of all runs."""
+    given: Mapping[str, Value] = {n: typed(system, n, v) for n, v in study.fixed.items() if system.has(n)}
+    return system.with_start(given)
+
+
 def _case(study: Study, whole: System, options: Options) -> Case:
     chosen = {
         c.what: path(study, o) if is_file(c.what, o) else o
@@ -122,8 +128,3 @@ def _case(study: Study, whole: System, options: Options) -> Case:
     if trace is not None:
         drive(system, trace, str(scenario))
     return Case(system, trace)
-
-
-def _fixed(study: Study, system: System) -> System:
-    given: Mapping[str, Value] = {n: typed(system, n, v) for n, v in study.fixed.items() if system.has(n)}
-    return system.with_start(given)

@@ -8,11 +8,13 @@ from orchestrator.coupling.grid import Grid, free_grid, grid
 from orchestrator.errors import Problem
 from orchestrator.settings import Coupling
 from orchestrator.sweep import design
-from orchestrator.sweep.cases import Case, Options, driven
+from orchestrator.sweep.cases import Case, Options, driven, fixed
 from orchestrator.sweep.factors import nominals
+from orchestrator.sweep.limits import limits
 from orchestrator.sweep.study import Study
 from orchestrator.system.system import Port
 
+NEAR = 1e-9  # of a time: rounding of the sum of steps
 MOST = 1_000_000  # runs: some gigabytes, when their numbers are put into one table
 
 
@@ -23,7 +25,9 @@ def check(study: Study, cases: Mapping[Options, Case]) -> None:
     for options, case in cases.items():
         _free(study, options, case)
         _once(study, case)
-        nominals(study, case.system)
+        system = fixed(study, case.system)
+        nominals(study, system)
+        limits(study, system)
     _windows(study, [_times(study, case) for case in cases.values()])
 
 
@@ -37,18 +41,18 @@ def _free(study: Study, options: Options, case: Case) -> None:
 def _once(study: Study, case: Case) -> None:
     """No variable is set twice, as one of the two would have no effect; a share may be of what is fixed."""
     there = [f for f in study.factors if case.system.has(f.name)]
-    setters = [(f"factors.{f.name}", f.name) for f in there]
     absolute = {port for f in there if not f.relative for port, _ in case.system.targets(f.name)}
     seen: dict[Port, str] = {}
-    for told, name in setters:
+    for name in (f.name for f in there):
         for port, _ in case.system.targets(name):
             if port in seen:
-                raise Problem(f"{told}: sets {port}, expected one that {seen[port]} does not set")
-            seen[port] = told
+                raise Problem(f"factors: expected one that sets {port}, got {seen[port]} and {name}")
+            seen[port] = name
     for name in study.fixed:
         for port, _ in case.system.targets(name) if case.system.has(name) else ():
             if port in absolute:
-                raise Problem(f"fixed: {name}: expected none that {seen[port]} sets")
+                same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
+                raise Problem(f"fixed: expected no factor, got {name}{same}")
 
 
 def _times(study: Study, case: Case) -> Grid:
@@ -60,12 +64,16 @@ def _times(study: Study, case: Case) -> Grid:
 
 
 def _windows(study: Study, times: list[Grid]) -> None:
-    """Each output has a window that some run reaches."""
+    """Each output has a window that some run reaches, and that does not go on when all have ended."""
     begin, end = min(t.start for t in times), max(t.stop for t in times)
+    last = max(end + NEAR * abs(end), study.stop or end)  # a run ends at the whole step next to its stop
     for output in study.outputs:
         if output.start is not None and output.start > end:
             raise Problem(f"outputs.{output.name}: start: expected at most {end:g} s, got {output.start:g} s")
-        if output.stop is not None and output.stop < begin:
-            raise Problem(
-                f"outputs.{output.name}: stop: expected at least {begin:g} s, got {output.stop:g} s"
-            )
+        if output.stop is None:
+            continue
+        where = f"outputs.{output.name}: stop"
+        if output.stop < begin:
+            raise Problem(f"{where}: expected at least {begin:g} s, got {output.stop:g} s")
+        if output.stop > last:
+            raise Problem(f"{where}: expected at most {last:g} s, where the runs end, got {output.stop:g} s")

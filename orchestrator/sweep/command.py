@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +99,11 @@ def sweep(
 ) -> store.Results:
     """Run a study, or what is missing of it in its folder; the results."""
     ready = plan(file)
-    with store.locked(folder):
+    with ExitStack() as stack:
+        if where.scheduler and (fresh or not store.finished(folder)):
+            # before the folder: of an address where nobody answers nothing is left, and nothing is deleted
+            where = Where(client=stack.enter_context(where.connect()))
+        stack.enter_context(store.locked(folder))
         if fresh:
             store.clear(folder)
         kept = store.Store(folder, ready.study, file.read_bytes(), fingerprint(ready.packet, ready.table))

@@ -105,7 +105,7 @@ class Table:
         for name, value in inner.data.items():
             if not isinstance(value, dict):
                 raise inner.wrong(name, "a table")
-        return {name: Table(f"{inner.where}.{_key(name)}", value) for name, value in inner.data.items()}
+        return {name: Table(f"{inner.where}.{quoted(name)}", value) for name, value in inner.data.items()}
 
     def inside(self, key: str) -> Table:
         """The table of a key; an empty one if it is missing."""
@@ -128,7 +128,7 @@ def is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
 
 
-def _key(name: str) -> str:
+def quoted(name: str) -> str:
     """A key as TOML writes it."""
     return f'"{name}"' if "." in name else name
 

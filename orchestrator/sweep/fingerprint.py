@@ -13,8 +13,6 @@ import pandas as pd
 from orchestrator.sweep.packet import Packet, digest
 from orchestrator.sweep.study import Choice, Factor, Output, Study
 
-MANY, LONG = 3, 60  # changes that are told, and the characters of each value
-
 
 def fingerprint(packet: Packet, table: pd.DataFrame) -> dict[str, Any]:
     """The study, and digests of the files that it names and of its samples; for JSON."""
@@ -60,21 +58,6 @@ def study(found: Mapping[str, Any], title: str) -> Study:
     return Study(title=title, **known)
 
 
-def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """What differs between two fingerprints, in one line; empty if nothing does."""
-    before, after = old["study"], new["study"]
-    found = [
-        f"{key} was {_short(before.get(key))}, is {_short(after.get(key))}"
-        for key in dict.fromkeys([*before, *after])
-        if before.get(key) != after.get(key)
-    ]
-    if not found:
-        files = dict.fromkeys([*old["files"], *new["files"]])
-        found = [f"{f} changed" for f in files if old["files"].get(f) != new["files"].get(f)]
-    more = f", and {len(found) - MANY} more" if len(found) > MANY else ""
-    return "; ".join(found[:MANY]) + more
-
-
 def _chosen(study: Study, options: tuple[str, ...], what: str) -> str:
     """Which option of one choice, if there is such a choice."""
     found = [o for c, o in zip(study.choices, options, strict=True) if c.what == what]
@@ -85,8 +68,3 @@ def _among(study: Study, options: tuple[str, ...]) -> str:
     """Which options of all choices."""
     each = (f"{c.what}={o}" for c, o in zip(study.choices, options, strict=True))
     return f" with {', '.join(each)}" if study.choices else ""
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= LONG else f"{text[:LONG]}..."

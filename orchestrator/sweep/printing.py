@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from orchestrator.sweep.running import FAILED
+from orchestrator.sweep.reasons import alike
+from orchestrator.sweep.running import EARLY, FAILED, OK
 from orchestrator.sweep.store import Results
 from orchestrator.sweep.units import factor, seen
 
@@ -12,7 +13,8 @@ REASONS = 5  # of failed runs, that are told
 def text(results: Results) -> str:
     """How many runs there are of each kind, what the outputs are, why runs failed."""
     counts = results.table["status"].value_counts()
-    lines = [f"{len(results.table)} runs: {', '.join(f'{n} {kind}' for kind, n in counts.items())}", ""]
+    kinds = ", ".join(f"{counts[kind]} {kind}" for kind in (OK, EARLY, FAILED) if kind in counts)
+    lines = [f"{len(results.table)} runs: {kinds}", ""]
     return "\n".join([*lines, *_outputs(results), *_reasons(results)])
 
 
@@ -33,8 +35,13 @@ def _outputs(results: Results) -> list[str]:
 
 
 def _reasons(results: Results) -> list[str]:
-    table = results.table
-    reasons = table.loc[table["status"] == FAILED, "reason"].value_counts()
-    told = [f"{n} failed: {reason}" for reason, n in reasons.head(REASONS).items()]
-    more = [f"... and for {len(reasons) - REASONS} other reasons"] if len(reasons) > REASONS else []
+    """Reasons that differ by their numbers alone are told once, by the first run that has one."""
+    reasons = results.table.loc[results.table["status"] == FAILED, "reason"]
+    kinds = [own for _, own in reasons.groupby(alike(reasons), sort=False)]
+    kinds.sort(key=len, reverse=True)
+    told = [
+        f"{len(own)} failed{', such as' if own.nunique() > 1 else ''}: {own.iloc[0]}"
+        for own in kinds[:REASONS]
+    ]
+    more = [f"... and for {len(kinds) - REASONS} other reasons"] if len(kinds) > REASONS else []
     return ["", *told, *more] if told else []

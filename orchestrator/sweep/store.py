@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 
 from orchestrator.errors import Problem
 from orchestrator.sweep import fingerprint
+from orchestrator.sweep.changes import changes
 from orchestrator.sweep.parts import Parts, put
 from orchestrator.sweep.running import Row
 from orchestrator.sweep.study import Study
@@ -68,13 +69,13 @@ class Store:
             if others := [name for name in NAMES if (self.folder / name).exists()]:
                 raise Problem(f"{self.folder}: expected a folder for this study alone, got {others[0]} too")
             return
-        if changed := fingerprint.changes(_json(file), prints):
+        if changed := changes(_json(file), prints):
             raise Problem(f"{self.folder}: holds runs of another study: {changed}; --fresh deletes them")
 
     @property
     def complete(self) -> bool:
         """All runs are done, and the results are written."""
-        return (self.folder / "runs.parquet").exists()
+        return finished(self.folder)
 
     def done(self) -> set[int]:
         """The numbers of the runs that are done."""
@@ -130,6 +131,11 @@ def locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+def finished(folder: Path) -> bool:
+    """All runs of a study are done, and the results are written."""
+    return (folder / "runs.parquet").exists()
+
+
 def clear(folder: Path) -> None:
     """Remove all that a study left in its folder; nothing where there was none."""
     if not (folder / "study.json").exists():
@@ -142,7 +148,7 @@ def clear(folder: Path) -> None:
 
 def read(folder: Path) -> Results:
     """The results of a finished study."""
-    if not (folder / "runs.parquet").exists():
+    if not finished(folder):
         raise Problem(f"{folder}: expected a finished study, runs.parquet is missing")
     known = _json(folder / "study.json")
     runs, bands = pq.read_table(folder / "runs.parquet"), None

@@ -170,7 +170,15 @@ def _variable(v: Any, units: Mapping[str, Unit], fmi: int) -> Variable:
         nominal=_number(v, "nominal"),
         text=v.description or "",
         word=word if fmi == 3 else "",
+        minimum=_bound(v, "min"),
+        maximum=_bound(v, "max"),
     )
+
+
+def _bound(v: Any, name: str) -> float | None:
+    """Of the variable, else of its type."""
+    own = _number(v, name)
+    return _number(v.declaredType, name) if own is None else own
 
 
 def _items(v: Any) -> dict[str, int]:

@@ -28,6 +28,7 @@ class Variable:
     word      what FMI 3.0 calls its type in functions: Float64, Int32, ...; empty in FMI 2.0
     nominal   its usual magnitude, where the FMU tells one
     text      its description
+    minimum, maximum   of its values, in its unit, as the FMU declares them
     """
 
     name: str
@@ -42,6 +43,8 @@ class Variable:
     nominal: float | None = None
     text: str = ""
     word: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
 
     @property
     def is_real(self) -> bool:

@@ -85,6 +85,27 @@ def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
         pass
 
 
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
+    """No folder where there was none, also none above it; with --fresh what is there stays."""
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    file, out = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out"
+    before = content(out) if kept and run(file, one, "deep/out") else {}
+    with pytest.raises(Problem, match=r"^--scheduler tcp://127.0.0.1:1: expected a Dask scheduler"):
+        sweep(file, out, Where(scheduler="tcp://127.0.0.1:1"), fresh=kept)
+    assert (tmp_path / "deep").exists() is kept
+    assert content(out) == before
+    assert bool(before) is kept
+
+
+def test_a_finished_study_needs_no_scheduler(gain, one, tmp_path):
+    """It is only read."""
+    file = study(tmp_path, GAIN, gain)
+    results, _ = run(file, one)
+    again = sweep(file, tmp_path / "out", Where(scheduler="tcp://127.0.0.1:1"))
+    assert again.table.equals(results.table)
+
+
 class Deserted:
     """A connection to a cluster whose workers are gone."""
 

@@ -67,8 +67,8 @@ def store_of(file, folder):
     [
         ("seed = 3", "seed = 4", "seed was 3, is 4"),
         ("runs = 12", "runs = 13", "runs was 12, is 13"),
-        ("maximum = 3", "maximum = 2", "factors was "),
-        ('"gain.u" = 2', '"gain.u" = 1', 'fixed was {"gain.u": 2.0}, is {"gain.u": 1.0}'),
+        ("maximum = 3", "maximum = 2", 'factors."gain.factor".maximum was 3, is 2'),
+        ('"gain.u" = 2', '"gain.u" = 1', 'fixed."gain.u" was 2, is 1'),
         ("stop = 0.2", "stop = 0.3", "stop was 0.2, is 0.3"),
     ],
 )

@@ -39,6 +39,7 @@ def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> No
     short = (
         ("runs = 64", "runs = 1"),
         ("stop = 7.0", "stop = 2.0"),
+        ("start = 0.5, stop = 2.8", "start = 0.5"),
         ("start = 2.8, stop = 6.9", "start = 1.0"),
     )
     file = _copy("small.toml", fmu_dir, tmp_path, *short)

@@ -134,12 +134,16 @@ class Finding:
 
 @dataclass(frozen=True)
 class Failure:
-    """Failed runs with one reason; examples are numbers of runs."""
+    """Failed runs with one reason; examples are numbers of runs.
+
+    various   the numbers in the reason differ: it is that of the first example
+    """
 
     reason: str
     count: int
     examples: tuple[int, ...]
     by_choice: Mapping[str, Mapping[str, int]]
+    various: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from scipy.stats import mannwhitneyu
 
 from orchestrator.sweep.analysis.outcome import Failure, Spread
 from orchestrator.sweep.analysis.results import Array, done
+from orchestrator.sweep.reasons import alike
 from orchestrator.sweep.running import OK
 from orchestrator.sweep.store import Results
 from orchestrator.sweep.study import START, Output
@@ -40,14 +41,15 @@ def by_choice(results: Results, output: Output) -> dict[str, dict[str, Spread]]:
 
 
 def failures(results: Results) -> tuple[Failure, ...]:
-    """By reason, the most frequent first."""
+    """By reason, whatever the numbers in it, the most frequent first."""
     failed = results.table[results.table["status"] != OK]
     found = []
     told = failed["reason"].fillna("").astype(str).where(lambda reason: reason != "", "no reason given")
-    for reason, group in failed.groupby(told, sort=True):
+    for _, group in failed.sort_values("run").groupby(alike(told), sort=True):
+        own = told[group.index]
         counts = {c.what: _counts(group[c.column], c.options) for c in results.study.compared}
-        runs = tuple(int(run) for run in group["run"].sort_values().head(5))
-        found.append(Failure(str(reason), len(group), runs, counts))
+        runs = tuple(int(run) for run in group["run"].head(5))
+        found.append(Failure(str(own.iloc[0]), len(group), runs, counts, own.nunique() > 1))
     return tuple(sorted(found, key=lambda failure: (-failure.count, failure.reason)))
 
 

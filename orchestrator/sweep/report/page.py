@@ -93,7 +93,10 @@ def _tile(finding: Finding) -> dict[str, Any]:
         return {"name": finding.name, "value": "-", "range": "no run has it", "what": what(finding)}
     low, high = told(finding.spread.low, finding.seen, False), told(finding.spread.high, finding.seen)
     middle = told(finding.spread.median, finding.seen)
-    return {"name": finding.name, "value": middle, "range": f"{low} to {high}", "what": what(finding)}
+    ends = f"median; {low} to {high} in nine of ten runs"
+    if finding.constant:
+        ends = f"in all {finding.spread.runs} runs"
+    return {"name": finding.name, "value": middle, "range": ends, "what": what(finding)}
 
 
 def _section(results: Results, output: Output, finding: Finding, place: int) -> dict[str, Any]:

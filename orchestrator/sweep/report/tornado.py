@@ -55,19 +55,24 @@ def _bar(axes: Axes, place: int, effect: Effect, measure: str, scale: float) -> 
     """Light: all that it does; dark: what it does by itself; a line for the interval."""
     pair = 1 if effect.kind == "choice" else 0
     whole = effect.estimates[measure]
-    axes.barh(place, max(0.0, whole.value) * scale, height=0.72, color=LIGHT[pair], linewidth=0)
+    axes.barh(place, _drawn(whole.value, measure, scale), height=0.72, color=LIGHT[pair], linewidth=0)
     if measure == TOTAL:
         alone = effect.estimates[FIRST]
-        axes.barh(place, max(0.0, alone.value) * scale, height=0.34, color=DARK[pair], linewidth=0)
+        axes.barh(place, _drawn(alone.value, measure, scale), height=0.34, color=DARK[pair], linewidth=0)
     if "sigma" in effect.more:
         axes.plot(effect.more["sigma"] * scale, place, marker="|", markersize=11, color=PALETTE.bad)
-    _interval(axes, place, whole, scale)
+    _interval(axes, place, whole, measure, scale)
 
 
-def _interval(axes: Axes, place: int, estimate: Estimate, scale: float) -> None:
+def _interval(axes: Axes, place: int, estimate: Estimate, measure: str, scale: float) -> None:
     if estimate.low is not None:
-        ends = (max(0.0, estimate.floor) * scale, max(0.0, estimate.ceiling) * scale)
-        axes.plot(ends, (place, place), color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
+        ends = [_drawn(end, measure, scale) for end in (estimate.floor, estimate.ceiling)]
+        axes.plot(ends, [place, place], color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
+
+
+def _drawn(value: float, measure: str, scale: float) -> float:
+    """Where a number lies on the axis: a share lies between 0 and 100 %, an estimate of it need not."""
+    return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
 
 
 def _dots(
@@ -83,7 +88,7 @@ def _dots(
     for found in apart.values():
         for effect in found:
             if effect.name in places and variance > 0:
-                value = max(0.0, effect.estimates[measure].value) * scale
+                value = _drawn(effect.estimates[measure].value, measure, scale)
                 spot = (value, places[effect.name] + 0.24)
                 axes.plot(*spot, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)
 
