@@ -20,10 +20,8 @@ from orchestrator.linear.result import Array, Linear, Named
 HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12
 AT_REST = 1e-4  # of its size per second: a state that moves no faster counts as steady in the text
-AT_ONCE, LITTLE = (
-    1e-3,
-    1e-2,
-)  # s, and of its size: a state that settles so soon, and goes no further, is not told
+AT_ONCE = 1e-3  # s: a state that settles so soon is not told as moving ...
+LITTLE = 1e-2  # ... if it goes no further than this share of its size
 
 
 def speeds(texts: Iterable[str]) -> dict[str, float]:
