@@ -106,7 +106,7 @@ def test_command_keeps_the_bars(fmu_dir, tmp_path, capsys):
     for path in ("line", "square"):
         near, far = by[path, True], by[path, False]
         assert near["highest speed asked for [m/s]"] == pytest.approx(0.5, rel=1e-3)  # sampled at 200 Hz
-        assert near["RMS error [m]"] < 0.010  # the bar; 1.5 mm and 2.5 mm are usual
+        assert near["RMS error [m]"] < 0.010  # the bar; 1.7 mm and 2.6 mm are usual
         assert far["largest error [m]"] > 5 * near["largest error [m]"]
     assert "times as large" in capsys.readouterr().out
     assert (tmp_path / "tracking.png").stat().st_size > 20_000  # a picture, not an empty one
