@@ -4,39 +4,16 @@
 
 from __future__ import annotations
 
-from dataclasses import make_dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from toy import toy
 
-from fmus.contract import Quantity, Subsystem, quantities
+from fmus.contract import Subsystem, quantities
 from fmus.parameters import Values
-
-
-def _group(name: str, quantities: dict[str, str]) -> type[Any]:
-    fields = [(n, Annotated[Any, Quantity(unit, f"{n} of a toy")]) for n, unit in quantities.items()]
-    return make_dataclass(name, fields, frozen=True)
 
 
 def values(sub: Subsystem) -> Values:
     """All parameters 1, all else 0."""
     p, x, u = (quantities(group) for group in (sub.parameters, sub.states, sub.inputs))
     return Values(dict.fromkeys(p, 1.0), dict.fromkeys(u, 0.0), dict.fromkeys(x, 0.0))
-
-
-def toy(name: str, p: dict, x: dict, u: dict, y: dict, f, g) -> Subsystem:
-    """A subsystem from units of its quantities and functions that return dictionaries."""
-    P, X, U, Y = (_group(f"{name}_{k}", q) for k, q in (("p", p), ("x", x), ("u", u), ("y", y)))
-    return Subsystem(
-        name=name,
-        text=f"Toy {name}",
-        parameters=P,
-        states=X,
-        inputs=U,
-        outputs=Y,
-        dynamics=lambda x, u, p: X(**f(x, u, p)),
-        observe=lambda x, u, p: Y(**g(x, u, p)),
-        values=Path(__file__).parent / "none" / "parameters.toml",
-    )
 
 
 MASS = toy(

@@ -5,43 +5,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 import fmpy
 import pytest
 from fmpy import fmi2
+from toy import toy
 
 from fmus.contract import Quantity, Subsystem
 from fmus.export.build import build
 from fmus.parameters import Values
-
-
-def group(name: str, **quantities: Quantity) -> type[Any]:
-    """A frozen dataclass of scalars with these quantities."""
-    fields = [(field, Annotated[Any, quantity]) for field, quantity in quantities.items()]
-    return make_dataclass(name, fields, frozen=True)
-
-
-def toy(
-    name: str, p: dict[str, Any], x: dict[str, Any], u: dict[str, Any], y: dict[str, Any], f, g, **more: Any
-):
-    """A subsystem: groups of quantities, dynamics f and observe g that return dictionaries."""
-    P, X, U, Y = (group(f"{name}_{k}", **q) for k, q in (("p", p), ("x", x), ("u", u), ("y", y)))
-    return Subsystem(
-        name=name,
-        text=f"Toy {name}",
-        parameters=P,
-        states=X,
-        inputs=U,
-        outputs=Y,
-        dynamics=lambda x, u, p: X(**f(x, u, p)),
-        observe=lambda x, u, p: Y(**g(x, u, p)),
-        values=Path(__file__).parent / "none" / "parameters.toml",
-        **more,
-    )
 
 
 def q(unit: str = "1", nominal: float = 1.0, **more: Any) -> Quantity:
