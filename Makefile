@@ -21,6 +21,7 @@ test: $(TESTING)
 
 test-long: $(TESTING)
 	$(BIN)/python -m pytest -n 2 -m long -s
+	$(BIN)/python -m pytest -n 2 -m hypothesis --hypothesis-profile=search
 
 lint: $(TESTING)
 	$(BIN)/ruff check .

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import properties
 import pytest
-from hypothesis import HealthCheck, settings
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LONG = 120.0  # s for a browser to start; only bounds a failure
@@ -22,11 +22,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-# how long an example takes is a matter of the computer and of what else it does
-settings.register_profile(
-    "unhurried", settings.default, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.load_profile("unhurried")
+properties.register()  # before any test is read
 
 
 @pytest.fixture(scope="session")

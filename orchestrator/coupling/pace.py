@@ -28,7 +28,7 @@ class Pace:
 
     power       k
     smallest    a step is not made shorter than this [s]; an error above the tolerance then stands
-    largest     nor longer than this [s]
+    largest     nor longer than this [s], but for the rounding of times: a share of 1e-9
     repeats     the components can go back
     """
 

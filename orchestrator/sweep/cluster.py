@@ -37,6 +37,22 @@ QUIET = {
 }
 
 
+class _Client(Client):  # type: ignore[misc]  # Dask has no types
+    """Leaves nothing behind where it cannot connect.
+
+    Dask's own is then left half made, in a reference cycle, with a running loop. When the garbage collector
+    finds it while another client starts its loop, its destructor waits for the lock that this start holds.
+    """
+
+    def __init__(self, address: Any, **settings: Any) -> None:
+        try:
+            super().__init__(address, **settings)
+        except BaseException:
+            self.close()  # by its status the destructor then has nothing to do
+            self._loop_runner.stop()  # which close leaves out where Dask has closed the connection itself
+            raise
+
+
 @contextmanager
 def client(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
     """A connection to a cluster.
@@ -46,11 +62,11 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
     """
     with dask.config.set(QUIET), _silence():
         if scheduler is None:
-            with local(workers or available()) as cluster, Client(cluster) as here:
+            with local(workers or available()) as cluster, _Client(cluster) as here:
                 yield here
             return
         try:
-            remote = Client(scheduler, timeout=PATIENCE)
+            remote = _Client(scheduler, timeout=PATIENCE)
         except (OSError, ValueError, TimeoutError) as error:
             raise Problem(f"--scheduler {scheduler}: expected a Dask scheduler, got {_line(error)}") from None
         with remote:

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from properties import examples
 
 from check.good import DESCRIPTION, Archive
 from orchestrator.check import DEFECT, check
@@ -191,11 +192,7 @@ def test_a_path_without_file_is_the_users_mistake(path: str, says: str, tmp_path
         check(tmp_path / path, run=False)
 
 
-@settings(
-    max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@examples(40, HealthCheck.function_scoped_fixture)
 @given(st.data())
 def test_mutations_never_stop_the_check(
     good: Mapping[int, Archive], tmp_path: Path, data: st.DataObject
@@ -213,11 +210,7 @@ def test_mutations_never_stop_the_check(
     rules(archive.put(DESCRIPTION, text).write(tmp_path / "lag.fmu"))
 
 
-@settings(
-    max_examples=20,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@examples(20, HealthCheck.function_scoped_fixture)
 @given(st.integers(0, 2**32), st.binary(min_size=1, max_size=40))
 def test_bytes_changed_in_the_file_never_stop_the_check(
     good: Mapping[int, Archive], tmp_path: Path, where: int, insert: bytes

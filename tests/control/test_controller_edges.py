@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from steering import INPUTS, STATES, V, measured, model, start
 
 from fmus.build import data
@@ -46,7 +47,7 @@ def resting(trace: Trace, within: float = 5e-3) -> None:
 # ---- any input
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12))
 def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_valve(seed, size):
     """Inputs up to 1e12: every rate is a number, and a command at the end of its range is not driven on."""

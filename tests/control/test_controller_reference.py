@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from properties import examples
 from steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
@@ -114,7 +115,7 @@ def test_slow_motion_away_from_the_ends_is_not_touched():
     assert float(limits.use(0.75 * P.swing_speed_limit, moving, P).share) == 1.0
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(ANGLES, st.floats(-math.pi, math.pi), st.floats(0.5, 3.0))
 def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, heading, speed):
     """Driven anywhere for 4 s, the machine follows: pistons stay a margin from the ends, the tip on a line.

@@ -7,8 +7,9 @@ from types import SimpleNamespace as Group
 import numpy as np
 import pytest
 from controller_transcription import AXES, Arm, written
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from steering import STATES, V, model
 
 from fmus.contract import quantities
@@ -37,7 +38,7 @@ def drawn(rng: np.random.Generator, wide: float) -> tuple[dict, dict, dict]:
     return x, u, p
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.01, 0.1, 1.0, 3.0]))
 def test_the_document_gives_the_controller(seed, wide):
     """Rates and outputs from the document are those of the subsystem, at any state, input and number.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -22,12 +22,10 @@ from orchestrator.live.memory import Memory, attach
 from orchestrator.live.ramp import Ramp
 from orchestrator.live.setup import Axis, Setup
 
-calm = settings(deadline=None)  # no timed tests
 positive = st.floats(1e-6, 1e6)
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
-@calm
 @given(
     st.lists(st.tuples(positive, positive, st.floats(-1, 1)), min_size=1, max_size=3),
     st.lists(arrays(float, 3, elements=anything), max_size=20),
@@ -47,7 +45,6 @@ def test_an_axis_is_never_beyond_its_limit_or_faster_than_its_rate(kinds, comman
         now = new
 
 
-@calm
 @given(positive, st.integers(1, 50), st.floats(-1, 1), st.floats(-1, 1))
 def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
     """In as many frames as its rate needs."""
@@ -151,7 +148,6 @@ def test_a_writer_that_died_locks_nobody_out(shared):
     assert parent.news().state == "running"
 
 
-@calm
 @given(st.lists(st.floats(1e-6, 50.0), min_size=1, max_size=50), st.floats(0.01, 1.0))
 def test_quantiles_of_latencies(latencies, share):
     """At least the share lies below, but for half a bin, which is 1 %."""
@@ -164,7 +160,6 @@ def test_quantiles_of_latencies(latencies, share):
     assert quantile(np.zeros(BINS, np.int64), share) == 0.0
 
 
-@calm
 @given(st.lists(arrays(float, 2, elements=st.floats(-10, 10)), min_size=1, max_size=5))
 def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
     """Bit for bit at any time of a frame, at its ends too."""

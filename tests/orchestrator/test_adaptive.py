@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.coupling.pace import GROW, REPEATED, SAFETY, SHRINK, Pace
+from orchestrator.coupling.pace import GROW, NEARLY, REPEATED, SAFETY, SHRINK, Pace
 from orchestrator.settings import Coupling
 
 
@@ -238,11 +238,15 @@ def test_steps_stay_within_their_limits(history, power, repeats):
 
 @given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
 def test_the_end_is_hit_without_a_short_last_step(room, step):
-    """The step ends there, or leaves at least as much as it takes."""
+    """The step ends there, or leaves at least as much as it takes.
+
+    It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
+    misses its end by less than that would be halved for it, with twice the cost.
+    """
     pace = fresh(first=step, largest=1.0)
     h = pace.length(room)
     assert h == room or room - h >= h * (1 - 1e-15)
-    assert h <= max(step, room / 2)
+    assert h <= max(step / NEARLY, room / 2)
 
 
 def test_a_step_that_was_cut_does_not_shorten_the_next():

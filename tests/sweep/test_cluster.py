@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import threading
 from collections.abc import Iterator, Sequence
 
 import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
+from distributed.utils import LoopRunner
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
@@ -83,6 +86,30 @@ def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
         cluster.client(scheduler=url),
     ):
         pass
+
+
+def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
+    """Two hundred in one process, and the garbage collector always runs while Dask's lock is held.
+
+    A client that is left half made is closed by the collector then, and waits for that lock for ever.
+    """
+    start, collected = LoopRunner._start_unlocked, []
+
+    def with_garbage(runner: LoopRunner) -> None:
+        collected.append(gc.collect())
+        start(runner)
+
+    monkeypatch.setattr(LoopRunner, "_start_unlocked", with_garbage)
+    monkeypatch.setattr(cluster, "PATIENCE", 0.02)
+    threads = threading.active_count()
+    gc.freeze()  # what is there already need not be looked at 200 times
+    for n in range(200):
+        url = ("nowhere", "foo://127.0.0.1:1", "tcp://127.0.0.1:1")[n % 3]
+        with pytest.raises(Problem, match=f"^--scheduler {url}: "), cluster.client(scheduler=url):
+            pass
+    gc.unfreeze()
+    assert len(collected) == 200
+    assert threading.active_count() <= threads
 
 
 @pytest.mark.parametrize("kept", [False, True])

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy import stats
 
 from orchestrator.sweep.design import METHODS, quantile, samples, table
@@ -41,7 +42,7 @@ factors = st.one_of(
 LIMITS = ("minimum", "maximum")
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(factor=factors, seed=st.integers(0, 2**32 - 1), method=st.sampled_from(["latin", "sobol", "morris"]))
 def test_numbers_are_finite_and_within_their_bounds(factor, seed, method):
     """Of every method, also of those whose samples touch the ends of 0..1."""
@@ -54,7 +55,7 @@ def test_numbers_are_finite_and_within_their_bounds(factor, seed, method):
         assert (numbers <= high + least).all()
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(factor=factors, seed=st.integers(0, 2**32 - 1))
 def test_a_latin_hypercube_has_one_sample_in_each_share(factor, seed):
     """Each n-th of the distribution holds one of n samples, whatever the distribution."""

@@ -8,8 +8,9 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jve
@@ -101,7 +102,7 @@ def test_modes_are_those_of_the_dispersion_relation():
     assert found == pytest.approx(exact, rel=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     length=st.floats(0.3, 6.0),
     bandwidth=st.floats(20.0, 400.0),

@@ -9,8 +9,9 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
@@ -421,7 +422,7 @@ def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
     assert r.force * v - stored_rate - r.heat == pytest.approx(0, abs=1e-12 * size + 1e-30)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     moves=st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(1e-4, 0.2)), min_size=2, max_size=8),
     dry=laws.filter(lambda d: d.damping_time <= 0.03),

@@ -7,8 +7,9 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.components import spool_dynamics, spool_valve
 from fmus.components.spool_dynamics import Edges, Spool, SpoolState
@@ -58,7 +59,7 @@ def test_full_step_takes_the_rate_limit():
     assert found[-1, 0] == pytest.approx(1.0, abs=1e-6)  # 0.2 s are 27 time constants of the approach
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.lists(st.floats(-5.0, 5.0), min_size=5, max_size=40), st.floats(-1.0, 1.0))
 def test_no_command_drives_the_spool_too_fast_or_out_of_its_stroke(levels, start):
     """Whatever the commands, also beyond full: |v| <= v_max and |x| <= 1."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy.optimize import brentq
 from supply_bench import (
     FUNCTION,
@@ -195,7 +196,7 @@ def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
     assert y["relief_flow"].max() < 2 * FULL
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.lists(st.integers(0, 900), min_size=3, max_size=6), st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(flows, hold):
     """Strokes stay within 0 ... 1, check valves pass nothing back, no stall, no run-away."""

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
@@ -68,7 +69,7 @@ def drawn(found: Pose, node: str, point: tuple[float, float, float]) -> np.ndarr
     return swing @ (np.array([place.x, 0.0, place.z]) + pitch @ roll @ np.array(point))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(q=ANGLES)
 def test_tip_and_cylinders(q: Angles) -> None:
     """Tip and elbow are those of the mechanics, each cylinder is as long as closed length and position."""
@@ -83,7 +84,7 @@ def test_tip_and_cylinders(q: Angles) -> None:
         assert barrel.to(apart) == pytest.approx((rod.x, rod.z), abs=ROUNDING), "the barrel points to the rod"
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(q=ANGLES)
 def test_head(q: Angles) -> None:
     """The middle of the head hangs where the mechanics of the swinging head say."""
@@ -92,7 +93,7 @@ def test_head(q: Angles) -> None:
     assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(q=ANGLES)
 def test_rod_pins_on_their_links(q: Angles) -> None:
     """The rods end at the pins of boom and stick, however the machine stands."""

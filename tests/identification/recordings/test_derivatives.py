@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Sensor
@@ -32,7 +33,7 @@ def test_polynomials_up_to_the_degree_pass_exactly(coefficients, rate, samples):
         np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=tolerance)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(window=st.floats(0.03, 0.5), degree=st.integers(2, 4), seed=st.integers(0, 2**31))
 def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
     """White noise of standard deviation 1 leaves the filter with the standard deviation it states."""

@@ -8,8 +8,9 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.contract import quantities, symbolic
 from fmus.harvester import HARVESTER
@@ -119,7 +120,7 @@ def test_sensitivities_are_those_of_the_variational_equations() -> None:
     assert (np.abs(found - expected).max(axis=0) < 2e-5 * np.abs(expected).max(axis=0)).all()
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     """Where no step size can change, differences of the program itself agree in any direction, however large
@@ -148,7 +149,7 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     assert (np.abs(found - expected).max(axis=0) < 1e-6 * np.abs(found).max(axis=0)).all()
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(cut=st.integers(1, TIME.size - 2))
 def test_two_pieces_are_one(cut: int) -> None:
     """From the start to a cut, and on from there: the chain rule, as multiple shooting needs it."""

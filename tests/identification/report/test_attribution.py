@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.identification.report.attribution import LEAST, explain
 from fmus.identification.report.effects import EFFECTS, changes, slopes
@@ -137,7 +138,7 @@ def test_gaps_do_not_count(effects):
         lambda m: st.tuples(st.just(m), st.integers(0, 2**31 - 1), st.floats(1e-6, 1e6))
     )
 )
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_shares_add_up(case):
     """Shapley values of any columns add up to what all explain together, whatever their scale."""
     count, seed, scale = case

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Recording
@@ -129,7 +130,7 @@ def test_slopes_move_all_numbers_of_a_name():
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))
-@settings(deadline=None, max_examples=60)
+@examples(60)
 def test_straight_lines_stay_within_the_tolerance(values, tolerance):
     """No sample moves by more than the tolerance, ends not at all."""
     samples = np.array(values)[:, None]
