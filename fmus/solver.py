@@ -30,6 +30,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 STAGES, MOST_STEPS = 6, 1_000_000
 SHORTEST_REST, LONGEST_REST = 8, 1024
+ABSOLUTE = 0.01  # absolute tolerance of a state over tolerance * nominal value, see solver.h
 GAMMA = 0.25
 ALPHA = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
 G = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
@@ -216,7 +217,7 @@ def _linearised(system: System, motion: Motion, tau: float, x: Array) -> Stage:
 
 def _error(x: Array, new: Array, estimate: Array, tolerance: float, nominal: Array) -> tuple[float, int]:
     """Weighted root mean square of the error estimate, and where it is largest."""
-    parts = np.abs(estimate) / (tolerance * (nominal + np.maximum(np.abs(x), np.abs(new))))
+    parts = np.abs(estimate) / (tolerance * (ABSOLUTE * nominal + np.maximum(np.abs(x), np.abs(new))))
     return math.sqrt(parts @ parts / parts.size), int(np.argmax(parts))
 
 

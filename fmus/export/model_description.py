@@ -12,6 +12,7 @@ from fmus.export.interface import Interface, Variable, dependencies, initial_dep
 from fmus.units import display, parse
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
+TOOL = "harvester-cosim"  # in vendor annotations
 LOG_CATEGORIES = {
     "logEvents": "Each call of a function",
     "logStatusWarning": "What needs attention",
@@ -92,6 +93,7 @@ def described(
     units(root, face)
     log_categories(root)
     default_experiment(root, step, stop)
+    _input_derivatives(root, face)
     _structure(root, structure, _variables(root, face))
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
 
@@ -129,12 +131,26 @@ def base_unit(unit: str) -> dict[str, str]:
     return attributes if parsed.factor == 1.0 else attributes | {"factor": digits(parsed.factor)}
 
 
+def _input_derivatives(root: etree._Element, face: Interface) -> None:
+    """Which input is the time derivative of which, as an annotation.
+
+    FMI 2.0 has the attribute `derivative` for that, but tools count the variables that carry it as states:
+    OMSimulator expects 7 of manipulator.fmu, which has 4.
+    """
+    pairs = [(v.name, v.quantity.rate) for v in face.inputs if v.quantity.rate]
+    if not pairs:
+        return
+    tool = etree.SubElement(etree.SubElement(root, "VendorAnnotations"), "Tool", name=TOOL)
+    listed = etree.SubElement(tool, "InputDerivatives")  # the schema allows one element in a tool's
+    for name, rate in pairs:
+        etree.SubElement(listed, "InputDerivative", input=name, derivative=rate)
+
+
 def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
     """Writes the variables; returns their index by name, counted from 1."""
     parent = etree.SubElement(root, "ModelVariables")
     index = {v.name: i for i, v in enumerate(face.variables, start=1)}
     derived = {f"der_{v.name}": index[v.name] for v in face.states}
-    derived |= {v.quantity.rate: index[v.name] for v in face.inputs if v.quantity.rate}
     for v in face.variables:
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
         element = etree.SubElement(parent, "ScalarVariable", attributes | causality(v))
@@ -156,7 +172,7 @@ def causality(v: Variable) -> dict[str, str]:
 
 
 def _real(v: Variable, derived: int | None) -> dict[str, str]:
-    """derived: the index of the state, or of the input, whose time derivative this is."""
+    """derived: the index of the state whose time derivative this is."""
     return numbers(v) | ({"derivative": str(derived)} if derived is not None else {})
 
 

@@ -70,7 +70,7 @@ def _interface(description: Any, root: Any) -> Interface:
         fmi=fmi,
         refused=refused,
         interpolates="canInterpolateInputs" in able and fmi == 2,
-        rates=_rates(declared, variables),
+        rates=_rates(declared, root, variables),
         slopes=int(tool.maxOutputDerivativeOrder or 0),
         rollback=bool(tool.canGetAndSetFMUstate),
         serializes=bool(tool.canSerializeFMUstate),
@@ -195,9 +195,15 @@ def _unit(u: Any) -> Unit:
     return Unit(u.name, exponents, float(base.factor), float(base.offset))
 
 
-def _rates(declared: Iterable[Any], variables: Mapping[str, Variable]) -> dict[str, str]:
-    """Inputs and the inputs that are their time derivatives, where the units agree."""
+def _rates(declared: Iterable[Any], root: Any, variables: Mapping[str, Variable]) -> dict[str, str]:
+    """Inputs and the inputs that are their time derivatives, where the units agree.
+
+    Declared by the attribute `derivative`, or, in FMI 2.0, by our annotation: OMSimulator takes a variable
+    with that attribute for the derivative of a state.
+    """
     pairs = {v.derivative.name: v.name for v in declared if v.derivative is not None}
+    noted = root.iterfind("VendorAnnotations/Tool[@name='harvester-cosim']//InputDerivative")
+    pairs |= {e.get("input"): e.get("derivative") for e in noted}
     known = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
     return {
         u.name: rate.name

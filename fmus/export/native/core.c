@@ -62,12 +62,12 @@ LOCAL void core_outputs(Core *core) {
     core->y_valid = 1;
 }
 
-LOCAL void core_forward(Core *core) {
+LOCAL void core_forward(Core *core, int starting) {
     core_start(core);
     const State *s = &core->s;
     double *v = core->direction, *vx = v + FIRST_STATE, *vu = v + FIRST_INPUT;
     double *vdx = v + FIRST_DERIVATIVE, *vy = v + FIRST_OUTPUT;
-    if (s->initial) {
+    if (starting) {
         double start[ROOM(NX)];
         model_start_forward(s->x, s->u, s->p, core->c, vx, vu, v + FIRST_PARAMETER, start, vdx, vy);
         memcpy(vx, start, NX * sizeof *start);

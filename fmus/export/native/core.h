@@ -30,7 +30,7 @@ typedef struct {
     int is_given[ROOM(NU)];
     int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
     int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched input or output is above its limit */
-    int initial;          /* 1 until the initialisation is over: states follow from the start values */
+    int initial;          /* 1 as long as fixed parameters may be set, and states follow from the start values */
     int phase, type;      /* of the FMI state machine, see instance.h */
 } State;
 
@@ -78,9 +78,9 @@ LOCAL void core_outputs(Core *core);     /* makes y and require valid */
 /* Requirements hold and everything is finite; else a message and 0. */
 LOCAL int core_sound(Core *core);
 
-/* From the directions of inputs and states those of derivatives and outputs. At the start from those of
+/* From the directions of inputs and states those of derivatives and outputs. With `starting` from those of
    parameters, inputs and start values, through the start equations, also those of the states. */
-LOCAL void core_forward(Core *core);
+LOCAL void core_forward(Core *core, int starting);
 
 /* From the current time over `length` seconds, or until `pause` stops it; 0 and a message when it fails. */
 LOCAL int core_step(Core *core, double length);

@@ -15,7 +15,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
     return fmi2OK;
 }
 
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, instance_enter(c, CONTINUOUS_TIME)); }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { CALL(EVENT_MODE, exchange_enter(c)); }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
                                        fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
@@ -23,8 +23,11 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi2Error;
     if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi2Error;
-    *enterEventMode = *terminateSimulation = fmi2False;
-    return core_sound(&self->core) ? fmi2OK : fmi2Error;
+    int event = 0;
+    const Status status = exchange_completed(self, &event);
+    *enterEventMode = event;
+    *terminateSimulation = fmi2False;
+    return (fmi2Status)status;
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
@@ -32,7 +35,7 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
 }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
-    CALL(CONTINUOUS_TIME, exchange_set_states(c, x, nx));
+    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_states(c, x, nx));
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {

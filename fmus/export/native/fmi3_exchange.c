@@ -3,7 +3,7 @@
 #include "fmi3.h"
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-    CALL(MODEL_EXCHANGE | EVENT_MODE, instance_enter(instance, CONTINUOUS_TIME));
+    CALL(MODEL_EXCHANGE | EVENT_MODE, exchange_enter(instance));
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -12,8 +12,11 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetF
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi3Error;
     if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
-    *enterEventMode = *terminateSimulation = fmi3False;
-    return core_sound(&self->core) ? fmi3OK : fmi3Error;
+    int event = 0;
+    const Status status = exchange_completed(self, &event);
+    *enterEventMode = event;
+    *terminateSimulation = fmi3False;
+    return (fmi3Status)status;
 }
 
 fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
@@ -22,7 +25,7 @@ fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
-    CALL(CONTINUOUS_TIME, exchange_set_states(instance, continuousStates, nContinuousStates));
+    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_states(instance, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],

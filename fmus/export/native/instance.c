@@ -141,7 +141,7 @@ Status instance_setup(Instance *self, int tolerance_defined, double tolerance, d
 Status instance_initialized(Instance *self) {
     State *s = &self->core.s;
     if (!core_sound(&self->core)) return ERROR;
-    s->initial = 0;
+    s->initial = s->type == MODEL_EXCHANGE; /* it ends with the first states that are set or integrated */
     s->phase = s->type == CO_SIMULATION && !self->events ? STEP_MODE : EVENT_MODE;
     return OK;
 }

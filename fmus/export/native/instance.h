@@ -35,6 +35,11 @@ typedef struct Instance {
     int early_return; /* a step may end early */
     unsigned log;     /* mask of kinds of messages that are logged */
     int has_time;     /* the time is a variable, the one after the last */
+    struct {          /* model exchange: does the caller hold the inputs over the steps of its solver? */
+        double at[ROOM(NU)]; /* the inputs after their last change */
+        int evaluated;       /* derivatives were computed since then */
+        int moved;           /* with other inputs */
+    } held;
     char name[];
 } Instance;
 
@@ -76,6 +81,12 @@ LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_
 
 /* ---- exchange.c */
 
+/* Continuous-time mode begins. */
+LOCAL Status exchange_enter(Instance *self);
+/* The inputs are as they are from here on, whatever they were. */
+LOCAL void exchange_hold(Instance *self);
+/* The solver's step is done; `*event` is 1 where it must start anew. */
+LOCAL Status exchange_completed(Instance *self, int *event);
 LOCAL Status exchange_set_time(Instance *self, double time);
 LOCAL Status exchange_set_states(Instance *self, const double x[], size_t n);
 LOCAL Status exchange_states(Instance *self, double x[], size_t n);

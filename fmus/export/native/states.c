@@ -32,6 +32,7 @@ Status states_set(Instance *self, const void *state) {
         return refuse(self, "the saved state is none of this model");
     memcpy(&self->core.s, &restored, sizeof restored);
     core_changed(&self->core);
+    exchange_hold(self);
     return OK;
 }
 
