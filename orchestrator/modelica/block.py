@@ -14,11 +14,11 @@ from orchestrator.system.interface import Interface, Variable
 from orchestrator.system.system import Component
 
 KEYWORDS = frozenset(
-    "algorithm and annotation block break class connect connector constant constrainedby der discrete each else"
-    " elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for"
-    " function if import impure in initial inner input loop model not operator or outer output package parameter"
-    " partial protected public pure record redeclare replaceable return stream then true type when while within"
-    " time fmu_folder fmu_instance fmu_states fmu_next".split()
+    """algorithm and annotation block break class connect connector constant constrainedby der discrete each
+    else elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for
+    function if import impure in initial inner input loop model not operator or outer output package parameter
+    partial protected public pure record redeclare replaceable return stream then true type when while within
+    time fmu_folder fmu_instance fmu_states fmu_next""".split()
 )
 SHOWN_IN = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}  # units that Modelica tools know
 SIDE = 100.0  # of an icon, from its middle
@@ -30,7 +30,7 @@ class Model:
 
     name     of the Modelica class
     folder   of the unpacked FMU in the package's resources
-    moving   inputs that something depends on: in Model Exchange nothing does on the rates of others
+    moving, outputs   its inputs and outputs, without those that are for rates
     held     inputs that are a number where nothing is connected, -> that number
     """
 
@@ -39,17 +39,13 @@ class Model:
     component: Component
     identifier: str
     moving: Sequence[Variable]
+    outputs: Sequence[Variable]
     held: Mapping[str, float]
 
     @property
     def face(self) -> Interface:
         """The FMU's interface."""
         return self.component.interface
-
-    @property
-    def outputs(self) -> list[Variable]:
-        """Its outputs."""
-        return self.face.of("output")
 
     @property
     def states(self) -> list[Variable]:
@@ -78,14 +74,26 @@ def model(name: str, component: Component, held: Collection[str]) -> Model:
     for v in face.variables.values():
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", v.name):
             raise Problem(f"{where}: {v.name!r} is no identifier in Modelica, expected letters, digits and _")
-    starts = [face.initially.get(x, None) for x in face.states if face.variables[x].initial != "exact"]
-    moving = [
-        v
-        for v in face.of("input")
-        if v.name not in face.inert or any(known is None or v.name in known for known in starts)
-    ]
+    outputs, moving = _used(face)
     numbers = {v.name: float(component.value(v.name)) for v in moving if v.name in held}
-    return Model(name, component.name, component, exchange.get("modelIdentifier"), moving, numbers)
+    return Model(name, component.name, component, exchange.get("modelIdentifier"), moving, outputs, numbers)
+
+
+def _used(face: Interface) -> tuple[list[Variable], list[Variable]]:
+    """Outputs and inputs of the block.
+
+    In Model Exchange inputs move by themselves: what an input's rate alone is for, and outputs that only give
+    such rates on, have no use.
+    """
+    inputs = {v.name for v in face.of("input")}
+    starts = [face.initially.get(x) for x in face.states if face.variables[x].initial != "exact"]
+    needed = [*(face.knowns.get(dx) for dx in face.states.values()), *starts]
+    matter = inputs if None in needed else inputs & {name for known in needed for name in known or ()}
+    rates = set(face.rates.values()) - matter
+    outputs = [y for y in face.of("output") if not rates & (face.knowns.get(y.name) or frozenset())]
+    direct = [face.knowns.get(y.name) for y in outputs]
+    used = matter.union(*(inputs if known is None else known for known in direct)) - rates
+    return outputs, [v for v in face.of("input") if v.name in used]
 
 
 # ---- text ------------------------------------------------------------------------------------------
@@ -128,8 +136,9 @@ def _attributes(v: Variable, **more: str) -> str:
 def connector(v: Variable, kind: str, side: float, place: float, condition: str = "") -> str:
     """One line: an input or output at a place of the icon, -100 to 100 from below."""
     extent = f"{{{{{side - 10:g}, {place - 10:g}}}, {{{side + 10:g}, {place + 10:g}}}}}"
+    declared = f"{identifier(v.name)}{_attributes(v)}{condition}"
     return (
-        f"  Modelica.Blocks.Interfaces.{kind} {identifier(v.name)}{_attributes(v)}{condition} {quoted(v.text)}\n"
+        f"  Modelica.Blocks.Interfaces.{kind} {declared} {quoted(v.text)}\n"
         f"    annotation(Placement(transformation(extent = {extent})));\n"
     )
 
@@ -150,12 +159,20 @@ def _vector(names: Iterable[str]) -> str:
 
 
 def parameters(m: Model) -> dict[str, tuple[Variable, float]]:
-    """What a user may set, by its name in Modelica: parameters, and the start values of states as NAME_start."""
+    """What a user may set, by its name in Modelica: parameters, and start values of states as NAME_start."""
     numbers = m.component.numbers()
     free = {f"{v.name}_start": v for v in m.states if v.initial == "exact" and v.start is not None}
     return {identifier(v.name): (v, numbers[v.name]) for v in m.face.of("parameter") if v.name in numbers} | {
         name: (v, float(m.component.value(v.name))) for name, v in free.items()
     }
+
+
+def choice(name: str) -> str:
+    """The parameter that says whether an input has a connector."""
+    return (
+        f'  parameter Boolean use_{name}_in = false "= true, if {name} comes from its connector"\n'
+        "    annotation(Evaluate = true, choices(checkBox = true));\n"
+    )
 
 
 def block(m: Model, package: str) -> str:
@@ -169,7 +186,7 @@ def block(m: Model, package: str) -> str:
     for name, value in m.held.items():
         v = m.face.variables[name]
         text.append(
-            f"  parameter Boolean use_{name}_in = false \"= true, if {name} comes from its connector\"\n"
+            f'  parameter Boolean use_{name}_in = false "= true, if {name} comes from its connector"\n'
             f"    annotation(Evaluate = true, choices(checkBox = true));\n"
             f"  parameter Real {name}_constant{_attributes(v)} = {number(value)} {quoted(v.text)}\n"
             f"    annotation(Dialog(enable = not use_{name}_in));\n"
@@ -193,7 +210,8 @@ def block(m: Model, package: str) -> str:
     )
     if states:
         nominal = ", ".join(number(v.nominal or 1.0) for v in states)
-        text.append(f"  Real fmu_states[{len(states)}](nominal = {{{nominal}}}, each stateSelect = StateSelect.always);\n")
+        always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
+        text.append(f"  Real fmu_states[{len(states)}]({always});\n")
     text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
     inputs = {v.name: f"{v.name}_internal" if v.name in m.held else identifier(v.name) for v in m.moving}
     if states:
@@ -207,6 +225,10 @@ def block(m: Model, package: str) -> str:
         "  when {initial(), time >= pre(fmu_next)} then\n"
         f"    fmu_next = Internal.event(fmu_instance, time, {_states(m)});\n  end when;\n"
     )
+    if "model.png" in m.component.source.names():  # type: ignore[union-attr]  # see model
+        picture = f'fileName = "modelica://{package}/Resources/FMUs/{m.folder}/model.png"'
+        extent = "extent = {{-80, -80}, {80, 80}}"
+        text.append(f"  annotation(Icon(graphics = {{Bitmap({extent}, {picture})}}));\n")
     text.append(f"end {m.name};\n")
     return "".join(text)
 

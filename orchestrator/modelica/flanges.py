@@ -1,8 +1,8 @@
 """Which signals of an FMU make a mechanical flange, and the model that offers it in place of the signals.
 
-A rod is four signals with one stem: NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, from the side
-that moves, NAME_acceleration [m/s2]. A shaft likewise: NAME_torque [N.m], NAME_speed [rad/s], NAME_angle [rad] and
-NAME_acceleration [rad/s2].
+A rod is signals with one stem: NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, from the side that
+moves, NAME_acceleration [m/s2]. A shaft likewise: NAME_torque [N.m], NAME_speed [rad/s] and, from the side that
+moves, NAME_angle [rad] and NAME_acceleration [rad/s2].
 """
 
 from __future__ import annotations
@@ -10,7 +10,17 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from orchestrator.modelica.block import Model, connector, identifier, parameters, places, quoted
+from orchestrator.modelica.block import (
+    Model,
+    choice,
+    connector,
+    identifier,
+    number,
+    parameters,
+    places,
+    quoted,
+)
+from orchestrator.system.interface import Variable
 
 
 @dataclass(frozen=True)
@@ -22,7 +32,10 @@ class Kind:
     signals: tuple[tuple[str, str, str], ...]
 
 
-ROD, SHAFT = "Modelica.Mechanics.Translational.Interfaces.Flange", "Modelica.Mechanics.Rotational.Interfaces.Flange"
+ROD, SHAFT = (
+    "Modelica.Mechanics.Translational.Interfaces.Flange",
+    "Modelica.Mechanics.Rotational.Interfaces.Flange",
+)
 KINDS = (
     Kind(
         "MovedRod",
@@ -60,7 +73,9 @@ def flanges(m: Model) -> dict[str, Kind]:
     for kind in KINDS:
         first = f"_{kind.signals[0][0]}"
         for stem in [name.removesuffix(first) for name in shown if name.endswith(first)]:
-            signals = [(shown.get(f"{stem}_{word}"), unit, causality) for word, unit, causality in kind.signals]
+            signals = [
+                (shown.get(f"{stem}_{word}"), unit, causality) for word, unit, causality in kind.signals
+            ]
             if all(v and v.unit and (v.unit.name, v.causality) == (u, c) for v, u, c in signals):
                 found[stem] = kind
     return found
@@ -87,7 +102,7 @@ def with_flanges(m: Model, wanted: Collection[str]) -> str:
             f"extent = {{{{{x - 10:g}, {place - 10:g}}}, {{{x + 10:g}, {place + 10:g}}}}})));\n"
         )
     held = "".join(f", use_{v.name}_in = use_{v.name}_in" for v in inputs if v.name in m.held)
-    text.append(f"  FMUs.{m.name} block_(\n{_passed(m)}{held}) \"The FMU\";\nprotected\n")
+    text.append(f'  FMUs.{m.name} block_(\n{_passed(m)}{held}) "The FMU";\nprotected\n')
     text += [f"  Flanges.{kind.adapter} {stem}_adapter;\n" for stem, kind in found.items()]
     text.append("equation\n")
     text += [_connect(identifier(v.name), f"block_.{identifier(v.name)}") for v in [*inputs, *outputs]]
@@ -97,17 +112,14 @@ def with_flanges(m: Model, wanted: Collection[str]) -> str:
     return "".join([*text, f"end {m.name};\n"])
 
 
-def _signals(m: Model, inputs: Sequence, outputs: Sequence) -> str:  # type: ignore[type-arg]
+def _signals(m: Model, inputs: Sequence[Variable], outputs: Sequence[Variable]) -> str:
     text = [
-        f"  parameter Real {name} = {value!r} {quoted(v.text)};\n"
+        f"  parameter Real {name} = {number(value)} {quoted(v.text)};\n"
         for name, (v, value) in parameters(m).items()
     ]
     for v in inputs:
         if v.name in m.held:
-            text.append(
-                f"  parameter Boolean use_{v.name}_in = false \"= true, if {v.name} comes from its connector\"\n"
-                "    annotation(Evaluate = true, choices(checkBox = true));\n"
-            )
+            text.append(choice(v.name))
     for v, x in zip(inputs, places(max(len(inputs), 1)), strict=False):
         text.append(connector(v, "RealInput", x, -110.0, f" if use_{v.name}_in" if v.name in m.held else ""))
     for v, x in zip(outputs, places(max(len(outputs), 1)), strict=False):

@@ -24,20 +24,25 @@ def write_package(
     systems   .ssp files, whose FMUs and connections go into it, and .fmu files
     held      inputs that are their start value where nothing is connected
 
-    FMUs that are named alike in several systems are one block, with the values of the first.
+    An FMU that is there several times is one block, with the values of the first; another one of the same
+    name is refused.
     """
     if identifier(name) != name or not name.isidentifier():
         raise Problem(f"--name {name}: expected a name that Modelica takes, such as Harvester")
     folder = Path(out) / name
     loaded = [load(path) for path in systems]
     models: dict[str, Model] = {}
+    there: set[str] = set()
     for system in loaded:
         for component in system.components.values():
             known = models.get(component.name)
-            if known is None:
+            if known and known.face.guid != component.interface.guid:
+                raise Problem(
+                    f"{component.source}: another FMU named {component.name} is in the package already"
+                )
+            if known is None and (system.connections or component.interface.guid not in there):
                 models[component.name] = model(class_name(component.name), component, held)
-            elif known.face.guid != component.interface.guid:
-                raise Problem(f"{component.source}: another FMU named {component.name} is in the package already")
+                there.add(component.interface.guid)
     text = _package(name, models, loaded)
     if folder.exists():
         _remove(folder, name)
@@ -107,16 +112,21 @@ def _system(system: System, models: dict[str, Model]) -> str:
     moving = {(n, v.name) for n, m in models.items() for v in m.moving}
     for c in system.connections:
         if tuple(c.target) not in moving:
-            continue
+            continue  # the rate of another input
         a = f"{identifier(c.source.component)}.{identifier(c.source.variable)}"
         b = f"{identifier(c.target.component)}.{identifier(c.target.variable)}"
         plain = (c.map.factor, c.map.offset) == (1.0, 0.0)
-        text.append(f"  connect({a}, {b});\n" if plain else f"  {b} = {number(c.map.factor)} * {a} + {number(c.map.offset)};\n")
+        text.append(
+            f"  connect({a}, {b});\n"
+            if plain
+            else f"  {b} = {number(c.map.factor)} * {a} + {number(c.map.offset)};\n"
+        )
     for name in system.components:
         for v in models[name].moving:
             if (name, v.name) not in fed and v.name not in models[name].held:
                 start = models[name].component.value(v.name)
                 text.append(f"  {identifier(name)}.{identifier(v.name)} = {number(float(start))};\n")
     stop = f"StopTime = {number(system.stop)}, " if system.stop else ""
-    text.append(f"  annotation(experiment({stop}Interval = 0.02, Tolerance = 1e-8));\nend {class_name(system.name)};\n")
+    text.append(f"  annotation(experiment({stop}Interval = 0.02, Tolerance = 1e-8));\n")
+    text.append(f"end {class_name(system.name)};\n")
     return "".join(text)
