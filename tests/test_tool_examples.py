@@ -10,38 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS
+from fmus.machine import COMMAND_WIRES, CONNECTIONS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WIRES = sorted(CONNECTIONS + COMMAND_WIRES)
 SCRIPTS = {"pyfmi": "pyfmi", "omsimulator": "OMSimulator"}  # folder -> module that its script needs
-
-
-def model(name: str) -> str:
-    """The text of one Modelica model of the example."""
-    text = (EXAMPLES / "modelica" / "Harvester.mo").read_text(encoding="utf-8")
-    return text.partition(f"model {name} ")[2].partition(f"end {name};")[0]
-
-
-def test_modelica_wires_are_those_of_the_machine():
-    """FourBlocks connects what harvester.ssp connects."""
-    found = re.findall(r"connect\(([\w.]+), ([\w.]+)\);", model("FourBlocks"))
-    assert sorted(found) == WIRES
-
-
-def test_modelica_feeds_every_input_of_the_one_block():
-    """OneBlock wires each command with its rate, and holds the supply line."""
-    found = dict(re.findall(r"connect\(levers.(\w+), machine.(\w+)\);", model("OneBlock")))
-    assert found == {name.split(".")[1]: name.split(".")[1] for name, _ in COMMAND_WIRES}
-    assert set(re.findall(r"machine.(\w+) = ", model("OneBlock"))) == {"supply_pressure", "tank_pressure"}
-
-
-def test_modelica_names_all_fmus():
-    """Each FMU but the supply, whose place constants take, has its class, named as OpenModelica does."""
-    imported = set(re.findall(r"= (\w+)_me_FMU", (EXAMPLES / "modelica" / "Harvester.mo").read_text()))
-    assert imported == {*ALL, "harvester"} - {"supply"}
-    loaded = set(re.findall(r"build/(\w+)\.fmu", (EXAMPLES / "modelica" / "run.mos").read_text()))
-    assert loaded == imported
 
 
 def test_simulink_wires_are_those_of_the_machine():

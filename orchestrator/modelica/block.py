@@ -14,13 +14,19 @@ from orchestrator.system.interface import Interface, Variable
 from orchestrator.system.system import Component
 
 KEYWORDS = frozenset(
-    """algorithm and annotation block break class connect connector constant constrainedby der discrete each
-    else elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for
-    function if import impure in initial inner input loop model not operator or outer output package parameter
-    partial protected public pure record redeclare replaceable return stream then true type when while within
-    time fmu_folder fmu_instance fmu_states fmu_next""".split()
+    re.findall(
+        r"\w+",
+        """algorithm and annotation block break class connect connector constant constrainedby der discrete
+        each else elseif elsewhen encapsulated end enumeration equation expandable extends external false
+        final flow for function if import impure in initial inner input loop model not operator or outer
+        output package parameter partial protected public pure record redeclare replaceable return stream then
+        true type when while within time fmu_folder fmu_instance fmu_states fmu_next""",
+    )
 )
 SHOWN_IN = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}  # units that Modelica tools know
+# tools take tolerance * nominal as absolute tolerance of a state: too loose for a pressure near zero; this is
+# the same share as an FMU of ours gives to a solver (fmus/export/native/exchange.c)
+FOR_TOLERANCES = 1e-3
 SIDE = 100.0  # of an icon, from its middle
 
 
@@ -209,7 +215,7 @@ def block(m: Model, package: str) -> str:
         f"    {_references(v for v, _ in given.values())},\n    {_vector(given)});\n"
     )
     if states:
-        nominal = ", ".join(number(v.nominal or 1.0) for v in states)
+        nominal = ", ".join(number(FOR_TOLERANCES * (v.nominal or 1.0)) for v in states)
         always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
         text.append(f"  Real fmu_states[{len(states)}]({always});\n")
     text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')

@@ -1,8 +1,8 @@
 """Which signals of an FMU make a mechanical flange, and the model that offers it in place of the signals.
 
 A rod is signals with one stem: NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, from the side that
-moves, NAME_acceleration [m/s2]. A shaft likewise: NAME_torque [N.m], NAME_speed [rad/s] and, from the side that
-moves, NAME_angle [rad] and NAME_acceleration [rad/s2].
+moves, NAME_acceleration [m/s2]. A shaft likewise: NAME_torque [N.m], NAME_speed [rad/s] and, from the side
+that moves, NAME_angle [rad] and NAME_acceleration [rad/s2].
 """
 
 from __future__ import annotations
