@@ -1,13 +1,15 @@
 """Units as an FMU or an SSP file declares them, and the conversion between two of them.
 
 A value v in a unit means `factor * v + offset` in SI base units. Two units can be converted into each other
-when their base exponents agree; the radian is a base unit in FMI, but many tools leave it out.
+when their base exponents agree; the radian is a base unit in FMI, but many tools leave it out. A unit that no
+file defines is read by its symbol.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from orchestrator import symbols
 from orchestrator.errors import Problem
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -49,6 +51,18 @@ class Unit:
         return f"[{self.name}]"
 
 
+def defined(unit: Unit) -> Unit:
+    """The unit itself; one that no file defines by its symbol, if that is known, such as bar or L/min."""
+    if unit.exponents is not None:
+        return unit
+    try:
+        known = symbols.parse(unit.name)
+    except Problem:
+        return unit
+    kg, m, s, ampere, kelvin, rad = known.exponents
+    return Unit(unit.name, (kg, m, s, ampere, kelvin, 0, 0, rad), known.factor, known.offset)
+
+
 def conversion(source: Unit | None, target: Unit | None, where: str) -> tuple[Linear, str | None]:
     """The map from `source` to `target`, and a note when it rests on an assumption.
 
@@ -57,9 +71,10 @@ def conversion(source: Unit | None, target: Unit | None, where: str) -> tuple[Li
     """
     if source is None or target is None or source == target:
         return IDENTITY, None
+    if source.name == target.name and None in (source.exponents, target.exponents):
+        return IDENTITY, None
+    source, target = defined(source), defined(target)
     if source.exponents is None or target.exponents is None:
-        if source.name == target.name:
-            return IDENTITY, None
         return IDENTITY, f"{where}: {source} and {target} are not both defined; the value is passed unchanged"
     if source.dimension != target.dimension:
         raise Problem(f"{where}: the units cannot be converted, {_base(source)} and {_base(target)}")

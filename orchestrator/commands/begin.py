@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.files.trace import Trace
+from orchestrator.symbols import linear
 from orchestrator.validation.reference import Reference
-from orchestrator.validation.units import linear
 
 POSITIONS = ("rad", "m")
 APART = 0.05  # of what the reference moves: more than noise and settling

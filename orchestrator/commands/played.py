@@ -7,9 +7,9 @@ from fnmatch import fnmatchcase
 
 from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace
+from orchestrator.symbols import linear
 from orchestrator.system.system import Port, System
 from orchestrator.validation.reference import Reference
-from orchestrator.validation.units import linear
 
 
 def played(system: System, reference: Reference, also: Sequence[str] = ()) -> Trace | None:

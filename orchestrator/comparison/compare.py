@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from orchestrator.comparison.runs import Run, Source, gather
 from orchestrator.errors import Problem, suggest
 from orchestrator.runs.card import FLOOR
+from orchestrator.symbols import Exponents, linear, parse
 from orchestrator.validation.compare import Row, Validation
 from orchestrator.validation.compare import compare as against_reference
 from orchestrator.validation.metrics import constant
 from orchestrator.validation.reference import Reference, Signal
-from orchestrator.validation.units import Exponents, linear, parse
 
 # What signals of a unit are called together; the first three are looked at unless the user names signals.
 QUANTITIES = {"speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m"}

@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 
 from orchestrator.comparison.compare import Comparison
 from orchestrator.comparison.runs import Run
+from orchestrator.symbols import convert, linear, shown
 from orchestrator.validation.compare import Row
 from orchestrator.validation.figures import PALETTE, decimate, frame
-from orchestrator.validation.units import convert, linear, shown
 from orchestrator.validation.wording import finer
 
 PANELS = 6  # more rows than these do not fit on a page

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text as Words
 
 from orchestrator.convergence.study import Row, Study
-from orchestrator.validation.units import linear
+from orchestrator.symbols import linear
 from orchestrator.validation.wording import finer
 
 UNSTABLE, REFUSED = "unstable", "not possible"

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from orchestrator.comparison.compare import QUANTITIES, REST, quantity
 from orchestrator.errors import Problem, UnknownSignal, suggest
 from orchestrator.files.trace import Trace
+from orchestrator.symbols import linear
 from orchestrator.system.system import System
 from orchestrator.validation.metrics import constant
 from orchestrator.validation.reference import Reference, Signal
-from orchestrator.validation.units import linear
 
 USUAL = ("speed", "pressure")  # of these groups, where a reference has them
 SAME = 1e-6  # of a step: instants that are nearer are one

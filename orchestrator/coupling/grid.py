@@ -132,6 +132,8 @@ def communication_step(system: System, step: float | None) -> float:
     """The step [s] given, else what the system suggests, else the smallest that an FMU does, else 1 ms."""
     if step is not None:
         return step
+    if system.refusal:
+        raise Problem(system.refusal)
     if system.step is not None:
         return system.step
     return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)

@@ -68,7 +68,10 @@ class Location:
 
     def beside(self, uri: str) -> Location:
         """The file that a relative (or file:) URI found in this file names."""
-        parts = urlsplit(uri)
+        try:
+            parts = urlsplit(uri)
+        except ValueError as error:
+            raise Problem(f"{self}: source {uri!r} is no address: {error}") from None
         if parts.scheme == "file":
             return Location(Path(unquote(parts.path)))
         if len(parts.scheme) > 1:

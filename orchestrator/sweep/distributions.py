@@ -8,7 +8,7 @@ from typing import Any
 from orchestrator.errors import Problem
 from orchestrator.sweep.fields import Table
 from orchestrator.sweep.study import Factor
-from orchestrator.validation.units import linear
+from orchestrator.symbols import linear
 
 NUMBERS: Mapping[str, tuple[str, ...]] = {
     "uniform": ("minimum", "maximum"),

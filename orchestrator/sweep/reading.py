@@ -17,8 +17,8 @@ from orchestrator.sweep.distributions import factor
 from orchestrator.sweep.fields import Table, is_number
 from orchestrator.sweep.measures import unit
 from orchestrator.sweep.study import MEASURES, METHODS, Choice, Factor, Output, Study
+from orchestrator.symbols import linear
 from orchestrator.system.system import System
-from orchestrator.validation.units import linear
 
 KEYS = (
     *("title", "system", "method", "runs", "seed", "stop", "step", "master", "record_step", "band_step"),

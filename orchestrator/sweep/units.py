@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from orchestrator.validation.units import linear, shown
+from orchestrator.symbols import linear, shown
 from orchestrator.validation.wording import finer
 
 SMALL = 0.1  # [m, m/s] below which all numbers of an output are shown in mm or mm/s

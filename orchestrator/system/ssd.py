@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
-from orchestrator.files.xml import Element, child, children, flag, local, number, parse, transformation, units
+from orchestrator.files.xml import (
+    Element,
+    child,
+    children,
+    flag,
+    local,
+    number,
+    parse,
+    required,
+    transformation,
+    units,
+)
 from orchestrator.system.interface import FLOATS
 from orchestrator.system.suggestion import Suggestion, read_suggestion
 from orchestrator.units import Linear, Unit
@@ -61,7 +72,7 @@ class Flat:
     known_units: dict[str, Unit] = field(default_factory=dict)
     start: float | None = None
     stop: float | None = None
-    suggestion: Suggestion | None = None
+    suggestion: Suggestion = Suggestion(None)  # noqa: RUF009  frozen
     notes: list[str] = field(default_factory=list)
 
     def connectors(self, owner: str, *kinds: str) -> list[Node]:
@@ -103,7 +114,7 @@ class _Reader:
         self._flat.systems.add(path)
         self._connectors(element, path)
         inner = {
-            d.get("name"): _join(path, d.get("name"))
+            required(self._file, d, "name"): _join(path, required(self._file, d, "name"))
             for d in children(element, "SignalDictionaries", "SignalDictionary")
         }
         known = {**dictionaries, **inner}
@@ -111,14 +122,14 @@ class _Reader:
         for part in children(element, "Elements"):
             for e in part:
                 if local(e):
-                    owners[e.get("name")] = self._element(e, path, known)
+                    owners[required(self._file, e, "name")] = self._element(e, path, known)
         for c in children(element, "Connections", "Connection"):
             self._connection(c, path, owners)
         self._bindings(element, path)
 
     def _element(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> str:
         """One element of a system; returns the owner of its connectors."""
-        kind, name = local(element), element.get("name")
+        kind, name = local(element), required(self._file, element, "name")
         full = _join(path, name)
         if kind == "System":
             self.system(element, full, dictionaries)
@@ -132,7 +143,8 @@ class _Reader:
         return full
 
     def _component(self, element: Element, full: str) -> None:
-        kind, source = element.get("type") or FMU, self._file.beside(element.get("source") or "")
+        kind = element.get("type") or FMU
+        source = self._file.beside(required(self._file, element, "source"))
         implementation = element.get("implementation") or "any"
         if implementation not in ("any", "CoSimulation"):
             raise Problem(f"{self._file}: component {full}: expected CoSimulation, got {implementation}")
@@ -148,7 +160,7 @@ class _Reader:
 
     def _connectors(self, element: Element, owner: str) -> None:
         for connector in children(element, "Connectors", "Connector"):
-            node = Node(owner, connector.get("name"))
+            node = Node(owner, required(self._file, connector, "name"))
             self._flat.kinds[node] = connector.get("kind")
             if child(connector, "Dimension") is not None:
                 self._flat.arrays.add(node)
@@ -180,7 +192,9 @@ class _Reader:
         self, element: Element, side: str, path: str, owners: Mapping[str, str]
     ) -> tuple[Node, str | None]:
         """One end of a connection and its role there."""
-        name, connector = element.get(f"{side}Element"), element.get(f"{side}Connector")
+        # some tools write an empty name for a connector of the system itself
+        name = element.get(f"{side}Element") or None
+        connector = required(self._file, element, f"{side}Connector")
         if name is not None and name not in owners:
             raise Problem(
                 f"{self._file}: connection to {name}.{connector}: no element {name!r}{suggest(name, owners)}"

@@ -52,8 +52,11 @@ def _load_ssd(ssd: Location) -> System:
         system = _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
+    if not components:
+        raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
     told = flat.suggestion
-    return replace(system, coupling=told.coupling, step=told.step) if told else system
+    notes = (*system.notes, told.note) if told.note else system.notes
+    return replace(system, coupling=told.coupling, step=told.step, refusal=told.refusal, notes=notes)
 
 
 def _flatten(flat: Flat, system: System) -> System:

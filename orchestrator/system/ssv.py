@@ -7,7 +7,17 @@ from typing import NamedTuple
 
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
-from orchestrator.files.xml import Element, child, children, flag, local, parse, transformation, units
+from orchestrator.files.xml import (
+    Element,
+    child,
+    children,
+    flag,
+    local,
+    parse,
+    required,
+    transformation,
+    units,
+)
 from orchestrator.system.interface import KINDS, Value
 from orchestrator.system.ssd import Binding, Flat, Node
 from orchestrator.system.system import Port, System, coerce
@@ -114,9 +124,14 @@ def entries(file: Location, root: Element, known: Mapping[str, Unit]) -> list[En
 def _entry(file: Location, parameter: Element, known: Mapping[str, Unit]) -> Entry:
     value = next((e for e in parameter if local(e) in KINDS), None)
     if value is None or value.get("value") is None:
-        raise Problem(f"{file}: parameter {parameter.get('name')!r}: expected a value, got none")
+        raise Problem(
+            f"{file}: line {parameter.sourceline}: parameter {parameter.get('name')!r}: "
+            "expected a value, got none"
+        )
     unit = value.get("unit")
-    return Entry(parameter.get("name"), value.get("value"), known.get(unit, Unit(unit)) if unit else None)
+    return Entry(
+        required(file, parameter, "name"), value.get("value"), known.get(unit, Unit(unit)) if unit else None
+    )
 
 
 def _mapping(flat: Flat, binding: Binding) -> Iterator[tuple[str, str, Linear, Mapping[str, str], bool]]:
@@ -130,11 +145,13 @@ def _mapping(flat: Flat, binding: Binding) -> Iterator[tuple[str, str, Linear, M
         inline = parse(file, "ParameterMapping")
     for e in children(inline, "MappingEntry"):
         linear, table = transformation(file, e)
-        yield e.get("source"), e.get("target"), linear, table, flag(e, "suppressUnitConversion")
+        names = required(file, e, "source"), required(file, e, "target")
+        yield *names, linear, table, flag(e, "suppressUnitConversion")
 
 
 def _source(flat: Flat, binding: Binding, element: Element) -> Location:
     """The file that a binding refers to: beside the SSD, or inside the component."""
+    source = required(binding.file, element, "source")
     if element.get("sourceBase") == "component" and binding.owner in flat.sources:
-        return flat.sources[binding.owner].member(element.get("source"))
-    return binding.file.beside(element.get("source"))
+        return flat.sources[binding.owner].member(source)
+    return binding.file.beside(source)

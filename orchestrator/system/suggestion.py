@@ -1,4 +1,6 @@
-"""What an SSP suggests for the coupling of its components: an annotation of ours; other tools pass it over.
+"""What an SSP suggests for the coupling of its components: an annotation of ours, else of other tools.
+
+Ours, which other tools pass over:
 
 <ssd:DefaultExperiment>
   <ssd:Annotations>
@@ -25,6 +27,7 @@ from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
 from orchestrator.files.xml import Element, children, local
 from orchestrator.settings import Coupling
+from orchestrator.system.vendors import read_vendors
 
 TYPE = "harvester-cosim"
 PLACES = ("DefaultExperiment",), ("System",), ()  # of the annotations, from the root
@@ -65,17 +68,25 @@ FACTOR: Mapping[str, Kind] = {"component": TEXT, "steps": WHOLE}
 
 @dataclass(frozen=True)
 class Suggestion:
-    """How to couple; step [s]: None where none is suggested."""
+    """How to couple.
 
-    coupling: Coupling
+    coupling, step   None where none is suggested; step [s]
+    refusal          why what other tools' annotations say cannot be followed; empty where it can
+    note             where the suggestion comes from, if it is not our annotation
+    """
+
+    coupling: Coupling | None
     step: float | None = None
+    refusal: str = ""
+    note: str = ""
 
 
-def read_suggestion(file: Location, root: Element, components: Iterable[str]) -> Suggestion | None:
-    """The suggestion in a .ssd file with these components; None where there is none."""
+def read_suggestion(file: Location, root: Element, components: Iterable[str]) -> Suggestion:
+    """The suggestion in a .ssd file with these components, ours before those of other tools."""
     found = list(_elements(file, root))
     if not found:
-        return None
+        known = read_vendors(file, root)
+        return Suggestion(known.coupling, known.step, known.refusal, known.note)
     if len(found) > 1:
         lines = ", ".join(str(e.sourceline) for e in found)
         raise Problem(

@@ -94,6 +94,7 @@ class System:
     """Everything that is known before a run. Times in [s].
 
     coupling   how its file suggests to couple the components; step: the communication step that goes with it
+    refusal    why the coupling that its file wants is not possible here; a given step or master puts it aside
     notes      remarks to show after a run
     """
 
@@ -108,6 +109,7 @@ class System:
     notes: tuple[str, ...] = ()
     coupling: Coupling | None = None
     step: float | None = None
+    refusal: str = ""
 
     def port(self, name: str) -> Port:
         """The port that `component.variable` names; both parts may contain dots."""
@@ -212,7 +214,8 @@ class System:
         A master among them puts aside all that the system's file suggests, else the rest of that stays.
         """
         step = None if "master" in given else self.step
-        return replace(self, coupling=chosen(given, self.coupling), step=step)
+        refusal = "" if "master" in given else self.refusal
+        return replace(self, coupling=chosen(given, self.coupling), step=step, refusal=refusal)
 
     def without(self, *patterns: str) -> System:
         """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.

@@ -68,9 +68,10 @@ def find_wires(flat: Flat, system: System) -> list[Wire]:
     """The way to every fed component connector, and to every output of the outermost system."""
     ends = [n for n in flat.hops if n.owner in flat.sources]
     ends += [n for n in flat.connectors("", "output", "calculatedParameter") if n in flat.hops]
-    for node in {n for end in ends for n in (end, flat.hops[end].source)} if ends else ():
+    wires = [_follow(flat, end) for end in ends]
+    for node in dict.fromkeys(n for wire in wires for n in wire.nodes):
         _check(flat, system, node)
-    return [_follow(flat, end) for end in ends]
+    return wires
 
 
 def _follow(flat: Flat, end: Node) -> Wire:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from orchestrator.errors import Problem, UnknownSignal
 from orchestrator.files.trace import Trace
+from orchestrator.symbols import linear
 from orchestrator.validation.metrics import Metrics, measure
 from orchestrator.validation.reference import Reference, Signal
 from orchestrator.validation.tolerance import Tolerance
-from orchestrator.validation.units import linear
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace
+from orchestrator.symbols import convert, linear, shown
 from orchestrator.validation import wording
 from orchestrator.validation.compare import Row, Validation
-from orchestrator.validation.units import convert, linear, shown
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.errors import Problem
+from orchestrator.symbols import linear, parse
 from orchestrator.validation.columns import read_columns
 from orchestrator.validation.tolerance import Tolerance, read_tolerance
-from orchestrator.validation.units import linear, parse
 
 KINDS = ("simulation", "measurement", "published")
 _NUMBER = (int, float)

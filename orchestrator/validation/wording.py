@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.symbols import linear, shown
 from orchestrator.validation.compare import Row
 from orchestrator.validation.tolerance import METRICS
-from orchestrator.validation.units import linear, shown
 
 NAMES = {
     "nrmse": "NRMSE",

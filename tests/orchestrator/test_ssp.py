@@ -178,6 +178,27 @@ def test_a_start_value_reaches_inputs_through_a_system_connector(make):
     assert run(path, step=0.5, set={"command": 3}).trace["a.y"][0] == 3.0
 
 
+@pytest.mark.parametrize(
+    ("unit", "value"), [("bar", 180e5), ("psi", 180 * 6894.757293168361), ("kPa", 180e3)]
+)
+def test_a_unit_that_no_file_defines_is_read_by_its_symbol(fmus, zip_ssp, unit, value):
+    """A parameter set with unit="bar" and no definition is 180 bar, not 180 Pa."""
+    fmu = fmus.make("gain", "pressed", units={"u": "Pa"})
+    bindings = inline(("u", f'<ssv:Real value="180" unit="{unit}"/>'))
+    path = zip_ssp(ssd(system([gain("a", bindings, "p.fmu")], []), ""), {"p.fmu": fmu})
+    assert load(path).components["a"].start["u"] == pytest.approx(value, rel=1e-15)  # rounding of one product
+
+
+@pytest.mark.parametrize("unit", ["kg", "L/min", "-"])
+def test_a_unit_that_does_not_fit_is_refused(fmus, zip_ssp, unit):
+    """A mass for a pressure: parameter, both units."""
+    fmu = fmus.make("gain", "pressed", units={"u": "Pa"})
+    bindings = inline(("u", f'<ssv:Real value="180" unit="{unit}"/>'))
+    path = zip_ssp(ssd(system([gain("a", bindings, "p.fmu")], []), ""), {"p.fmu": fmu})
+    with pytest.raises(Problem, match=rf"parameter a\.u: the units cannot be converted, {unit}.* and Pa = "):
+        load(path)
+
+
 def test_parameter_files_inside_the_fmu(fmus, zip_ssp):
     """sourceBase="component" looks inside the FMU."""
     ssv = """<ParameterSet version="1.0" name="p"><Parameters>

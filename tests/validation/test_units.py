@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.errors import Problem
-from orchestrator.validation.units import convert, linear, parse, shown
+from orchestrator.symbols import convert, linear, parse, shown
 
 # Unit, value in it, value in SI, SI unit: by definition (pound 0.45359237 kg, inch 25.4 mm, gallon 231 in3).
 SAMPLES = [

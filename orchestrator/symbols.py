@@ -1,4 +1,4 @@
-"""Units of files and figures: read a unit string, convert values, choose what to show.
+"""Units by their symbols: read a unit string, convert values, choose what to show.
 
 A unit is a product of powers of kg, m, s, A, K and rad: value in SI = factor * value + offset.
 The angle counts as a base unit of its own, so that Hz and rad/s are never mixed up.
