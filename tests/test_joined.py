@@ -295,10 +295,11 @@ def test_restored_state_repeats_bit_for_bit(fmu_dir):
 def test_model_exchange_gives_what_co_simulation_gives(fmu_dir):
     """One second with an open valve, CVode against the FMU's own solver."""
     common = {"filename": str(fmu_dir / "harvester.fmu"), "stop_time": 1.0, "output_interval": 0.05}
-    common["relative_tolerance"] = 1e-8
+    common["relative_tolerance"] = 1e-7
     common["start_values"] = {"boom_command": 1.0, "swing_command": -2.0}
     cs = fmpy.simulate_fmu(fmi_type="CoSimulation", **common)
     me = fmpy.simulate_fmu(fmi_type="ModelExchange", solver="CVode", **common)
     for name in cs.dtype.names[1:]:
-        # CVode lets errors of 1e-8 per step add up to 2e-4 of range here; a void of 1e-12 m3 is no signal
-        assert np.max(np.abs(cs[name] - me[name])) <= 1e-3 * np.ptp(me[name]) + 1e-12, name
+        # CVode lets errors of 1e-7 per step add up to 4e-5 of range here; a void of 1e-12 m3 is no signal.
+        # At 1e-8 it wants more than the 500 steps that FMPy allows between two outputs
+        assert np.max(np.abs(cs[name] - me[name])) <= 2e-4 * np.ptp(me[name]) + 1e-12, name

@@ -16,7 +16,7 @@ OK, DISCARD, ERROR = 0, 2, 3
 def test_nominals_are_known_before_the_initialisation(open_fmu):
     """fmi2GetNominalsOfContinuousStates is allowed as soon as there is an instance (table in 3.2.3).
 
-    They are a thousandth of the magnitudes in modelDescription.xml: importers make absolute tolerances of them.
+    They are a thousandth of the magnitudes in modelDescription.xml: importers make tolerances of them.
     """
     fmu = open_fmu("chamber", model_exchange=True)
     nominals = (ctypes.c_double * 3)()

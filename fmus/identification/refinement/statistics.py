@@ -95,7 +95,7 @@ def _inverse(matrix: Array) -> Array:
     diagonal = np.diag(matrix)
     scale = 1 / np.sqrt(np.maximum(diagonal, np.finfo(float).eps * max(diagonal.max(), 1.0)))
     sizes, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    sizes = np.maximum(sizes, np.finfo(float).eps * sizes[-1])
+    sizes = np.maximum(sizes, np.finfo(float).eps * (sizes[-1] or 1.0))  # 1: no information at all
     return np.asarray((vectors / sizes) @ vectors.T * np.outer(scale, scale))
 
 
