@@ -1,7 +1,7 @@
 """What each tool makes of what the rules find. One row per tool and rule; the evidence stands beside it.
 
-Simulink, Dymola, Amesim and OpenModelica were judged by issue threads, without running them. The others run
-in this project's tests, or their sources were read. A thread is evidence for the tool that imports the FMU;
+Simulink, Dymola and Amesim were judged by issue threads, without running them. The others run in this
+project's tests, or their sources were read. A thread is evidence for the tool that imports the FMU;
 one about FMUs that a tool has made stands beside the rule only.
 """
 
@@ -91,7 +91,7 @@ DYMOLA = Tool(
 OPENMODELICA = Tool(
     "openmodelica",
     "OpenModelica",
-    THREADS,
+    RUN,
     {
         "structure.initial": _warning("lists the missing unknowns as warnings", "OpenModelica#8080"),
         "name.keyword": _warning("such a name is no Modelica identifier", "OpenModelica#5706"),
@@ -99,6 +99,7 @@ OPENMODELICA = Tool(
             "the imported Modelica code may not compile", "OpenModelica#4707 OpenModelica#5706"
         ),
         "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
+        "run.late": _error("sets parameters and states there", "OpenModelica#16354 OpenModelica#12893"),
         "version.new": _warning(
             "imports FMI 3.0 only since pull request 16268 (2026), Model Exchange", "OpenModelica#16268"
         ),
@@ -175,6 +176,9 @@ OMSIMULATOR = Tool(
             "lists the missing unknowns as warnings", "OMSimulator#838 OpenModelica#8080"
         ),
         "structure.dependencies": _warning("sees algebraic loops that are not there", "PythonFMU#258"),
+        "structure.rates": _error(
+            "in Model Exchange counts them as states: 'fmi2GetContinuousStates: 7 states, expected 4'", ""
+        ),
         "python.needed": _error("the library does not load", ""),
     },
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,10 @@ from typing import Any
 from orchestrator.trial.beacon import Beacon
 from orchestrator.trial.binary import Binary, find
 from orchestrator.trial.declared import Declared
-from orchestrator.trial.player import Player, watched
+from orchestrator.trial.player import Player, difference, movable, watched
 from orchestrator.trial.values import scalars
 
+SHOWN = 5  # inputs in a message
 Said = tuple[str, str]  # severity, text
 Task = Callable[["Bench"], Iterator[Said]]
 
@@ -71,3 +72,12 @@ class Bench:
     def names(self) -> list[str]:
         """Names of the scalars in a row."""
         return scalars(watched(self.declared))
+
+    def difference(self, first: Sequence[Sequence[float]], second: Sequence[Sequence[float]]) -> str:
+        """In words: where two runs differ first, and which inputs were moved; empty when they do not."""
+        text = difference(self.names(), first, second)
+        moved = scalars(movable(self.declared)) if self.pokes else []
+        if not text or not moved:
+            return text
+        more = f" and {len(moved) - SHOWN} more" if len(moved) > SHOWN else ""
+        return f"{text}, while {', '.join(moved[:SHOWN])}{more} moved"

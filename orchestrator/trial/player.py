@@ -18,6 +18,7 @@ from orchestrator.trial.values import Values
 INNER = 12  # inner steps of model exchange per advance: enough to move, whatever the stiffness
 PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # inputs move like this, step by step
 PUSH = 1e-3  # of the magnitude of an input: small, because nobody knows what is allowed
+ROUNDING = 1e-13  # of the nominal value: less is zero
 LOCALS = 100  # variables that are watched where there is no output
 
 
@@ -57,6 +58,7 @@ class Player:
         self.step, self.summed = step or declared.step, summed
         self.inputs = Values(self.instance, movable(declared) if inputs is None else inputs)
         self.outputs = Values(self.instance, watched(declared))
+        self._floors = [ROUNDING * v.nominal for v in self.outputs.variables for _ in range(v.size)]
         self.exchange: Exchange | None = None
         self.rest: list[float] = []  # inputs after initialisation
 
@@ -99,8 +101,10 @@ class Player:
         self.time = self.time + self.step if self.summed else self.start + self.number * self.step
 
     def row(self) -> list[float]:
-        """Outputs."""
-        return self.outputs.get()
+        """Outputs; what is rounding beside their magnitude is 0, and so is -0."""
+        return [
+            0.0 if abs(x) <= floor else x for x, floor in zip(self.outputs.get(), self._floors, strict=True)
+        ]
 
     def run(self, count: int, poke: bool = False) -> list[list[float]]:
         """Rows after each of `count` steps."""

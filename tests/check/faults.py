@@ -145,6 +145,7 @@ XML_FAULTS = [
     Fault("unknown twice", "structure.entries", xml(OUTPUTS, OUTPUTS.replace("<Outputs>", '<Outputs><Unknown index="6" dependencies="4"/>')), "2 times"),
     Fault("unknown of no variable", "structure.entries", xml(INITIAL, INITIAL.replace("</I", '<Unknown index="77"/></I')), "77"),
     Fault("derivative of nothing", "structure.derivatives", xml(' derivative="4"', ""), "no attribute derivative"),
+    Fault("derivative of an input", "structure.rates", variable('<Real unit="Pa/s" start="0" derivative="2"/>', "u_rate", causality="input"), "taken for states by some tools: u_rate", severity="warning"),
     Fault("derivative of nothing", "structure.derivatives", xml(' derivative="3"', ' derivative="33"'), "33", 3),
     Fault("no dependencies", "structure.dependencies", xml(OUTPUTS, '<Outputs><Unknown index="6"/></Outputs>'), "feed-through", severity="warning"),
     Fault("no dependencies", "structure.dependencies", xml(' dependencies="3" dependenciesKind="constant"', ""), "feed-through", 3, "warning"),

@@ -68,6 +68,7 @@ FAULTS = (
     Planted("resources", "fmi2Instantiate returned", "location"),
     Planted("resources", "fmi3Instantiate returned", "letters", major=3),
     Planted("state", "goes on in another way after its state was restored", "solver"),
+    Planted("state", "while u moved", "solver"),
     Planted("serialize", "in fmi2DeSerializeFMUstate", "pointer"),
     Planted("serialize", "more is written than the announced", "beyond"),
     Planted("reset", "the run after a reset differs", "reset"),
@@ -79,6 +80,12 @@ FAULTS = (
     Planted("dependencies", "force changes with u, its dependencies list", change=NO_DEPENDENCY),
     Planted("dependencies", "force changes with u, its dependencies list", change=NO_DEPENDENCY_3, major=3),
     Planted("dependencies", "der_v changes with v, its dependencies list", change=FEWER_STATES),
+    Planted("nominals", "model exchange: the nominal value of v is 0, expected one above 0", "nominal"),
+    Planted("nominals", "model exchange: the nominal value of v is 0", "nominal", major=3),
+    Planted("late", "parameters cannot be set after fmi2ExitInit", "parameters", severity="note"),
+    Planted("late", "stiffness is set to 40.04 after", "deaf", severity="note"),
+    Planted("late", "states cannot be set before fmi2EnterContinuous", "states", severity="note"),
+    Planted("stiff", "an eigenvalue of 5e+04 1/s: explicit Euler wants", "stiff", severity="note"),
     Planted("values", "u = nan: position is nan even after the input", "accepts", severity="warning"),
     Planted("values", "segmentation fault in fmi2SetReal", "input"),
     Planted("order", "(a step before the initialisation)", "order", severity="warning"),
@@ -173,6 +180,24 @@ def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
 def test_a_good_fmu_gives_nothing(oscillators, tmp_path, major):
     """No probe has anything to say of the oscillator without fault."""
     assert apply(oscillators.make(major), tmp_path) == []
+
+
+def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):
+    """-0 for 0, and 8e-15 of a nominal value of 1: neither by restored states nor by other instances."""
+    for major in (2, 3):
+        path = oscillators.make(major, "zero")
+        assert apply(path, tmp_path / f"{major}", "state", "serialize", "reset", "instances") == []
+
+
+def test_folders_of_compilers_are_no_platforms(oscillators, tmp_path):
+    """Static libraries lie in folders below their platform: binaries/win32/VisualStudio10/x.lib."""
+    subject = opened(oscillators.make(), tmp_path)
+    (binary,) = (tmp_path / "binaries").iterdir()
+    below = binary.with_name("win32") / "VisualStudio10"
+    below.mkdir(parents=True)
+    next(binary.iterdir()).rename(below / "oscillator.lib")
+    (found,) = RULES["possible"](subject)
+    assert found.text.endswith(", found win32: the FMU was not run")
 
 
 def test_a_table_that_doubles_is_no_leak():

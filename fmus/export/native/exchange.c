@@ -40,17 +40,33 @@ void exchange_hold(Instance *self) {
     self->held.evaluated = self->held.moved = 0;
 }
 
+/* Some importers start their solver anew only where states have changed their values (fmusim does). */
+int exchange_restarts(Instance *self) {
+    const int restart = self->held.restart;
+    self->held.restart = 0;
+    return restart;
+}
+
 Status exchange_enter(Instance *self) {
     if (close_initialisation(self) != OK) return ERROR;
     exchange_hold(self);
     return instance_enter(self, CONTINUOUS_TIME);
 }
 
+/* Euler's method is what some importers take if nothing is said. */
+static void advise(Instance *self, Status kind) {
+    if (!EXPLICIT_FIRST)
+        core_message(&self->core, kind, "with an explicit solver: the model is stiff, take an implicit one such as CVode");
+}
+
 Status exchange_completed(Instance *self, int *event) {
-    if (!core_sound(&self->core)) return ERROR;
+    if (!core_sound(&self->core)) {
+        advise(self, ERROR);
+        return ERROR;
+    }
     *event = 0;
     if (inputs_differ(self)) {
-        *event = self->held.evaluated && !self->held.moved;
+        *event = self->held.restart = self->held.evaluated && !self->held.moved;
         exchange_hold(self);
     }
     return OK;
@@ -95,6 +111,7 @@ Status exchange_derivatives(Instance *self, double dx[], size_t n) {
         if (isfinite(dx[i])) continue;
         core_message(core, DISCARD, "the derivative of %s is %g at t = %.9g s",
                      model_variables[FIRST_STATE + i].name, dx[i], core->s.time);
+        advise(self, DISCARD);
         return DISCARD;
     }
     return OK;

@@ -132,7 +132,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     for (int i = 0; i < 6; i++)
         if (!given(instance, results[i], 1)) return fmi3Error;
     *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
-    *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
+    *nominalsOfContinuousStatesChanged = fmi3False;
+    *valuesOfContinuousStatesChanged = exchange_restarts(instance);
     *nextEventTimeDefined = exchange_next_event(instance, nextEventTime) != 0;
     return fmi3OK;
 }

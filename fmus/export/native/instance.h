@@ -39,6 +39,7 @@ typedef struct Instance {
         double at[ROOM(NU)]; /* the inputs after their last change */
         int evaluated;       /* derivatives were computed since then */
         int moved;           /* with other inputs */
+        int restart;         /* the next update at an event makes the solver start anew */
     } held;
     char name[];
 } Instance;
@@ -85,6 +86,8 @@ LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_
 LOCAL Status exchange_enter(Instance *self);
 /* The inputs are as they are from here on, whatever they were. */
 LOCAL void exchange_hold(Instance *self);
+/* Must the solver start anew after this update at an event? Asked once. */
+LOCAL int exchange_restarts(Instance *self);
 /* The solver's step is done; `*event` is 1 where it must start anew. */
 LOCAL Status exchange_completed(Instance *self, int *event);
 LOCAL Status exchange_set_time(Instance *self, double time);

@@ -12,7 +12,7 @@ ADJOINT = ("providesAdjointDerivatives",)
 ORDER = ("maxOutputDerivativeOrder",)
 UPDATE = ("providesIntermediateUpdate",)
 EARLY = ("canReturnEarlyAfterIntermediateUpdate",)
-CS = ("cs",)
+CS, ME = ("cs",), ("me",)
 
 # name, what must hold, check, threads where it was seen
 TABLE: tuple[tuple[str, str, Check, str], ...] = (
@@ -110,6 +110,14 @@ TABLE: tuple[tuple[str, str, Check, str], ...] = (
         probe("slopes:dependencies"),
         "FMIKit#21 PyFMI#232",
     ),
+    ("nominals", "Nominal values of states are positive", probe("solver:nominals", sides=ME), ""),
+    (
+        "late",
+        "Parameters and states may be set between initialisation and continuous time",
+        probe("solver:late", sides=ME, major=2),
+        "OpenModelica#16354 OpenModelica#12893",
+    ),
+    ("stiff", "Explicit Euler can step the model", probe("solver:stiff", sides=ME), ""),
     ("values", "Senseless values are not answered with OK and NaN", probe("abuse:values"), "rumoca#347"),
     (
         "order",

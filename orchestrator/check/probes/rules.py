@@ -54,7 +54,8 @@ def _life(folder: Path) -> Life:
         return Life(declared, (), {}, {}, "neither co-simulation nor model exchange is offered")
     sides = [s for s in declared.sides if find(folder, declared, s) is not None]
     if not sides:
-        there = sorted({p.parent.name for p in (folder / "binaries").rglob("*") if p.is_file()})
+        files = [p.relative_to(folder / "binaries") for p in (folder / "binaries").rglob("*") if p.is_file()]
+        there = sorted({p.parts[0] for p in files if len(p.parts) > 1})
         has = ", ".join(there) if there else "none"
         wanted = " or ".join(folders(declared.major))
         return Life(declared, (), {}, {}, f"no binary for this platform, expected {wanted}, found {has}")

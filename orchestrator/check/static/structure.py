@@ -89,6 +89,18 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
             yield error(f"{variable}: its state {state.name} is {state.causality}, expected local or output")
 
 
+@RULES.rule("structure.rates", "Only derivatives of states have the attribute derivative in FMI 2.0")
+def rates(subject: Subject) -> Iterator[Finding]:
+    if subject.major != 2 or "ModelExchange" not in subject.model.interfaces:
+        return
+    said = [v for v in subject.model.variables if v.causality == "input" and v.said.get("derivative")]
+    if said:
+        names = some([v.name for v in said])
+        yield warning(
+            f"{said[0]}: inputs with the attribute derivative, taken for states by some tools: {names}"
+        )
+
+
 @RULES.rule(
     "structure.entries", "Entries of ModelStructure name variables, each once, in the order of the standard"
 )

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from orchestrator.trial.bench import Bench, Said
 from orchestrator.trial.binary import Refused
-from orchestrator.trial.player import Player, bits, difference
+from orchestrator.trial.player import Player, bits
 
 STEPS = 12
 THREADS = 4
@@ -18,10 +18,9 @@ def instances(bench: Bench) -> Iterator[Said]:
     """Runs one after the other and side by side give the same bits as a run alone."""
     alone = _alone(bench, 0)
     other = _alone(bench, 5)
-    names = bench.names()
     again = _alone(bench, 0)
     if bits(alone) != bits(again):
-        yield "error", f"a second run in the same process differs: {difference(names, alone, again)}"
+        yield "error", f"a second run in the same process differs: {bench.difference(alone, again)}"
         return
     try:
         first, second = bench.player().begin(), bench.player(name="second").begin()
@@ -32,12 +31,9 @@ def instances(bench: Bench) -> Iterator[Said]:
     for n in range(STEPS):  # the second one is a step behind
         rows[0].append(_one(bench, first, n))
         rows[1].append(_one(bench, second, n + 5))
-    for player, found, expected, which in (
-        (first, rows[0], alone, "first"),
-        (second, rows[1], other, "second"),
-    ):
+    for found, expected, which in ((rows[0], alone, "first"), (rows[1], other, "second")):
         if bits(found) != bits(expected):
-            text = difference(player.outputs.names, expected, found)
+            text = bench.difference(expected, found)
             yield "error", f"two instances disturb each other: in the {which} {text}"
             return
 
@@ -69,9 +65,8 @@ def threads(bench: Bench) -> Iterator[Said]:
     with ThreadPoolExecutor(THREADS) as pool:
         parallel = list(pool.map(lambda n: _alone(bench, n, count), range(THREADS)))
     sys.setswitchinterval(before)
-    names = bench.names()
     for n in range(THREADS):
         if bits(serial[n]) != bits(parallel[n]):
-            text = difference(names, serial[n], parallel[n])
+            text = bench.difference(serial[n], parallel[n])
             yield "error", f"{THREADS} instances in {THREADS} threads: {text}"
             return

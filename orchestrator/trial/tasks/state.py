@@ -10,7 +10,7 @@ from typing import Any
 from orchestrator.trial.bench import Bench, Said
 from orchestrator.trial.binary import Refused
 from orchestrator.trial.exchange import Exchange
-from orchestrator.trial.player import Player, bits, difference
+from orchestrator.trial.player import Player, bits
 
 BEFORE, AFTER = 7, 9  # steps before the state is saved, and after
 
@@ -26,7 +26,7 @@ def restore(bench: Bench) -> Iterator[Said]:
         player.back(mark)
         again = player.run(AFTER, bench.pokes)
         if bits(first) != bits(again):
-            text = difference(player.outputs.names, first, again)
+            text = bench.difference(first, again)
             yield "error", f"the run goes on in another way after its state was restored: {text}"
             break
     yield from _same_handle(player, state)
@@ -57,7 +57,7 @@ def reset(bench: Bench) -> Iterator[Said]:
     player.begin()
     again = [player.row(), *player.run(AFTER, bench.pokes)]
     if bits(first) != bits(again):
-        yield "error", f"the run after a reset differs: {difference(player.outputs.names, first, again)}"
+        yield "error", f"the run after a reset differs: {bench.difference(first, again)}"
     player.close()
 
 
@@ -105,7 +105,7 @@ def elsewhere(bench: Bench) -> Iterator[Said]:
             )
             continue
         if bits(again) != bits(handed["rows"]):
-            text = difference(player.outputs.names, handed["rows"], again)
+            text = bench.difference(handed["rows"], again)
             yield "error", f"a state from another process goes on in another way: {text}"
             break
     del junk

@@ -9,7 +9,7 @@ from typing import Any
 
 from orchestrator.trial.bench import Bench, Said
 from orchestrator.trial.binary import Refused
-from orchestrator.trial.player import bits, difference
+from orchestrator.trial.player import bits
 from orchestrator.trial.values import Values
 
 _B = ctypes.c_bool
@@ -74,7 +74,7 @@ def intermediate(bench: Bench) -> Iterator[Said]:
     if witness.problem:
         yield "error", f"in the intermediate update {witness.problem}"
     elif bits(rows) != bits(expected):
-        text = difference(player.outputs.names, expected, rows)
+        text = bench.difference(expected, rows)
         yield "error", f"results change when outputs are read in the intermediate update: {text}"
     player.close()
 
