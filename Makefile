@@ -10,7 +10,7 @@ TESTING := .venv/testing
 PEERS := .venv/peers
 DOCUMENTING := .venv/documenting
 
-.PHONY: demo test test-long lint bench bench-sensitivities bench-sweep bench-peers bench-live coverage docs clean
+.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage docs clean
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -43,6 +43,11 @@ bench-live: $(TESTING)
 bench-sweep: $(INSTALLED)
 	test -f build/harvester.ssp || $(BIN)/harvester build
 	$(BIN)/python -m benchmarks.sweep
+
+# every FMU and SSP in every tool that is found; writes the tables of docs/other-tools.md
+matrix: $(TESTING)
+	$(BIN)/harvester build
+	$(BIN)/python -m benchmarks.matrix
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers

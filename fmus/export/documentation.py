@@ -34,6 +34,8 @@ def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, ic
         step=tables.figure(step),
         stop=tables.figure(stop),
         tolerance=tables.figure(DEFAULT_TOLERANCE),
+        stiff=face.stiff,
+        rates=any(v.quantity.rate for v in face.inputs),
         icon=b64encode(icon).decode() if icon else "",
         style=Markup(environment.get_template("page.css").render()),
         text=text,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from orchestrator.cli.app import BUILD, SYSTEM, app
 from orchestrator.commands.options import Set, Swap
 from orchestrator.commands.texts import assignments, swaps
+from orchestrator.errors import Problem
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -50,12 +52,12 @@ def view(
     """Watch and drive the machine in a browser, in real time; or replay a result file."""
     from orchestrator.view.command import view as shown
 
-    chosen = system or (CONTROL if CONTROL.exists() else SYSTEM)
+    swapped = swaps(swap or [])
     shown(
-        chosen,
+        system or _usual(swapped),
         replay,
         pose,
-        swaps(swap or []),
+        swapped,
         assignments(set_ or []),
         host=host,
         port=port,
@@ -63,3 +65,30 @@ def view(
         open_=open_,
         results=results,
     )
+
+
+def _usual(swapped: Mapping[str, str]) -> Path:
+    """The system with the controller, else the one without; refuses a swap that only the latter takes."""
+    if not CONTROL.exists():
+        return SYSTEM
+    from orchestrator.system.ssp import load
+
+    if swapped:
+        try:
+            load(CONTROL).swapped(swapped)
+        except Problem as problem:
+            if SYSTEM.exists() and _takes(SYSTEM, swapped):
+                text = f"{problem}; {SYSTEM} has no controller and takes it: harvester view {SYSTEM}"
+                raise Problem(f"{text} {' '.join(f'--swap {n}={f}' for n, f in swapped.items())}") from None
+            raise
+    return CONTROL
+
+
+def _takes(system: Path, swapped: Mapping[str, str]) -> bool:
+    from orchestrator.system.ssp import load
+
+    try:
+        load(system).swapped(swapped)
+    except Problem:
+        return False
+    return True

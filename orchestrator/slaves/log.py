@@ -29,7 +29,8 @@ class Message:
     step: float = field(default=np.nan, compare=False)
 
     def __str__(self) -> str:
-        return f"{self.component} at t = {self.time:.6g} s: {self.text}"
+        when = "" if _TIME.search(self.text) else f" at t = {self.time:.6g} s"  # an FMU may tell a better one
+        return f"{self.component}{when}: {self.text}"
 
 
 @dataclass

@@ -1,0 +1,1 @@
+"""Every FMU and SSP in every tool that is present: what ran, how near it came, how long it took."""
