@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -81,3 +83,20 @@ def test_mistakes(
     told = capsys.readouterr().err.strip()
     assert expected in told
     assert "\n" not in told
+
+
+def test_a_swap_that_the_controller_cannot_use_is_offered_without_it(
+    fmu_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An FMU without the pressures that the controller measures: the message names the other system."""
+    (tmp_path / "build").symlink_to(fmu_dir, target_is_directory=True)
+    own = tmp_path / "own.fmu"
+    with zipfile.ZipFile(fmu_dir / "boom_stick.fmu") as old, zipfile.ZipFile(own, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, re.sub(rb'name="(\w+_(head|rod)_pressure)"', rb'name="my_\1"', old.read(name)))
+    monkeypatch.chdir(tmp_path)
+    assert main(["view", "--no-open", "--swap", "boom_stick=own.fmu"]) == 2
+    told = capsys.readouterr().err
+    assert "expected output boom_head_pressure [Pa], got none" in told
+    offer = "build/harvester.ssp has no controller and takes it: harvester view build/harvester.ssp --swap"
+    assert told.endswith(f"{offer} boom_stick=own.fmu\n")

@@ -1,0 +1,196 @@
+"""Model Exchange as importers do it: calls around the initialisation, inputs that change unseen."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy import fmi3
+from fmpy.fmi1 import FMICallException
+
+from fmus.export.build import build
+
+STATES = ("pressure", "flow", "heat")
+
+
+@dataclass
+class Chamber:
+    """chamber.fmu for Model Exchange, of either version, after the initialisation."""
+
+    fmu: Any
+    refs: dict[str, int]
+    new: bool
+
+    def get(self, *names: str) -> Any:
+        read = self.fmu.getFloat64 if self.new else self.fmu.getReal
+        values = list(read([self.refs[n] for n in names]))
+        return values[0] if len(names) == 1 else values
+
+    def set(self, **values: float) -> None:
+        write = self.fmu.setFloat64 if self.new else self.fmu.setReal
+        write([self.refs[n] for n in values], list(values.values()))
+
+    def put(self, *x: float) -> None:
+        """Set the continuous states."""
+        self.fmu.setContinuousStates((ctypes.c_double * 3)(*x), 3)
+
+    def derivatives(self) -> list[float]:
+        found = (ctypes.c_double * 3)()
+        call = self.fmu.getContinuousStateDerivatives if self.new else self.fmu.getDerivatives
+        call(found, 3)
+        return list(found)
+
+    def update(self) -> bool:
+        """An event update: have states changed?"""
+        found = self.fmu.updateDiscreteStates() if self.new else self.fmu.newDiscreteStates()
+        return bool(found[3])
+
+    def completed(self) -> bool:
+        """The end of a solver's step: is an event asked for?"""
+        return bool(self.fmu.completedIntegratorStep()[0])
+
+
+@pytest.fixture(params=[2, 3])
+def chamber(request, open_fmu, toys, tmp_path) -> Iterator[Callable[[], Chamber]]:
+    """Makes an instance of the chamber, whose pressure starts at half the supply's."""
+    if request.param == 2:
+
+        def old() -> Chamber:
+            made = open_fmu("chamber", model_exchange=True).start()
+            return Chamber(made.fmu, dict(made.refs), False)
+
+        yield old
+        return
+    sub, numbers = toys["chamber"]
+    path = build(sub, Path(tmp_path), numbers=numbers, fmi=3)
+    folder = fmpy.extract(str(path), str(tmp_path / "unpacked"))
+    description = fmpy.read_model_description(folder)
+    made = []
+
+    def new() -> Chamber:
+        fmu = fmi3.FMU3Model(
+            guid=description.guid, unzipDirectory=folder, modelIdentifier="chamber", instanceName="chamber"
+        )
+        fmu.instantiate()
+        made.append(fmu)
+        fmu.enterInitializationMode(startTime=0.0)
+        fmu.exitInitializationMode()
+        return Chamber(fmu, {v.name: v.valueReference for v in description.modelVariables}, True)
+
+    yield new
+    for fmu in made:
+        fmu.freeInstance()
+
+
+# ---- around the initialisation
+
+
+def test_parameters_and_inputs_may_be_set_after_the_initialisation(chamber):
+    """Start values that are calculated follow, until continuous-time mode is entered; then it is over."""
+    fmu = chamber()
+    fmu.set(supply=1e7, conductance=2e-11)
+    # initial: pressure = supply / 2, flow = conductance supply / 2; rounding of one product
+    np.testing.assert_allclose(fmu.get(*STATES), [5e6, 1e-4, 0.0], rtol=1e-15)
+    fmu.update()
+    fmu.set(supply=1.2e7)
+    np.testing.assert_allclose(fmu.get(*STATES), [6e6, 1.2e-4, 0.0], rtol=1e-15)
+    fmu.fmu.enterContinuousTimeMode()
+    fmu.set(supply=2e7)  # an input that moves leaves the states where they are
+    np.testing.assert_allclose(fmu.get(*STATES), [6e6, 1.2e-4, 0.0], rtol=1e-15)
+    with pytest.raises(FMICallException):
+        fmu.set(conductance=1e-11)
+    fmu.fmu.enterEventMode()
+    with pytest.raises(FMICallException):
+        fmu.set(conductance=1e-11)
+
+
+def test_states_may_be_set_in_event_mode_and_end_the_initialisation(chamber):
+    """As OpenModelica's import does: what it sets stays, whatever inputs are set afterwards."""
+    fmu = chamber()
+    fmu.update()
+    fmu.put(1e6, 2e-5, 3.0)
+    fmu.set(supply=1e7)
+    assert fmu.get(*STATES) == [1e6, 2e-5, 3.0]
+    with pytest.raises(FMICallException):
+        fmu.set(conductance=1e-11)
+    fmu.fmu.enterContinuousTimeMode()
+    assert fmu.get(*STATES) == [1e6, 2e-5, 3.0]
+
+
+def test_directional_derivatives_are_of_the_running_model_after_the_initialisation(chamber):
+    """States are knowns there, although parameters may still be set."""
+    fmu = chamber()
+    fmu.update()
+    (found,) = fmu.fmu.getDirectionalDerivative([fmu.refs["der_heat"]], [fmu.refs["pressure"]], [1.0])
+    assert found == pytest.approx(2 * 1e-11 * 1e7, rel=1e-12)  # of conductance pressure^2; rounding
+
+
+def test_co_simulation_stays_strict(open_fmu):
+    """After the initialisation a fixed parameter is fixed."""
+    fmu = open_fmu("chamber").start()
+    with pytest.raises(FMICallException):
+        fmu.set(conductance=2e-11)
+    assert "a fixed parameter can be set only before the initialisation is over" in fmu.errors()[-1]
+
+
+# ---- inputs that are held
+
+
+def running(make: Callable[[], Chamber]) -> Chamber:
+    """An instance in continuous-time mode."""
+    fmu = make()
+    fmu.update()
+    fmu.fmu.enterContinuousTimeMode()
+    return fmu
+
+
+def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
+    """All derivatives were computed with the old value: the solver has to start anew, once."""
+    fmu = running(chamber)
+    fmu.derivatives()
+    assert not fmu.completed()
+    fmu.set(supply=1.5e7)
+    assert fmu.completed()
+    fmu.fmu.enterEventMode()
+    assert fmu.update()  # some importers start anew only if states have changed
+    assert not fmu.update()
+    fmu.fmu.enterContinuousTimeMode()
+    fmu.derivatives()
+    assert not fmu.completed()
+
+
+def test_a_solver_that_is_ahead_of_the_output_is_told_as_well(chamber):
+    """It interpolates at outputs, so that no derivative is computed between two changes of the input."""
+    fmu = running(chamber)
+    fmu.derivatives()
+    for _ in range(3):  # outputs inside one step of the solver
+        assert not fmu.completed()
+    fmu.set(supply=1.5e7)
+    assert fmu.completed()
+
+
+def test_inputs_that_move_with_the_time_ask_for_nothing(chamber):
+    """The solver looks ahead with other values: at each of its stages, or at the end of the step alone."""
+    fmu = running(chamber)
+    for k in range(1, 4):
+        fmu.set(supply=2e7 + 1e5 * k)
+        fmu.derivatives()
+        assert not fmu.completed()
+        fmu.set(supply=2e7 + 1e5 * k - 5e4)  # an output between, interpolated
+        assert not fmu.completed()
+
+
+def test_a_restored_state_asks_for_nothing(chamber):
+    """It may come with other inputs."""
+    fmu = running(chamber)
+    state = fmu.fmu.getFMUState() if fmu.new else fmu.fmu.getFMUstate()
+    fmu.set(supply=1e7)
+    fmu.derivatives()
+    fmu.fmu.setFMUState(state) if fmu.new else fmu.fmu.setFMUstate(state)
+    assert not fmu.completed()
