@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from typing import Any
 
 import casadi as ca
@@ -11,11 +12,13 @@ import pytest
 from driver import driving
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
+from lxml import etree
 
 from fmus.contract import quantities, symbolic
 from fmus.machine import ALL, SUBSYSTEMS
 from fmus.parameters import values
 from fmus.reference import trace, work_cycle
+from orchestrator import load
 
 NAMES = tuple(SUBSYSTEMS)
 NUMBERS = {name: values(sub) for name, sub in SUBSYSTEMS.items()}
@@ -86,6 +89,25 @@ def staircase(name: str) -> np.ndarray:
     for n, h in height.items():
         table[n] = start[n] + h * np.repeat(levels, 2)
     return table
+
+
+def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
+    """Of every FMU: OMSimulator counts the variables with the attribute `derivative` as states.
+
+    Rate inputs are marked by an annotation; the orchestrator knows them all the same.
+    """
+    paths = [*fmu_dir.glob("*.fmu"), *fmu_dir.glob("variants/*.fmu")]
+    assert len(paths) == 19
+    for path in paths:
+        with zipfile.ZipFile(path) as archive:
+            root = etree.fromstring(archive.read("modelDescription.xml"))
+        said = root.findall("ModelVariables/ScalarVariable/Real[@derivative]")
+        assert len(said) == len(root.findall("ModelStructure/Derivatives/Unknown")), path.name
+        sub = next((s for s in ALL.values() if s.name == path.stem), None)
+        declared = {n: q.rate for n, q in quantities(sub.inputs).items() if q.rate} if sub else {}
+        if declared:
+            (component,) = load(path).components.values()
+            assert component.interface.rates == declared
 
 
 @pytest.mark.parametrize("name", NAMES)
