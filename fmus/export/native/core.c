@@ -169,7 +169,9 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
     case INPUT:
         s->u[reference - FIRST_INPUT] = s->set[reference - FIRST_INPUT] = value;
         core->touched = 1;
-        break;
+        core->start_valid &= s->settled;
+        core->dx_valid = core->y_valid = 0;
+        return;
     default: s->x[reference - FIRST_STATE] = value;
     }
     core->start_valid = core->dx_valid = core->y_valid = 0;

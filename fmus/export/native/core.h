@@ -31,6 +31,7 @@ typedef struct {
     int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
     int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched input or output is above its limit */
     int initial;          /* 1 as long as fixed parameters may be set, and states follow from the start values */
+    int settled;          /* 1 once the caller has the states at the start: inputs no longer change them */
     int phase, type;      /* of the FMI state machine, see instance.h */
 } State;
 

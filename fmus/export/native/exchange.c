@@ -2,7 +2,8 @@
 
    Some importers set parameters and states between fmi2ExitInitializationMode and continuous-time mode
    (OpenModelica's does), which the standard does not foresee. So the initialisation stays open until the first
-   states are set or integrated: until then fixed parameters may be set, and calculated start values follow. */
+   states are set or integrated: until then fixed parameters may be set, and calculated start values follow. They
+   follow inputs until the caller has got the states, or has updated the event at the start. */
 
 #include <math.h>
 #include <string.h>
@@ -10,6 +11,9 @@
 #include "instance.h"
 
 /* 1 if the caller's array is one of the model's states. */
+/* A state above its nominal value times this has diverged. */
+static const double FAR_OFF = 1e4;
+
 static int right_size(Instance *self, const double x[], size_t n) {
     if (n == NX) return given(self, x, n);
     core_message(&self->core, ERROR, "%zu states, expected %d", n, NX);
@@ -29,15 +33,24 @@ static Status close_initialisation(Instance *self) {
    their solver (FMPy's simulate_fmu does). A multistep method then goes on with the history of another right-hand
    side, and fails where that changes much. It is told to start anew when the inputs are others at the end of a step
    and all derivatives since they changed last were computed with their old values. Inputs that move with the time
-   do not look like that: the solver has looked ahead with other values. */
+   do not look like that in a solver that looks ahead; to Euler's method they do, and an event costs it nothing. */
+
+/* The time derivative of another input: of no use where the caller's solver moves that one. */
+static int is_rate(int input) {
+    for (int i = 0; i < NU; i++)
+        if (model_variables[FIRST_INPUT + i].rate == input) return 1;
+    return 0;
+}
 
 static int inputs_differ(const Instance *self) {
-    return memcmp(self->held.at, self->core.s.u, NU * sizeof(double)) != 0;
+    for (int i = 0; i < NU; i++)
+        if (self->held.at[i] != self->core.s.u[i] && !is_rate(i)) return 1;
+    return 0;
 }
 
 void exchange_hold(Instance *self) {
     memcpy(self->held.at, self->core.s.u, NU * sizeof(double));
-    self->held.evaluated = self->held.moved = 0;
+    self->held.evaluated = self->held.moved = self->held.restart = 0;
 }
 
 /* Some importers start their solver anew only where states have changed their values (fmusim does). */
@@ -47,27 +60,42 @@ int exchange_restarts(Instance *self) {
     return restart;
 }
 
+void exchange_settle(Instance *self) {
+    State *s = &self->core.s;
+    if (s->settled || s->phase == INITIALIZATION) return;
+    core_start(&self->core);
+    s->settled = 1;
+}
+
 Status exchange_enter(Instance *self) {
     if (close_initialisation(self) != OK) return ERROR;
     exchange_hold(self);
     return instance_enter(self, CONTINUOUS_TIME);
 }
 
-/* Euler's method is what some importers take if nothing is said. */
-static void advise(Instance *self, Status kind) {
-    if (!EXPLICIT_FIRST)
-        core_message(&self->core, kind, "with an explicit solver: the model is stiff, take an implicit one such as CVode");
+/* Euler's method is what some importers take if nothing is said; its states grow without bounds. */
+static void advise(Instance *self) {
+    const State *s = &self->core.s;
+    for (int i = 0; i < NX && !EXPLICIT_FIRST; i++) {
+        if (fabs(s->x[i]) < FAR_OFF * model_variables[FIRST_STATE + i].nominal) continue;
+        core_message(&self->core, WARNING,
+                     "%s = %.3g at t = %.9g s: if the solver is explicit, take an implicit one such as CVode, "
+                     "because the model is stiff",
+                     model_variables[FIRST_STATE + i].name, s->x[i], s->time);
+        return;
+    }
 }
 
 Status exchange_completed(Instance *self, int *event) {
     if (!core_sound(&self->core)) {
-        advise(self, ERROR);
+        advise(self);
         return ERROR;
     }
     *event = 0;
     if (inputs_differ(self)) {
-        *event = self->held.restart = self->held.evaluated && !self->held.moved;
+        *event = self->held.evaluated && !self->held.moved;
         exchange_hold(self);
+        self->held.restart = *event;
     }
     return OK;
 }
@@ -96,6 +124,7 @@ Status exchange_states(Instance *self, double x[], size_t n) {
     if (!right_size(self, x, n)) return ERROR;
     for (int i = 0; i < NX; i++)
         if (!core_get(&self->core, (unsigned)(FIRST_STATE + i), &x[i])) return ERROR;
+    exchange_settle(self);
     return OK;
 }
 
@@ -111,7 +140,7 @@ Status exchange_derivatives(Instance *self, double dx[], size_t n) {
         if (isfinite(dx[i])) continue;
         core_message(core, DISCARD, "the derivative of %s is %g at t = %.9g s",
                      model_variables[FIRST_STATE + i].name, dx[i], core->s.time);
-        advise(self, DISCARD);
+        advise(self);
         return DISCARD;
     }
     return OK;

@@ -11,6 +11,7 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
     if (!allowed(c, __func__, EVENT_MODE) || !given(c, eventInfo, 1)) return fmi2Error;
     memset(eventInfo, 0, sizeof *eventInfo);
+    exchange_settle(c);
     eventInfo->nextEventTimeDefined = exchange_next_event(c, &eventInfo->nextEventTime);
     eventInfo->valuesOfContinuousStatesChanged = exchange_restarts(c);
     return fmi2OK;

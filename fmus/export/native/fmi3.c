@@ -131,6 +131,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     if (!allowed(instance, __func__, EVENT_MODE)) return fmi3Error;
     for (int i = 0; i < 6; i++)
         if (!given(instance, results[i], 1)) return fmi3Error;
+    exchange_settle(instance);
     *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
     *nominalsOfContinuousStatesChanged = fmi3False;
     *valuesOfContinuousStatesChanged = exchange_restarts(instance);

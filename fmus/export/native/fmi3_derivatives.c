@@ -16,12 +16,12 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
 }
 
 /* From weights of the unknowns those of the knowns, in core->direction. */
-static void reverse(Core *core) {
+static void reverse(Core *core, int starting) {
     const State *s = &core->s;
     double *w = core->direction, *wdx = w + FIRST_DERIVATIVE, *wy = w + FIRST_OUTPUT;
     double wx[ROOM(NX)], wu[ROOM(NU)];
     core_start(core);
-    if (s->initial) {
+    if (starting) {
         double wp[ROOM(NP)];
         model_start_reverse(s->x, s->u, s->p, core->c, w + FIRST_STATE, wdx, wy, wx, wu, wp);
         memcpy(w + FIRST_PARAMETER, wp, NP * sizeof *wp);
@@ -43,7 +43,7 @@ static Status adjoint(Instance *self, const unsigned unknown[], size_t n_unknown
         if (!is_unknown(self, unknown[i])) return ERROR;
         core->direction[unknown[i]] += seed[i];
     }
-    reverse(core);
+    reverse(core, is_starting(self));
     for (size_t i = 0; i < n_known; i++) {
         result[i] = 0.0;
         if (is_time(self, known[i])) continue; /* nothing depends on it */

@@ -153,5 +153,6 @@ Status instance_enter(Instance *self, int phase) {
 
 Status instance_reset(Instance *self) {
     begin(self, self->core.s.type);
+    exchange_hold(self);
     return OK;
 }

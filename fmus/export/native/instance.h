@@ -72,6 +72,8 @@ LOCAL Status values_get(Instance *self, const unsigned r[], size_t n, double val
 LOCAL Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
 /* Is this the value reference of the time? */
 LOCAL int is_time(const Instance *self, unsigned r);
+/* Do states follow from start values now? */
+LOCAL int is_starting(const Instance *self);
 /* May this variable be a known or an unknown of a derivative? A message if not. */
 LOCAL int is_known(Instance *self, unsigned r);
 LOCAL int is_unknown(Instance *self, unsigned r);
@@ -84,6 +86,8 @@ LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_
 
 /* Continuous-time mode begins. */
 LOCAL Status exchange_enter(Instance *self);
+/* The caller has the states at the start. */
+LOCAL void exchange_settle(Instance *self);
 /* The inputs are as they are from here on, whatever they were. */
 LOCAL void exchange_hold(Instance *self);
 /* Must the solver start anew after this update at an event? Asked once. */

@@ -17,6 +17,7 @@ static int room(Instance *self, void **state) {
 
 Status states_get(Instance *self, void **state) {
     if (!room(self, state)) return ERROR;
+    if (self->core.s.settled) core_start(&self->core);
     snapshot_write(&self->core.s, *state);
     return OK;
 }
@@ -32,6 +33,7 @@ Status states_set(Instance *self, const void *state) {
         return refuse(self, "the saved state is none of this model");
     memcpy(&self->core.s, &restored, sizeof restored);
     core_changed(&self->core);
+    self->core.start_valid = restored.settled;
     exchange_hold(self);
     return OK;
 }

@@ -35,14 +35,14 @@ static const char *name_of(unsigned r) {
     return r < NUMBER_OF_VARIABLES ? model_variables[r].name : "(unknown value reference)";
 }
 
-static int starting(const Instance *self) { return self->core.s.phase & (INSTANTIATED | INITIALIZATION); }
+int is_starting(const Instance *self) { return self->core.s.phase & (INSTANTIATED | INITIALIZATION); }
 
 /* A known is an input or a state; at the start it is an input, a start value or a parameter. */
 int is_known(Instance *self, unsigned r) {
     if (r < NUMBER_OF_VARIABLES) {
         const Kind kind = model_variables[r].kind;
         if (kind == INPUT || kind == STATE) return 1;
-        if (starting(self) ? kind == FIXED || kind == TUNABLE : kind == CALCULATED_STATE) return 1;
+        if (is_starting(self) ? kind == FIXED || kind == TUNABLE : kind == CALCULATED_STATE) return 1;
     }
     refuse(self, "%s is not a known, expected an input or a state", name_of(r));
     return 0;
@@ -69,7 +69,7 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
         if (!is_known(self, known[i])) return ERROR;
         core->direction[known[i]] += seed[i];
     }
-    core_forward(core, starting(self));
+    core_forward(core, is_starting(self));
     for (size_t i = 0; i < n_unknown; i++) {
         if (!is_unknown(self, unknown[i])) return ERROR;
         result[i] = core->direction[unknown[i]];
@@ -87,7 +87,7 @@ Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, c
     core_derivatives(core);
     for (int i = 0; i < NX; i++) core->direction[FIRST_STATE + i] = core->dx[i];
     for (int i = 0; i < NU; i++) core->direction[FIRST_INPUT + i] = core_input_slope(core, i);
-    core_forward(core, starting(self));
+    core_forward(core, is_starting(self));
     for (size_t i = 0; i < n; i++) {
         const Variable *v = r[i] < NUMBER_OF_VARIABLES ? &model_variables[r[i]] : NULL;
         if (!v || (v->kind != OUTPUT && v->kind != STATE && v->kind != CALCULATED_STATE))
