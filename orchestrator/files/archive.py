@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -82,7 +83,10 @@ class Location:
         return Location(self.path, (*self.inside[:-1], _normal(joined)))
 
     def extract(self, folder: Path) -> None:
-        """Unpack this archive into `folder`; members that point outside of it are refused."""
+        """Unpack this archive, or copy this folder; members that point outside of the archive are refused."""
+        if self.is_folder:
+            shutil.copytree(self.path, folder)
+            return
         with self.zip() as archive:
             for name in archive.namelist():
                 if ".." in PurePosixPath(name).parts or name.startswith("/") or ":" in name or "\\" in name:

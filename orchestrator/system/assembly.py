@@ -44,9 +44,9 @@ def assemble(
     return whole.with_start(start or {})
 
 
-def open_component(name: str, fmu: Location) -> Component:
-    """A component from its FMU."""
-    return Component(name, read_interface(fmu), fmu)
+def open_component(name: str, fmu: Location, exchange: bool = False) -> Component:
+    """A component from its FMU, which takes part by Co-Simulation or by Model Exchange."""
+    return Component(name, read_interface(fmu, exchange), fmu)
 
 
 def join(system: System, source: Port, target: Port, after: Linear, notes: list[str]) -> Connection:

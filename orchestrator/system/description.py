@@ -15,8 +15,11 @@ from orchestrator.units import BASES, Unit
 SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
-def read_interface(fmu: Location) -> Interface:
-    """Read the model description of a co-simulation FMU, FMI 2.0 or 3.0 (file, archive member or folder)."""
+def read_interface(fmu: Location, exchange: bool = False) -> Interface:
+    """Read the model description of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
+
+    exchange   as an FMU for Model Exchange; else for Co-Simulation
+    """
     from fmpy import read_model_description
 
     source: Any = str(fmu.path) if fmu.is_folder else io.BytesIO(fmu.read())
@@ -25,13 +28,23 @@ def read_interface(fmu: Location) -> Interface:
         description = read_model_description(source, validate=False)
     except Exception as error:  # FMPy raises plain exceptions
         raise Problem(f"{fmu}: modelDescription.xml cannot be read: {error}") from error
-    if description.coSimulation is None:
-        other = "model exchange" if description.modelExchange is not None else "scheduled execution"
-        raise Problem(f"{fmu}: expected an FMU for co-simulation, got one for {other} only")
+    _check_kind(fmu, description, exchange)
     try:
-        return _interface(description, root)
+        return _interface(description, root, exchange)
     except Problem as problem:
         raise Problem(f"{fmu}: {problem}") from None
+
+
+def _check_kind(fmu: Location, description: Any, exchange: bool) -> None:
+    kinds = {
+        "co-simulation": description.coSimulation,
+        "model exchange": description.modelExchange,
+        "scheduled execution": description.scheduledExecution,
+    }
+    wanted = "model exchange" if exchange else "co-simulation"
+    if kinds[wanted] is None:
+        there = " and ".join(kind for kind, found in kinds.items() if found is not None)
+        raise Problem(f"{fmu}: expected an FMU for {wanted}, got one for {there or 'nothing'} only")
 
 
 def _root(fmu: Location) -> Any:
@@ -48,16 +61,18 @@ def _root(fmu: Location) -> Any:
     return root
 
 
-def _interface(description: Any, root: Any) -> Interface:
+def _interface(description: Any, root: Any, exchange: bool) -> Interface:
     fmi = int(root.get("fmiVersion")[0])
-    able = {name for name, value in root.find("CoSimulation").items() if value in ("true", "1")}
+    kind = root.find("ModelExchange" if exchange else "CoSimulation")
+    able = {name for name, value in kind.items() if value in ("true", "1")}
     units = {u.name: _unit(u) for u in description.unitDefinitions}
     declared = description.modelVariables
     refused = {v.name: what for v in declared if (what := _refusal(v))}
     variables = {v.name: _variable(v, units, fmi) for v in declared if v.name not in refused}
     _check(variables, refused, declared)
     inputs = {name for name, v in variables.items() if v.causality == "input"}
-    tool, experiment = description.coSimulation, description.defaultExperiment
+    tool = description.modelExchange if exchange else description.coSimulation
+    experiment = description.defaultExperiment
     feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
     names = _names(variables.values(), fmi)
     outputs = _dependencies(description.outputs, names)
@@ -71,10 +86,12 @@ def _interface(description: Any, root: Any) -> Interface:
         refused=refused,
         interpolates="canInterpolateInputs" in able and fmi == 2,
         rates=_rates(declared, root, variables),
-        slopes=int(tool.maxOutputDerivativeOrder or 0),
+        slopes=int(getattr(tool, "maxOutputDerivativeOrder", 0) or 0),
         rollback=bool(tool.canGetAndSetFMUstate),
         serializes=bool(tool.canSerializeFMUstate),
         only_one="canBeInstantiatedOnlyOncePerProcess" in able,
+        needs_tool="needsExecutionTool" in able,
+        indicators=int(description.numberOfEventIndicators or 0),
         varies="canHandleVariableCommunicationStepSize" in able,
         stateless=description.modelExchange is not None and not description.derivatives,
         inert=frozenset(inputs - _needed(description, inputs)),

@@ -77,6 +77,8 @@ class Interface:
     rollback      the FMU can save and restore its state
     serializes    it can turn a saved state into bytes
     only_one      only one instance of it may exist in a process
+    needs_tool    it runs only where the tool that made it is installed
+    indicators    number of its event indicators, in model exchange
     varies        it takes steps of any length; else all have to be of the same
     stateless     it declares, for model exchange, that it has no continuous states
     inert         inputs that, as it declares, neither a state nor an output depends on after the start
@@ -100,6 +102,8 @@ class Interface:
     rollback: bool = False
     serializes: bool = False
     only_one: bool = False
+    needs_tool: bool = False
+    indicators: int = 0
     varies: bool = True
     stateless: bool = False
     inert: frozenset[str] = frozenset()

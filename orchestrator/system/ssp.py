@@ -21,33 +21,36 @@ from orchestrator.units import IDENTITY, Linear, Unit
 DEFINITION = "SystemStructure.ssd"
 
 
-def load(path: str | Path) -> System:
-    """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU."""
+def load(path: str | Path, exchange: bool = False) -> System:
+    """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU.
+
+    exchange   its FMUs take part by Model Exchange; else by Co-Simulation, as `run` needs them
+    """
     file = Location(Path(path))
     suffix = file.path.suffix.lower()
     if not file.path.exists():
         raise Problem(f"{file}: no such file")
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
-        return single(file)
+        return single(file, exchange)
     if suffix == ".ssp" or file.is_folder:
-        return _load_ssd(file.member(DEFINITION))
+        return _load_ssd(file.member(DEFINITION), exchange)
     if suffix == ".ssd":
-        return _load_ssd(file)
+        return _load_ssd(file, exchange)
     raise Problem(f"{file}: expected a .ssp, .ssd or .fmu file")
 
 
-def single(fmu: Location) -> System:
+def single(fmu: Location, exchange: bool = False) -> System:
     """A system of one FMU, whose inputs are those of the system."""
-    component = open_component(fmu.path.stem, fmu)
+    component = open_component(fmu.path.stem, fmu, exchange)
     inputs = [v for v in component.interface.of("input") if v.kind != "String"]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
     start = component.interface.start
     return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
 
 
-def _load_ssd(ssd: Location) -> System:
+def _load_ssd(ssd: Location, exchange: bool = False) -> System:
     flat = read_ssd(ssd)
-    components = {name: open_component(name, fmu) for name, fmu in flat.sources.items()}
+    components = {name: open_component(name, fmu, exchange) for name, fmu in flat.sources.items()}
     try:
         system = _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
     except Problem as problem:
