@@ -2,32 +2,48 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lxml import etree
-
 from orchestrator.errors import Problem
-from orchestrator.system.interface import Interface, Variable
+from orchestrator.modelica.text import Scope, literal, number, quoted
+from orchestrator.system.interface import Interface, Value, Variable
 from orchestrator.system.system import Component
 
-KEYWORDS = frozenset(
-    re.findall(
-        r"\w+",
-        """algorithm and annotation block break class connect connector constant constrainedby der discrete
-        each else elseif elsewhen encapsulated end enumeration equation expandable extends external false
-        final flow for function if import impure in initial inner input loop model not operator or outer
-        output package parameter partial protected public pure record redeclare replaceable return stream then
-        true type when while within time fmu_folder fmu_instance fmu_states fmu_next""",
-    )
-)
+TYPES = {
+    "Real": "Real",
+    "Integer": "Integer",
+    "Enumeration": "Integer",
+    "Boolean": "Boolean",
+    "String": "String",
+}
+NOTHING = {"Real": "0.0", "Integer": "0", "Boolean": "0", "String": '""'}  # elements of empty arrays
 SHOWN_IN = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}  # units that Modelica tools know
 # tools take tolerance * nominal as absolute tolerance of a state: too loose for a pressure near zero; this is
 # the same share as an FMU of ours gives to a solver (fmus/export/native/exchange.c)
 FOR_TOLERANCES = 1e-3
 SIDE = 100.0  # of an icon, from its middle
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of the block, its name in Modelica, the FMU's variable and its value in the FMU."""
+
+    name: str
+    variable: Variable
+    value: Value
+
+
+@dataclass(frozen=True)
+class Held:
+    """An input that has a value where nothing is connected, and the names that this takes."""
+
+    value: float
+    use: str
+    constant: str
+    internal: str
 
 
 @dataclass(frozen=True)
@@ -37,16 +53,20 @@ class Model:
     name     of the Modelica class
     folder   of the unpacked FMU in the package's resources
     moving, outputs   its inputs and outputs, without those that are for rates
-    held     inputs that are a number where nothing is connected, -> that number
+    names    of inputs and outputs in Modelica
+    held     inputs that have a value where nothing is connected
+    scope    of the names in the block
     """
 
     name: str
     folder: str
     component: Component
-    identifier: str
     moving: Sequence[Variable]
     outputs: Sequence[Variable]
-    held: Mapping[str, float]
+    names: Mapping[str, str]
+    parameters: Sequence[Parameter]
+    held: Mapping[str, Held]
+    scope: Scope
 
     @property
     def face(self) -> Interface:
@@ -59,30 +79,54 @@ class Model:
         return [self.face.variables[name] for name in self.face.states]
 
 
-def model(name: str, component: Component, held: Collection[str]) -> Model:
+def model(name: str, folder: str, component: Component, held: Collection[str]) -> Model:
     """What a block needs; a Problem for an FMU that cannot be one.
 
-    held   inputs that are their start value where nothing is connected
+    component   the FMU, read for Model Exchange, with its own values
+    held        inputs that are their start value where nothing is connected
     """
-    assert component.source is not None  # components come from files
-    where, face = str(component.source), component.interface
-    root = etree.fromstring(component.source.member("modelDescription.xml").read())
-    exchange = root.find("ModelExchange")
-    if face.fmi != 2 or exchange is None:
-        raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange")
-    if int(root.get("numberOfEventIndicators") or 0):
-        raise Problem(f"{where}: expected an FMU without event indicators, state events are not supported")
-    if root.findall("ModelStructure/Derivatives/Unknown") and not face.states:
-        raise Problem(f"{where}: expected continuous states with all their derivatives among the variables")
-    other = [v.name for v in face.variables.values() if not v.is_real and v.causality in ("input", "output")]
-    if other:
-        raise Problem(f"{where}: expected inputs and outputs that are real numbers, {other[0]} is none")
-    for v in face.variables.values():
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", v.name):
-            raise Problem(f"{where}: {v.name!r} is no identifier in Modelica, expected letters, digits and _")
+    face, scope = component.interface, Scope()
+    _check(f"{component.source}", face)
     outputs, moving = _used(face)
-    numbers = {v.name: float(component.value(v.name)) for v in moving if v.name in held}
-    return Model(name, component.name, component, exchange.get("modelIdentifier"), moving, outputs, numbers)
+    names = {v.name: scope.add(v.name) for v in [*moving, *outputs]}
+    parameters = [
+        Parameter(scope.add(v.name), v, component.value(v.name))
+        for v in face.of("parameter")
+        if v.start is not None
+    ]
+    free = [v for x in face.states if (v := face.variables[x]).initial == "exact" and v.start is not None]
+    parameters += [Parameter(scope.add(f"{v.name}_start"), v, component.value(v.name)) for v in free]
+    for p in parameters:
+        if isinstance(p.value, float) and math.isnan(p.value):
+            raise Problem(f"{component.source}: {p.variable.name}: expected a number to start with, got nan")
+    wanted = [v for v in moving if v.name in held]
+    kept = {v.name: _held(v.name, float(component.value(v.name)), scope) for v in wanted}
+    return Model(name, folder, component, moving, outputs, names, parameters, kept, scope)
+
+
+def _held(name: str, value: float, scope: Scope) -> Held:
+    return Held(
+        value, scope.add(f"use_{name}_in"), scope.add(f"{name}_constant"), scope.add(f"{name}_internal")
+    )
+
+
+def _check(where: str, face: Interface) -> None:
+    """Refuse FMUs that the functions of the package cannot run."""
+    if face.fmi != 2:
+        raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {face.fmi}.0")
+    if face.indicators:
+        raise Problem(f"{where}: expected an FMU without event indicators, state events are not supported")
+    if face.only_one:
+        raise Problem(f"{where}: expected an FMU that can be instantiated twice in a process")
+    if face.needs_tool:
+        raise Problem(f"{where}: expected an FMU that runs by itself, this one needs the tool that made it")
+    if not face.states and not face.stateless:
+        raise Problem(f"{where}: expected continuous states with all their derivatives among the variables")
+    for v in (v for v in face.variables.values() if v.causality in ("input", "output")):
+        if not v.is_real:
+            raise Problem(f"{where}: {v.name}: expected real inputs and outputs, got {v.kind}")
+        if v.causality == "input" and not v.is_continuous:
+            raise Problem(f"{where}: {v.name}: expected a continuous input, got a {v.variability} one")
 
 
 def _used(face: Interface) -> tuple[list[Variable], list[Variable]]:
@@ -105,44 +149,25 @@ def _used(face: Interface) -> tuple[list[Variable], list[Variable]]:
 # ---- text ------------------------------------------------------------------------------------------
 
 
-def identifier(name: str) -> str:
-    """A name that Modelica takes."""
-    return f"{name}_" if name in KEYWORDS else name
-
-
-def class_name(name: str) -> str:
-    """boom_stick -> BoomStick."""
-    return "".join(part[:1].upper() + part[1:] for part in re.split(r"[^A-Za-z0-9]+", name))
-
-
-def quoted(text: str) -> str:
-    """A Modelica string."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
-
-
-def number(value: float) -> str:
-    """A Modelica literal."""
-    return repr(float(value))
-
-
-def _attributes(v: Variable, **more: str) -> str:
+def attributes(v: Variable, **more: str) -> str:
     """(unit="Pa", displayUnit="bar", ...) or nothing."""
+    if not v.is_real:
+        return ""
     found = dict(more)
     if v.unit:
         found = {"unit": quoted(v.unit.name)} | found
         if v.unit.name in SHOWN_IN:
             found["displayUnit"] = quoted(SHOWN_IN[v.unit.name])
     for word, bound in (("min", v.minimum), ("max", v.maximum)):
-        if bound is not None and v.causality == "parameter":
+        if bound is not None and math.isfinite(bound) and v.causality == "parameter":
             found[word] = number(bound)
     return f"({', '.join(f'{k} = {x}' for k, x in found.items())})" if found else ""
 
 
-def connector(v: Variable, kind: str, side: float, place: float, condition: str = "") -> str:
+def connector(name: str, v: Variable, kind: str, side: float, place: float, condition: str = "") -> str:
     """One line: an input or output at a place of the icon, -100 to 100 from below."""
     extent = f"{{{{{side - 10:g}, {place - 10:g}}}, {{{side + 10:g}, {place + 10:g}}}}}"
-    declared = f"{identifier(v.name)}{_attributes(v)}{condition}"
+    declared = f"{name}{attributes(v)}{condition}"
     return (
         f"  Modelica.Blocks.Interfaces.{kind} {declared} {quoted(v.text)}\n"
         f"    annotation(Placement(transformation(extent = {extent})));\n"
@@ -155,81 +180,59 @@ def places(count: int) -> list[float]:
 
 
 def _references(variables: Iterable[Variable]) -> str:
-    refs = ", ".join(str(v.reference) for v in variables)
-    return f"{{{refs}}}" if refs else "fill(0, 0)"
+    return _vector((str(v.reference) for v in variables), "0")
 
 
-def _vector(names: Iterable[str]) -> str:
-    text = ", ".join(names)
-    return f"{{{text}}}" if text else "fill(0.0, 0)"
+def _vector(elements: Iterable[str], nothing: str = "0.0") -> str:
+    text = ", ".join(elements)
+    return f"{{{text}}}" if text else f"fill({nothing}, 0)"
 
 
-def parameters(m: Model) -> dict[str, tuple[Variable, float]]:
-    """What a user may set, by its name in Modelica: parameters, and start values of states as NAME_start."""
-    numbers = m.component.numbers()
-    free = {f"{v.name}_start": v for v in m.states if v.initial == "exact" and v.start is not None}
-    return {identifier(v.name): (v, numbers[v.name]) for v in m.face.of("parameter") if v.name in numbers} | {
-        name: (v, float(m.component.value(v.name))) for name, v in free.items()
-    }
+def declaration(p: Parameter) -> str:
+    """One line: a parameter."""
+    v = p.variable
+    return f"  parameter {TYPES[v.kind]} {p.name}{attributes(v)} = {literal(p.value)} {quoted(v.text)};\n"
 
 
-def choice(name: str) -> str:
-    """The parameter that says whether an input has a connector."""
+def choice(name: str, held: Held, v: Variable) -> str:
+    """Two parameters: has an input a connector, and its value if it has none."""
     return (
-        f'  parameter Boolean use_{name}_in = false "= true, if {name} comes from its connector"\n'
+        f'  parameter Boolean {held.use} = false "= true, if {name} comes from its connector"\n'
         "    annotation(Evaluate = true, choices(checkBox = true));\n"
+        f"  parameter Real {held.constant}{attributes(v)} = {number(held.value)} {quoted(v.text)}\n"
+        f"    annotation(Dialog(enable = not {held.use}));\n"
     )
 
 
 def block(m: Model, package: str) -> str:
     """The text of the block."""
-    given, states = parameters(m), m.states
+    states = m.states
+    inputs = {v.name: m.held[v.name].internal if v.name in m.held else m.names[v.name] for v in m.moving}
     text = [f"block {m.name} {quoted(m.face.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
-    text += [
-        f"  parameter Real {name}{_attributes(v)} = {number(value)} {quoted(v.text)};\n"
-        for name, (v, value) in given.items()
-    ]
-    for name, value in m.held.items():
-        v = m.face.variables[name]
-        text.append(
-            f'  parameter Boolean use_{name}_in = false "= true, if {name} comes from its connector"\n'
-            f"    annotation(Evaluate = true, choices(checkBox = true));\n"
-            f"  parameter Real {name}_constant{_attributes(v)} = {number(value)} {quoted(v.text)}\n"
-            f"    annotation(Dialog(enable = not use_{name}_in));\n"
-        )
-    for v, place in zip(m.moving, places(max(len(m.moving), 1)), strict=False):
-        condition = f" if use_{v.name}_in" if v.name in m.held else ""
-        text.append(connector(v, "RealInput", -SIDE - 10, place, condition))
-    for v, place in zip(m.outputs, places(max(len(m.outputs), 1)), strict=False):
-        text.append(connector(v, "RealOutput", SIDE + 10, place))
+    text += [declaration(p) for p in m.parameters]
+    text += [choice(name, held, m.face.variables[name]) for name, held in m.held.items()]
+    text += _connectors(m)
     text.append("protected\n")
     text += [
-        f"  Modelica.Blocks.Interfaces.RealInput {name}_internal{_attributes(m.face.variables[name])};\n"
-        for name in m.held
+        f"  Modelica.Blocks.Interfaces.RealInput {held.internal}{attributes(m.face.variables[name])};\n"
+        for name, held in m.held.items()
     ]
-    text.append(
-        "  parameter String fmu_folder =\n"
-        f'    ModelicaServices.ExternalReferences.loadResource("modelica://{package}/Resources/FMUs/{m.folder}");\n'
-        "  Internal.Instance fmu_instance = Internal.Instance(\n    fmu_folder,\n"
-        f"    {quoted(m.identifier)}, {quoted(m.face.guid)},\n"
-        f"    {_references(v for v, _ in given.values())},\n    {_vector(given)});\n"
-    )
+    text.append(_instance(m, package))
     if states:
         nominal = ", ".join(number(FOR_TOLERANCES * (v.nominal or 1.0)) for v in states)
         always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
         text.append(f"  Real fmu_states[{len(states)}]({always});\n")
     text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
-    inputs = {v.name: f"{v.name}_internal" if v.name in m.held else identifier(v.name) for v in m.moving}
-    if states:
-        text += _initial(m, states, inputs)
+    text += _initial(m, states, inputs) if states else []
     text.append("equation\n")
-    for name in m.held:
-        text.append(f"  connect({identifier(name)}, {name}_internal);\n")
-        text.append(f"  if not use_{name}_in then\n    {name}_internal = {name}_constant;\n  end if;\n")
+    for name, held in m.held.items():
+        text.append(f"  connect({m.names[name]}, {held.internal});\n")
+        text.append(f"  if not {held.use} then\n    {held.internal} = {held.constant};\n  end if;\n")
     text += _equations(m, states, inputs)
     text.append(
         "  when {initial(), time >= pre(fmu_next)} then\n"
-        f"    fmu_next = Internal.event(fmu_instance, time, {_states(m)});\n  end when;\n"
+        f"    fmu_next = Internal.event(fmu_instance, time, {_states(m)}, {_references(m.moving)},\n"
+        f"      {_vector(inputs[v.name] for v in m.moving)});\n  end when;\n"
     )
     if "model.png" in m.component.source.names():  # type: ignore[union-attr]  # see model
         picture = f'fileName = "modelica://{package}/Resources/FMUs/{m.folder}/model.png"'
@@ -237,6 +240,36 @@ def block(m: Model, package: str) -> str:
         text.append(f"  annotation(Icon(graphics = {{Bitmap({extent}, {picture})}}));\n")
     text.append(f"end {m.name};\n")
     return "".join(text)
+
+
+def _connectors(m: Model) -> list[str]:
+    text = []
+    for v, place in zip(m.moving, places(max(len(m.moving), 1)), strict=False):
+        condition = f" if {m.held[v.name].use}" if v.name in m.held else ""
+        text.append(connector(m.names[v.name], v, "RealInput", -SIDE - 10, place, condition))
+    for v, place in zip(m.outputs, places(max(len(m.outputs), 1)), strict=False):
+        text.append(connector(m.names[v.name], v, "RealOutput", SIDE + 10, place))
+    return text
+
+
+def _instance(m: Model, package: str) -> str:
+    """The FMU, with the parameters that it gets."""
+    lists = []
+    for kind, nothing in NOTHING.items():
+        same = [p for p in m.parameters if TYPES[p.variable.kind] == kind]
+        lists.append(
+            f"    {_references(p.variable for p in same)}, {_vector((_passed(p) for p in same), nothing)}"
+        )
+    return (
+        "  parameter String fmu_folder =\n"
+        f'    ModelicaServices.ExternalReferences.loadResource("modelica://{package}/Resources/FMUs/{m.folder}");\n'
+        "  Internal.Instance fmu_instance = Internal.Instance(getInstanceName(), fmu_folder,\n"
+        f"    {quoted(m.face.identifier)}, {quoted(m.face.guid)},\n" + ",\n".join(lists) + ");\n"
+    )
+
+
+def _passed(p: Parameter) -> str:
+    return f"if {p.name} then 1 else 0" if p.variable.kind == "Boolean" else p.name
 
 
 def _states(m: Model) -> str:
@@ -287,7 +320,7 @@ def _equations(m: Model, states: Sequence[Variable], inputs: Mapping[str, str]) 
             f"Internal.outputs(fmu_instance, time, {x}, {_references(u)},\n"
             f"    {_vector(inputs[w.name] for w in u)}, {_references(ys)})"
         )
-        text.append(_assigned([identifier(y.name) for y in ys], call))
+        text.append(_assigned([m.names[y.name] for y in ys], call))
     return text
 
 

@@ -10,16 +10,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from orchestrator.modelica.block import (
-    Model,
-    choice,
-    connector,
-    identifier,
-    number,
-    parameters,
-    places,
-    quoted,
-)
+from orchestrator.modelica.block import Model, choice, connector, declaration, places
+from orchestrator.modelica.text import Scope, quoted
 from orchestrator.system.interface import Variable
 
 
@@ -92,43 +84,44 @@ def with_flanges(m: Model, wanted: Collection[str]) -> str:
     taken = {f"{stem}_{word}" for stem, kind in found.items() for word, *_ in kind.signals}
     inputs = [v for v in m.moving if v.name not in taken]
     outputs = [v for v in m.outputs if v.name in wanted and v.name not in taken]
+    scope = Scope()
+    scope.taken |= m.scope.taken
+    ends = {stem: (scope.add(stem), scope.add(f"{stem}_adapter")) for stem in found}
     text = [f"model {m.name} {quoted(m.face.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
     text.append(_signals(m, inputs, outputs))
-    ends = places(len(found))
-    for (stem, kind), place in zip(found.items(), ends, strict=True):
+    for (stem, kind), place in zip(found.items(), places(len(found)), strict=True):
         x = -110.0 if kind.connector.endswith("_a") else 110.0
         text.append(
-            f"  {kind.connector} {stem}\n    annotation(Placement(transformation("
+            f"  {kind.connector} {ends[stem][0]}\n    annotation(Placement(transformation("
             f"extent = {{{{{x - 10:g}, {place - 10:g}}}, {{{x + 10:g}, {place + 10:g}}}}})));\n"
         )
-    held = "".join(f", use_{v.name}_in = use_{v.name}_in" for v in inputs if v.name in m.held)
-    text.append(f'  FMUs.{m.name} block_(\n{_passed(m)}{held}) "The FMU";\nprotected\n')
-    text += [f"  Flanges.{kind.adapter} {stem}_adapter;\n" for stem, kind in found.items()]
+    text.append(f'  FMUs.{m.name} block_(\n{_passed(m, inputs)}) "The FMU";\nprotected\n')
+    text += [f"  Flanges.{kind.adapter} {ends[stem][1]};\n" for stem, kind in found.items()]
     text.append("equation\n")
-    text += [_connect(identifier(v.name), f"block_.{identifier(v.name)}") for v in [*inputs, *outputs]]
+    text += [_connect(m.names[v.name], f"block_.{m.names[v.name]}") for v in [*inputs, *outputs]]
     for stem, kind in found.items():
-        text.append(_connect(stem, f"{stem}_adapter.flange"))
-        text += [_connect(f"block_.{stem}_{w}", f"{stem}_adapter.{w}") for w, *_ in kind.signals]
+        flange, adapter = ends[stem]
+        text.append(_connect(flange, f"{adapter}.flange"))
+        text += [_connect(f"block_.{m.names[f'{stem}_{w}']}", f"{adapter}.{w}") for w, *_ in kind.signals]
     return "".join([*text, f"end {m.name};\n"])
 
 
 def _signals(m: Model, inputs: Sequence[Variable], outputs: Sequence[Variable]) -> str:
-    text = [
-        f"  parameter Real {name} = {number(value)} {quoted(v.text)};\n"
-        for name, (v, value) in parameters(m).items()
-    ]
-    for v in inputs:
-        if v.name in m.held:
-            text.append(choice(v.name))
+    text = [declaration(p) for p in m.parameters]
+    text += [choice(v.name, m.held[v.name], v) for v in inputs if v.name in m.held]
     for v, x in zip(inputs, places(max(len(inputs), 1)), strict=False):
-        text.append(connector(v, "RealInput", x, -110.0, f" if use_{v.name}_in" if v.name in m.held else ""))
+        condition = f" if {m.held[v.name].use}" if v.name in m.held else ""
+        text.append(connector(m.names[v.name], v, "RealInput", x, -110.0, condition))
     for v, x in zip(outputs, places(max(len(outputs), 1)), strict=False):
-        text.append(connector(v, "RealOutput", x, 110.0))
+        text.append(connector(m.names[v.name], v, "RealOutput", x, 110.0))
     return "".join(text)
 
 
-def _passed(m: Model) -> str:
-    return ",\n".join(f"    {name} = {name}" for name in parameters(m))
+def _passed(m: Model, inputs: Sequence[Variable]) -> str:
+    """Parameters of the block that are those of the model."""
+    held = [m.held[v.name] for v in inputs if v.name in m.held]
+    names = [p.name for p in m.parameters] + [name for h in held for name in (h.use, h.constant)]
+    return ",\n".join(f"    {name} = {name}" for name in names)
 
 
 def _connect(a: str, b: str) -> str:

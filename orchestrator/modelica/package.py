@@ -2,18 +2,69 @@
 
 from __future__ import annotations
 
-import shutil
+import hashlib
+import json
+import re
+import tempfile
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from orchestrator.errors import Problem
-from orchestrator.modelica.block import Model, block, class_name, identifier, model, number
+from orchestrator.errors import Problem, suggest
+from orchestrator.files.archive import Location
+from orchestrator.modelica.block import Model, block, model
 from orchestrator.modelica.flanges import with_flanges
+from orchestrator.modelica.system import connected
+from orchestrator.modelica.text import PLAIN, RESERVED, Scope, class_name
 from orchestrator.system.ssp import load
-from orchestrator.system.system import System
+from orchestrator.system.system import Component, System
 
 TEMPLATES = files("orchestrator.modelica") / "templates"
+WRITTEN = "Resources/written.json"  # SHA-256 of each file of a package
+
+
+@dataclass
+class Blocks:
+    """The FMUs of a package: those with equal model descriptions are one block, with other names for it.
+
+    models   by the bytes of modelDescription.xml
+    names    class names by the FMU's file name
+    """
+
+    held: Collection[str]
+    models: dict[bytes, Model] = field(default_factory=dict)
+    names: dict[str, tuple[str, Model]] = field(default_factory=dict)
+    classes: Scope = field(default_factory=Scope)
+    folders: set[str] = field(default_factory=set)
+
+    def add(self, component: Component) -> Model:
+        """The block of a component."""
+        assert component.source is not None  # components come from files
+        stem = _stem(component.source)
+        key = component.source.member("modelDescription.xml").read()
+        found = self.models.get(key)
+        if stem in self.names and self.names[stem][1] is not found:
+            raise Problem(f"{component.source}: another FMU named {stem} is in the package already")
+        name = self.names[stem][0] if stem in self.names else self.classes.add(class_name(stem))
+        if found is None:
+            own = replace(component, name=stem, start={})
+            found = self.models[key] = model(name, self._folder(stem), own, self.held)
+        self.names[stem] = name, found
+        return found
+
+    def _folder(self, stem: str) -> str:
+        """A folder for the FMU, of letters that every file system and address takes."""
+        folder = re.sub(r"[^A-Za-z0-9_-]", "_", stem)
+        while folder.lower() in self.folders:
+            folder += "_"
+        self.folders.add(folder.lower())
+        return folder
+
+    @property
+    def aliases(self) -> list[str]:
+        """Other names of a block."""
+        return [f"  block {name} = {m.name};\n" for name, m in self.names.values() if name != m.name]
 
 
 def write_package(
@@ -21,72 +72,99 @@ def write_package(
 ) -> Path:
     """Write the package `name` into the folder `out`; the path of its package.mo.
 
-    systems   .ssp files, whose FMUs and connections go into it, and .fmu files
+    systems   .ssp files, whose FMUs and connections go into it, and .fmu files; FMI 2.0 for Model Exchange
     held      inputs that are their start value where nothing is connected
 
-    An FMU that is there several times is one block, with the values of the first; another one of the same
-    name is refused.
+    An earlier package of this name is replaced, unless there are files that were added or changed by hand.
     """
-    if identifier(name) != name or not name.isidentifier():
-        raise Problem(f"--name {name}: expected a name that Modelica takes, such as Harvester")
-    folder = Path(out) / name
-    loaded = [load(path) for path in systems]
-    models: dict[str, Model] = {}
-    there: set[str] = set()
-    for system in loaded:
-        for component in system.components.values():
-            known = models.get(component.name)
-            if known and known.face.guid != component.interface.guid:
-                raise Problem(
-                    f"{component.source}: another FMU named {component.name} is in the package already"
-                )
-            if known is None and (system.connections or component.interface.guid not in there):
-                models[component.name] = model(class_name(component.name), component, held)
-                there.add(component.interface.guid)
-    text = _package(name, models, loaded)
-    if folder.exists():
-        _remove(folder, name)
+    if not re.fullmatch(PLAIN, name) or name in RESERVED:
+        raise Problem(f"package name {name!r}: expected letters, digits and _, such as Harvester")
+    loaded = [load(path, exchange=True) for path in systems]
+    blocks = Blocks(held)
+    parts = [{c.name: blocks.add(c) for c in system.components.values()} for system in loaded]
+    _check_held(held, blocks)
+    text = _package(name, blocks, list(zip(loaded, parts, strict=True)))
+    folder = (Path(out) / name).resolve()
+    _check_place(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{name}-") as made:
+        _write(Path(made) / name, name, text, blocks)
+        if folder.exists():
+            folder.rename(Path(made) / "old")
+        (Path(made) / name).rename(folder)
+    return Path(out) / name / "package.mo"
+
+
+def _stem(source: Location) -> str:
+    """Name of an FMU's file without .fmu."""
+    name = PurePosixPath(source.inside[-1]).name if source.inside else source.path.name
+    return name.removesuffix(".fmu")
+
+
+def _check_held(held: Collection[str], blocks: Blocks) -> None:
+    inputs = {v.name for m in blocks.models.values() for v in m.moving}
+    for name in held:
+        if name not in inputs:
+            raise Problem(f"no FMU has an input {name!r}{suggest(name, sorted(inputs))}")
+
+
+def _write(folder: Path, name: str, text: str, blocks: Blocks) -> None:
     include = folder / "Resources" / "Include"
     include.mkdir(parents=True)
-    (include / "fmu.h").write_text(_template("fmu.h"), encoding="utf-8")
-    for m in models.values():
+    # two packages in one model need functions of different names
+    header = re.sub(r"\b(?=fmu_|Fmu|FMU_)", f"{name}_", _template("fmu.h"))
+    (include / f"{name}.h").write_text(header, encoding="utf-8", newline="\n")
+    for m in blocks.models.values():
         assert m.component.source is not None
         m.component.source.extract(folder / "Resources" / "FMUs" / m.folder)
-    path = folder / "package.mo"
-    path.write_text(text, encoding="utf-8", newline="\n")
-    return path
+    (folder / "package.mo").write_text(text, encoding="utf-8", newline="\n")
+    (folder / WRITTEN).write_text(json.dumps(_sums(folder), indent=1), encoding="utf-8")
 
 
-def _remove(folder: Path, name: str) -> None:
-    """An earlier package goes; anything else stays."""
-    first = folder / "package.mo"
-    if not first.is_file() or not first.read_text(encoding="utf-8").startswith(_head(name)):
-        raise Problem(f"{folder}: expected no such folder, or a package that this command wrote")
-    shutil.rmtree(folder)
+def _sums(folder: Path) -> dict[str, str]:
+    """SHA-256 by path of all files but the list itself."""
+    there = sorted(p for p in folder.rglob("*") if p.is_file() and p != folder / WRITTEN)
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in there}
+
+
+def _check_place(folder: Path) -> None:
+    """There is nothing, or a package that is as it was written: what else there is would be lost."""
+    if not folder.exists():
+        return
+    try:
+        written = json.loads((folder / WRITTEN).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise Problem(f"{folder}: expected no such folder, or a package that this command wrote") from None
+    for path, found in _sums(folder).items():
+        if written.get(path) != found:
+            what = "was changed" if path in written else "was added"
+            raise Problem(f"{folder / path} {what} by hand: move the package, or choose another name")
 
 
 def _template(name: str) -> str:
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
-def _head(name: str) -> str:
-    return f'package {name} "FMUs for Model Exchange as blocks, written by harvester modelica"\n'
-
-
 def _indented(text: str, depth: int = 1) -> str:
     return "".join("  " * depth + line if line.strip() else line for line in text.splitlines(keepends=True))
 
 
-def _package(name: str, models: dict[str, Model], systems: Sequence[System]) -> str:
-    read = {c.source.variable for s in systems for c in s.connections}
-    mechanical = [found for m in models.values() if (found := with_flanges(m, read))]
-    connected = [_system(s, models) for s in systems if s.connections]
+def _package(name: str, blocks: Blocks, systems: Sequence[tuple[System, dict[str, Model]]]) -> str:
+    read = {c.source.variable for system, _ in systems for c in system.connections}
+    mechanical = [found for m in blocks.models.values() if (found := with_flanges(m, read))]
+    scope = Scope()
+    wired = [
+        connected(system, parts, scope.add(class_name(system.name)))
+        for system, parts in systems
+        if system.connections
+    ]
+    fmus = [*(block(m, name) for m in blocks.models.values()), *blocks.aliases]
     parts = [
-        _head(name),
+        f'package {name} "FMUs for Model Exchange as blocks, written by harvester modelica"\n',
         "  extends Modelica.Icons.Package;\n\n",
-        _sub("FMUs", "One block for each FMU", "Package", [block(m, name) for m in models.values()]),
+        _sub("FMUs", "One block for each FMU", "Package", fmus),
         _sub("WithFlanges", "The same with mechanical flanges", "Package", mechanical) if mechanical else "",
-        _sub("Systems", "Connected as in their SSP", "ExamplesPackage", connected) if connected else "",
+        _sub("Systems", "Connected as in their SSP", "ExamplesPackage", wired) if wired else "",
         _indented(_template("Flanges.mo")) + "\n",
         _indented(_template("Internal.mo").replace("@PACKAGE@", name)) + "\n",
         '  annotation(uses(Modelica(version = "4.0.0")));\n',
@@ -98,35 +176,3 @@ def _package(name: str, models: dict[str, Model], systems: Sequence[System]) -> 
 def _sub(name: str, text: str, icon: str, members: Sequence[str]) -> str:
     inside = "\n".join(_indented(m, 2) for m in members)
     return f'  package {name} "{text}"\n    extends Modelica.Icons.{icon};\n\n{inside}  end {name};\n\n'
-
-
-def _system(system: System, models: dict[str, Model]) -> str:
-    """A model with the components and connections of a system."""
-    fed = {c.target for c in system.connections}
-    text = [f'model {class_name(system.name)} "{system.name}"\n  extends Modelica.Icons.Example;\n']
-    for name in system.components:
-        used = [f"use_{v}_in = true" for v in models[name].held if (name, v) in fed]
-        modified = f"({', '.join(used)})" if used else ""
-        text.append(f"  FMUs.{models[name].name} {identifier(name)}{modified};\n")
-    text.append("equation\n")
-    moving = {(n, v.name) for n, m in models.items() for v in m.moving}
-    for c in system.connections:
-        if tuple(c.target) not in moving:
-            continue  # the rate of another input
-        a = f"{identifier(c.source.component)}.{identifier(c.source.variable)}"
-        b = f"{identifier(c.target.component)}.{identifier(c.target.variable)}"
-        plain = (c.map.factor, c.map.offset) == (1.0, 0.0)
-        text.append(
-            f"  connect({a}, {b});\n"
-            if plain
-            else f"  {b} = {number(c.map.factor)} * {a} + {number(c.map.offset)};\n"
-        )
-    for name in system.components:
-        for v in models[name].moving:
-            if (name, v.name) not in fed and v.name not in models[name].held:
-                start = models[name].component.value(v.name)
-                text.append(f"  {identifier(name)}.{identifier(v.name)} = {number(float(start))};\n")
-    stop = f"StopTime = {number(system.stop)}, " if system.stop else ""
-    text.append(f"  annotation(experiment({stop}Interval = 0.02, Tolerance = 1e-8));\n")
-    text.append(f"end {class_name(system.name)};\n")
-    return "".join(text)

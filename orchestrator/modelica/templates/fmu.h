@@ -2,7 +2,9 @@
 
    There are two instances: `first` stays in initialization mode and gives the states at the start, `running` is in
    continuous-time mode. A function sets only the inputs that its results depend on; as these are the inputs that
-   modelDescription.xml declares for them, each is a function of its arguments alone. */
+   modelDescription.xml declares for them, each is a function of its arguments alone.
+
+   All names begin with that of the package: a model can use two packages. */
 
 #ifndef FMU_FOR_MODELICA_H
 #define FMU_FOR_MODELICA_H
@@ -40,25 +42,39 @@ typedef struct {
     void *environment;
 } FmuCallbacks;
 
+/* Parameters of one type. */
 typedef struct {
-    char *name;
+    size_t n;
+    unsigned *reference;
+    void *value;
+} FmuValues;
+
+/* An instance; `ready` once its first mode was reached without an error. */
+typedef struct {
+    void *fmu;
+    int ready;
+} FmuInstance;
+
+typedef struct {
+    char *name, *identifier, *guid, *location;
     void *library;
-    void *first, *running;
+    int is_lost; /* after fmi2Fatal nothing may be called */
+    FmuInstance first, running;
     FmuCallbacks callbacks;
-    size_t parameters;
-    unsigned *parameter;
-    double *value;
+    FmuValues reals, integers, booleans, strings;
     void *(*instantiate)(const char *, int, const char *, const char *, const FmuCallbacks *, int, int);
     void (*free_instance)(void *);
     int (*setup)(void *, int, double, double, int, double);
     int (*enter_initialization)(void *), (*exit_initialization)(void *);
     int (*enter_event)(void *), (*new_discrete_states)(void *, FmuEventInfo *), (*enter_continuous)(void *);
     int (*set_real)(void *, const unsigned *, size_t, const double *);
+    int (*set_integer)(void *, const unsigned *, size_t, const int *);
+    int (*set_boolean)(void *, const unsigned *, size_t, const int *);
+    int (*set_string)(void *, const unsigned *, size_t, const char **);
     int (*get_real)(void *, const unsigned *, size_t, double *);
     int (*set_time)(void *, double);
     int (*set_states)(void *, const double *, size_t);
     int (*get_derivatives)(void *, double *, size_t);
-    char *guid, *location;
 } Fmu;
 
 /* ---- library and messages */
@@ -83,15 +99,21 @@ static void *fmu_symbol(Fmu *f, const char *name) {
     return found;
 }
 
-static char *fmu_copy(const char *text) {
-    char *copy = malloc(strlen(text) + 1);
-    if (!copy) ModelicaError("out of memory");
-    return strcpy(copy, text);
+static void *fmu_memory(size_t size) {
+    void *found = calloc(1, size + 1);
+    if (!found) ModelicaError("out of memory");
+    return found;
 }
 
-/* fmi2Discard is no failure: the solver tries another step. */
+static char *fmu_copy(const char *text) {
+    return strcpy(fmu_memory(strlen(text)), text);
+}
+
+/* With fmi2Discard, too: a Modelica tool takes an error as a request for another step. */
 static void fmu_done(Fmu *f, int status, const char *call) {
-    if (status > 2) ModelicaFormatError("%s: %s failed, see the messages before", f->name, call);
+    if (status < 2) return;
+    f->is_lost |= status == 4;
+    ModelicaFormatError("%s: %s %s, see the messages before", f->name, call, status == 2 ? "was discarded" : "failed");
 }
 
 /* The folder of the FMU. Where a tool leaves the URI of a resource as it is, it is found from this file. */
@@ -101,59 +123,53 @@ static char *fmu_folder(const char *given) {
     if (!inside) return fmu_copy(given);
     size_t length = strlen(here);
     while (length > 0 && here[length - 1] != '/' && here[length - 1] != '\\') length--;
-    char *folder = malloc(length + strlen(inside) + 4);
-    if (!folder) ModelicaError("out of memory");
+    char *folder = fmu_memory(length + strlen(inside) + 4);
     memcpy(folder, here, length);
     strcpy(folder + length, "..");
     return strcat(folder, inside);
 }
 
+/* The URI of the resources: bytes that an address cannot hold are written as %XX. */
+static char *fmu_location(const char *folder) {
+    static const char plain[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._~/:";
+    char *uri = fmu_memory(3 * strlen(folder) + 32);
+    size_t at = (size_t)sprintf(uri, folder[0] == '/' ? "file://" : "file:///");
+    for (const char *c = folder; *c; c++) {
+        const char byte = *c == '\\' ? '/' : *c;
+        at += (size_t)sprintf(uri + at, strchr(plain, byte) ? "%c" : "%%%02X", (unsigned char)byte);
+    }
+    strcpy(uri + at, "/resources");
+    return uri;
+}
+
 static void fmu_open_library(Fmu *f, const char *folder) {
     char path[4096], file[512];
-    snprintf(file, sizeof file, FMU_FILE, f->name);
+    snprintf(file, sizeof file, FMU_FILE, f->identifier);
     snprintf(path, sizeof path, "%s/binaries/%s", folder, file);
 #ifdef _WIN32
-    f->library = (void *)LoadLibraryA(path);
+    wchar_t wide[4096];
+    char reason[64];
+    MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 4096);
+    f->library = (void *)LoadLibraryW(wide);
+    snprintf(reason, sizeof reason, "error %lu", (unsigned long)GetLastError());
 #else
     f->library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    const char *reason = f->library ? "" : dlerror();
 #endif
-    if (!f->library) ModelicaFormatError("%s: no library for this system, expected %s", f->name, path);
+    if (!f->library) ModelicaFormatError("%s: cannot load %s: %s", f->name, path, reason);
 }
 
 /* ---- life */
 
-/* An instance in initialization mode, with the parameters set. */
-static void *fmu_instance(Fmu *f, double time) {
-    void *made = f->instantiate(f->name, 0, f->guid, f->location, &f->callbacks, 0, 0);
-    if (!made) ModelicaFormatError("%s: fmi2Instantiate failed, see the messages before", f->name);
-    fmu_done(f, f->setup(made, 0, 0.0, time, 0, 0.0), "fmi2SetupExperiment");
-    fmu_done(f, f->set_real(made, f->parameter, f->parameters, f->value), "fmi2SetReal");
-    fmu_done(f, f->enter_initialization(made), "fmi2EnterInitializationMode");
-    return made;
+/* Values of one type, copied. */
+static FmuValues fmu_values(const int *reference, size_t n, const void *value, size_t size) {
+    FmuValues found = {n, fmu_memory(n * sizeof(unsigned)), fmu_memory(n * size)};
+    for (size_t i = 0; i < n; i++) found.reference[i] = (unsigned)reference[i];
+    if (n) memcpy(found.value, value, n * size);
+    return found;
 }
 
-static void *fmu_new(const char *given, const char *name, const char *guid, const int *parameter, size_t n,
-                     const double *value) {
-    Fmu *f = calloc(1, sizeof *f);
-    if (!f) ModelicaError("out of memory");
-    char *folder = fmu_folder(given);
-    f->name = fmu_copy(name);
-    f->guid = fmu_copy(guid);
-    f->location = malloc(strlen(folder) + 32);
-    f->parameter = malloc((n + 1) * sizeof *f->parameter);
-    f->value = malloc((n + 1) * sizeof *f->value);
-    if (!f->location || !f->parameter || !f->value) ModelicaError("out of memory");
-    sprintf(f->location, folder[0] == '/' ? "file://%s/resources" : "file:///%s/resources", folder);
-    f->parameters = n;
-    for (size_t i = 0; i < n; i++) {
-        f->parameter[i] = (unsigned)parameter[i];
-        f->value[i] = value[i];
-    }
-    f->callbacks.logger = fmu_log;
-    f->callbacks.allocate = calloc;
-    f->callbacks.release = free;
-    fmu_open_library(f, folder);
-    free(folder);
+static void fmu_find_functions(Fmu *f) {
     *(void **)&f->instantiate = fmu_symbol(f, "fmi2Instantiate");
     *(void **)&f->free_instance = fmu_symbol(f, "fmi2FreeInstance");
     *(void **)&f->setup = fmu_symbol(f, "fmi2SetupExperiment");
@@ -163,19 +179,66 @@ static void *fmu_new(const char *given, const char *name, const char *guid, cons
     *(void **)&f->new_discrete_states = fmu_symbol(f, "fmi2NewDiscreteStates");
     *(void **)&f->enter_continuous = fmu_symbol(f, "fmi2EnterContinuousTimeMode");
     *(void **)&f->set_real = fmu_symbol(f, "fmi2SetReal");
+    *(void **)&f->set_integer = fmu_symbol(f, "fmi2SetInteger");
+    *(void **)&f->set_boolean = fmu_symbol(f, "fmi2SetBoolean");
+    *(void **)&f->set_string = fmu_symbol(f, "fmi2SetString");
     *(void **)&f->get_real = fmu_symbol(f, "fmi2GetReal");
     *(void **)&f->set_time = fmu_symbol(f, "fmi2SetTime");
     *(void **)&f->set_states = fmu_symbol(f, "fmi2SetContinuousStates");
     *(void **)&f->get_derivatives = fmu_symbol(f, "fmi2GetDerivatives");
+}
+
+/* name: of the block in the model, for messages */
+static void *fmu_new(const char *name, const char *given, const char *identifier, const char *guid,
+                     const int *real, size_t reals, const double *real_value,
+                     const int *integer, size_t integers, const int *integer_value,
+                     const int *boolean, size_t booleans, const int *boolean_value,
+                     const int *string, size_t strings, const char **string_value) {
+    Fmu *f = fmu_memory(sizeof *f);
+    char *folder = fmu_folder(given);
+    f->name = fmu_copy(name);
+    f->identifier = fmu_copy(identifier);
+    f->guid = fmu_copy(guid);
+    f->location = fmu_location(folder);
+    f->reals = fmu_values(real, reals, real_value, sizeof *real_value);
+    f->integers = fmu_values(integer, integers, integer_value, sizeof *integer_value);
+    f->booleans = fmu_values(boolean, booleans, boolean_value, sizeof *boolean_value);
+    f->strings = fmu_values(string, strings, string_value, sizeof *string_value);
+    for (size_t i = 0; i < strings; i++) ((char **)f->strings.value)[i] = fmu_copy(string_value[i]);
+    f->callbacks.logger = fmu_log;
+    f->callbacks.allocate = calloc;
+    f->callbacks.release = free;
+    fmu_open_library(f, folder);
+    free(folder);
+    fmu_find_functions(f);
     return f;
+}
+
+/* A new instance in initialization mode, with the parameters set, in place of one that failed. */
+static void fmu_instantiate(Fmu *f, FmuInstance *instance, double time) {
+    if (f->is_lost) ModelicaFormatError("%s: the FMU failed, see the messages before", f->name);
+    if (instance->fmu) f->free_instance(instance->fmu);
+    instance->fmu = f->instantiate(f->name, 0, f->guid, f->location, &f->callbacks, 0, 0);
+    void *made = instance->fmu;
+    if (!made) ModelicaFormatError("%s: fmi2Instantiate failed, see the messages before", f->name);
+    fmu_done(f, f->setup(made, 0, 0.0, time, 0, 0.0), "fmi2SetupExperiment");
+    const FmuValues *r = &f->reals, *i = &f->integers, *b = &f->booleans, *s = &f->strings;
+    if (r->n) fmu_done(f, f->set_real(made, r->reference, r->n, r->value), "fmi2SetReal");
+    if (i->n) fmu_done(f, f->set_integer(made, i->reference, i->n, i->value), "fmi2SetInteger");
+    if (b->n) fmu_done(f, f->set_boolean(made, b->reference, b->n, b->value), "fmi2SetBoolean");
+    if (s->n) fmu_done(f, f->set_string(made, s->reference, s->n, s->value), "fmi2SetString");
+    fmu_done(f, f->enter_initialization(made), "fmi2EnterInitializationMode");
 }
 
 static void fmu_free(void *object) {
     Fmu *f = object;
     if (!f) return;
-    if (f->first) f->free_instance(f->first);
-    if (f->running) f->free_instance(f->running);
-    free(f->name), free(f->guid), free(f->location), free(f->parameter), free(f->value), free(f);
+    if (f->first.fmu && !f->is_lost) f->free_instance(f->first.fmu);
+    if (f->running.fmu && !f->is_lost) f->free_instance(f->running.fmu);
+    for (size_t i = 0; i < f->strings.n; i++) free(((char **)f->strings.value)[i]);
+    FmuValues *values[] = {&f->reals, &f->integers, &f->booleans, &f->strings};
+    for (int i = 0; i < 4; i++) free(values[i]->reference), free(values[i]->value);
+    free(f->name), free(f->identifier), free(f->guid), free(f->location), free(f);
 }
 
 /* ---- values */
@@ -198,51 +261,57 @@ static void fmu_get(Fmu *f, void *instance, const int *reference, size_t n, doub
 static void fmu_start(void *object, double time, const int *input, size_t nu, const double *u, const int *state,
                       size_t nx, double *x) {
     Fmu *f = object;
-    if (!f->first) f->first = fmu_instance(f, time);
-    fmu_set(f, f->first, input, nu, u);
-    fmu_get(f, f->first, state, nx, x);
+    if (!f->first.ready) fmu_instantiate(f, &f->first, time);
+    f->first.ready = 1;
+    fmu_set(f, f->first.fmu, input, nu, u);
+    fmu_get(f, f->first.fmu, state, nx, x);
 }
 
 static double fmu_next_time(Fmu *f) {
+    void *running = f->running.fmu;
     FmuEventInfo info;
     memset(&info, 0, sizeof info);
-    do fmu_done(f, f->new_discrete_states(f->running, &info), "fmi2NewDiscreteStates");
+    do fmu_done(f, f->new_discrete_states(running, &info), "fmi2NewDiscreteStates");
     while (info.new_discrete_states_needed && !info.terminate_simulation);
+    if (info.terminate_simulation) ModelicaFormatError("%s: the FMU asks to end the simulation", f->name);
     if (info.values_changed) ModelicaFormatError("%s: states that jump at an event are not supported", f->name);
-    fmu_done(f, f->enter_continuous(f->running), "fmi2EnterContinuousTimeMode");
+    fmu_done(f, f->enter_continuous(running), "fmi2EnterContinuousTimeMode");
     return info.next_time_defined ? info.next_time : 1e60;
 }
 
 static void fmu_at(Fmu *f, double time, const double *x, size_t nx, const int *input, size_t nu, const double *u) {
-    if (!f->running) {
-        f->running = fmu_instance(f, time);
-        fmu_done(f, f->exit_initialization(f->running), "fmi2ExitInitializationMode");
+    if (!f->running.ready) {
+        fmu_instantiate(f, &f->running, time);
+        fmu_set(f, f->running.fmu, input, nu, u);
+        fmu_done(f, f->exit_initialization(f->running.fmu), "fmi2ExitInitializationMode");
         fmu_next_time(f);
+        f->running.ready = 1;
     }
-    fmu_done(f, f->set_time(f->running, time), "fmi2SetTime");
-    fmu_set(f, f->running, input, nu, u);
-    if (nx > 0) fmu_done(f, f->set_states(f->running, x, nx), "fmi2SetContinuousStates");
+    fmu_done(f, f->set_time(f->running.fmu, time), "fmi2SetTime");
+    fmu_set(f, f->running.fmu, input, nu, u);
+    if (nx > 0) fmu_done(f, f->set_states(f->running.fmu, x, nx), "fmi2SetContinuousStates");
 }
 
 static void fmu_derivatives(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
                             const double *u, double *dx) {
     Fmu *f = object;
     fmu_at(f, time, x, nx, input, nu, u);
-    fmu_done(f, f->get_derivatives(f->running, dx, nx), "fmi2GetDerivatives");
+    fmu_done(f, f->get_derivatives(f->running.fmu, dx, nx), "fmi2GetDerivatives");
 }
 
 static void fmu_outputs(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
                         const double *u, const int *output, size_t ny, double *y) {
     Fmu *f = object;
     fmu_at(f, time, x, nx, input, nu, u);
-    fmu_get(f, f->running, output, ny, y);
+    fmu_get(f, f->running.fmu, output, ny, y);
 }
 
 /* The next time at which a derivative jumps, 1e60 where none is known. */
-static double fmu_event(void *object, double time, const double *x, size_t nx) {
+static double fmu_event(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
+                        const double *u) {
     Fmu *f = object;
-    fmu_at(f, time, x, nx, NULL, 0, NULL);
-    fmu_done(f, f->enter_event(f->running), "fmi2EnterEventMode");
+    fmu_at(f, time, x, nx, input, nu, u);
+    fmu_done(f, f->enter_event(f->running.fmu), "fmi2EnterEventMode");
     return fmu_next_time(f);
 }
 
