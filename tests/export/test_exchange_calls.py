@@ -238,6 +238,19 @@ def test_a_restored_state_and_a_reset_ask_for_nothing(chamber, back):
     assert not fmu.update()
 
 
+def test_the_rate_of_an_input_asks_for_nothing(open_fmu):
+    """Derivatives do not depend on it: the caller's solver moves the input itself."""
+    made = open_fmu("path", model_exchange=True).start()
+    fmu = Chamber(made.fmu, dict(made.refs), False)
+    fmu.update()
+    fmu.fmu.enterContinuousTimeMode()
+    found = (ctypes.c_double * 1)()
+    for name, event in (("velocity", False), ("acceleration", False), ("position", True)):
+        fmu.fmu.getDerivatives(found, 1)
+        fmu.set(**{name: 2.0})
+        assert fmu.completed() is event
+
+
 def test_zero_with_the_other_sign_is_no_change(chamber):
     """0.0 and -0.0 are one value."""
     fmu = running(chamber)
