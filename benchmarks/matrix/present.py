@@ -4,14 +4,52 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from benchmarks.matrix.cells import remark
+from benchmarks.matrix.running import Ended, ran
+
+ANSWER = 60.0  # s within which a tool must tell its version
+PARTS = ("manipulator", "supply", "boom_stick", "swing", "levers")
+MANIPULATOR_FIRST = ("levers", "manipulator", "supply", "boom_stick", "swing")
+MANIPULATOR_LAST = ("levers", "supply", "boom_stick", "swing", "manipulator")
+
+
+@dataclass(frozen=True)
+class Master:
+    """One master of a tool.
+
+    name     for people
+    method   jacobi or gauss-seidel; empty where one solver has the whole system
+    order    of the FMUs, where the result depends on it and the tool can be told; empty: the tool's own
+    """
+
+    name: str
+    method: str = "jacobi"
+    order: Sequence[str] = ()
+
+
+JACOBI = Master("jacobi")
+ONE_GROUP = Master("jacobi, one group", order=MANIPULATOR_LAST)
+GAUSS_SEIDEL = Master("gauss-seidel", "gauss-seidel")
+ORDERED = (
+    Master("gauss-seidel, manipulator first", "gauss-seidel", MANIPULATOR_FIRST),
+    Master("gauss-seidel, manipulator last", "gauss-seidel", MANIPULATOR_LAST),
+)
+
+
+@dataclass(frozen=True)
+class Presence:
+    """The version of a tool that is here, or why it is not run."""
+
+    version: str = ""
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -26,7 +64,6 @@ class Tool:
     systems     FMI versions of systems
     masters     of systems
     strokes     takes moving inputs of an FMU
-    short       systems are run for 8 s only, for it is slow
     """
 
     key: str
@@ -36,57 +73,80 @@ class Tool:
     module: str = ""
     alone: Sequence[tuple[int, str]] = ()
     systems: Sequence[int] = ()
-    masters: Sequence[str] = ("jacobi",)
+    masters: Sequence[Master] = (JACOBI,)
     strokes: Sequence[tuple[int, str]] = ()
-    short: bool = False
 
     @property
     def python(self) -> str:
         """The interpreter that its runner needs."""
-        return shutil.which(self.command) or sys.executable if self.module else sys.executable
+        return (shutil.which(self.command) if self.module else None) or sys.executable
 
     @cache  # noqa: B019  there are a dozen
-    def found(self) -> str:
-        """The version; empty where the tool is not here."""
+    def presence(self) -> Presence:
+        """Is it here, and does it start?"""
         if self.package:
             try:
-                return version(self.package)
+                return Presence(version(self.package))
             except PackageNotFoundError:
-                return ""
+                return Presence(problem="not found here")
         if not shutil.which(self.command):
-            return ""
+            return Presence(problem="not found here")
         if self.module:
-            code = f"from importlib.metadata import version; import {self.module}; print(version('{self.module}'))"
-            run = subprocess.run([self.python, "-c", code], capture_output=True, text=True, check=False)
-            return run.stdout.strip().splitlines()[-1] if run.returncode == 0 else ""
+            return _module(self.python, self.module)
         return _modelica() if self.command == "omc" else _said(self.command)
 
 
-def _modelica() -> str:
+def _failed(ended: Ended, question: str) -> Presence | None:
+    """None when a question was answered."""
+    if ended.status is None:
+        return Presence(problem=f"`{question}` gives no answer in {ANSWER:g} s")
+    return Presence(problem=f"`{question}`: {remark(ended.reason)}") if ended.status else None
+
+
+def _module(python: str, module: str) -> Presence:
+    """The version of a package of another Python, which must be able to import it."""
+    code = f"from importlib.metadata import version; import {module}; print(version('{module}'))"
+    ended = ran([python, "-c", code], ANSWER)
+    return _failed(ended, f"import {module}") or Presence(ended.out.split()[-1])
+
+
+def _modelica() -> Presence:
     """OpenModelica tells its version to scripts only."""
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / "version.mos"
         script.write_text("getVersion();\n")
-        run = subprocess.run(["omc", str(script)], capture_output=True, text=True, check=False, timeout=300)
-    told = run.stdout.strip().strip('"')
-    return told if re.search(r"\d", told) else "tells no version"
+        ended = ran(["omc", str(script)], ANSWER)
+    told = ended.out.strip().strip('"')
+    return _failed(ended, "omc") or Presence(told if re.search(r"\d", told) else "tells no version")
 
 
-def _said(command: str) -> str:
-    """What a program says of its version."""
+def _said(command: str) -> Presence:
+    """What a program says of its version; numbers in an error message are none."""
+    problem = None
     for option in ("--version", "-v", "-V"):
-        run = subprocess.run([command, option], capture_output=True, text=True, check=False, timeout=60)
-        match = re.search(r"v?\d+\.\d+[\w.+-]*", run.stdout + run.stderr)
-        if match:
-            return match[0].lstrip("v")
-    return "tells no version"
+        ended = ran([command, option], ANSWER)
+        refused = _failed(ended, f"{command} {option}")
+        if refused and ended.status is None:
+            return refused
+        match = re.search(r"v?(\d+\.\d+[\w.+-]*)", ended.out + ended.err)
+        if not refused:
+            return Presence(match[1] if match else "tells no version")
+        problem = problem or refused
+    return problem or Presence("tells no version")
+
+
+def versions() -> Iterator[tuple[str, ...]]:
+    """Tool and version, or that it was not run."""
+    for name in dict.fromkeys(t.name for t in TOOLS):
+        found = next(t for t in TOOLS if t.name == name).presence()
+        yield (name, found.version or f"not run: {found.problem}")
+    for name in NEVER:
+        yield (name, "not run: nobody here has it")
 
 
 BOTH = tuple((fmi, side) for fmi in (2, 3) for side in ("CS", "ME"))
 TOOLS = (
-    Tool(
-        "harvester", "harvester-cosim", "harvester-cosim", systems=(2, 3), masters=("jacobi", "gauss-seidel")
-    ),
+    Tool("harvester", "harvester-cosim", "harvester-cosim", systems=(2, 3), masters=(JACOBI, GAUSS_SEIDEL)),
     Tool("fmpy", "FMPy", "fmpy", alone=BOTH, systems=(2,), strokes=BOTH),
     Tool("fmpy_container", "FMPy, container", "fmpy", systems=(2, 3)),
     Tool("fmucontainer", "fmu-manipulation-toolbox", "fmu-manipulation-toolbox", systems=(2, 3)),
@@ -104,23 +164,29 @@ TOOLS = (
     ),
     Tool("fmusim", "fmusim", command="fmusim", alone=BOTH, strokes=BOTH),
     Tool("fmucheck", "fmuCheck", command="fmuCheck", alone=((2, "CS"), (2, "ME"))),
-    Tool("openmodelica", "OpenModelica", command="omc", alone=((2, "ME"),), systems=(2,)),
+    Tool(
+        "openmodelica",
+        "OpenModelica",
+        command="omc",
+        alone=((2, "ME"),),
+        systems=(2,),
+        masters=(Master("none", ""),),
+    ),
     Tool(
         "cofmupy",
         "CoFmuPy",
         command="cofmupy-python",
         module="cofmupy",
         systems=(2, 3),
-        masters=("jacobi", "gauss-seidel"),
-        short=True,
+        masters=(JACOBI, ONE_GROUP, *ORDERED),
     ),
     Tool(
         "mastersim",
         "MasterSim",
         command="MasterSimulator",
         systems=(2,),
-        masters=("jacobi", "gauss-seidel"),
-        short=True,
+        masters=(JACOBI, *ORDERED),
     ),
 )
 NEVER = ("Dymola", "Simulink", "Amesim")  # nobody here has them
+OURS = TOOLS[0]

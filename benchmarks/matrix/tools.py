@@ -1,7 +1,7 @@
 """One run in one tool, in a process and perhaps a Python of its own: `python -m benchmarks.matrix.tools JOB.json`.
 
-The job says what to run; the rows go to a CSV file. A tool that fails, fails with its own message. Needs NumPy
-only, beside the tool.
+The job says what to run; rows and wall time go to files beside it. A tool that fails, fails with its own message.
+Needs NumPy only, beside the tool.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ class Job:
     record   outputs of the FMU, or "component.variable"
     input    of a stroke: name, times and values; without, inputs keep their start values
     master   jacobi or gauss-seidel, where a tool has both
+    ordered  the FMUs are to be stepped in the order of `parts`, where a tool can be told
     """
 
     tool: str
@@ -51,6 +52,7 @@ class Job:
     wires: Sequence[Sequence[str]]
     input: Any = None
     master: str = "jacobi"
+    ordered: bool = False
 
     @property
     def is_system(self) -> bool:
@@ -83,7 +85,7 @@ def main() -> None:
     names = ("time", *job.record)
     columns = np.column_stack([np.asarray(rows[name], dtype=float) for name in names])
     np.savetxt(job.out, columns, delimiter=",", header=",".join(names), comments="", fmt="%.17g")
-    print(wall)
+    Path(job.out).with_name("wall.txt").write_text(str(wall))  # programs write to stdout what they like
 
 
 # ---- FMPy
@@ -98,7 +100,8 @@ def fmpy(job: Job) -> Rows:
         from fmpy.ssp.simulation import simulate_ssp
 
         rows = simulate_ssp(job.path, stop_time=job.stop, step_size=job.step)
-        return {name: rows[name] for name in ("time", *job.record)}
+        # a row carries the time at the begin of its step and the values at its end
+        return {"time": rows["time"] + job.step} | {name: rows[name] for name in job.record}
     options: dict[str, Any] = {}
     if job.input:
         name, at, values = job.series()
@@ -275,11 +278,12 @@ WRONG = re.compile(r"^\s*(error:|\[error\]|\[fatal\]|.*status:error)", re.I)
 
 
 def _command(*words: str) -> None:
-    """A command; an error in its log is a failure."""
+    """A command; an error in its log is a failure. The reason is that error, else what it said last."""
     run = subprocess.run(words, capture_output=True, text=True, check=False)
-    bad = [line for line in (run.stdout + run.stderr).splitlines() if WRONG.match(line)]
+    said = [line.strip() for line in (run.stdout + run.stderr).splitlines() if line.strip()]
+    bad = [line for line in said if WRONG.match(line)]
     if run.returncode or bad:
-        raise RuntimeError(bad[0].strip() if bad else f"exit status {run.returncode}")
+        raise RuntimeError((bad[:1] or said[-1:] or [f"exit status {run.returncode}"])[0])
 
 
 @runner
@@ -390,7 +394,11 @@ def _inputs(path: str) -> dict[str, float]:
 
 @runner
 def cofmupy(job: Job) -> Rows:
-    """Both of its algorithms; it starts inputs at zero unless told."""
+    """Both of its algorithms; it starts inputs at zero unless told.
+
+    The FMUs of a loop it takes in the order of a set of names, another one in each run; an order of ours is put
+    in its place, with all FMUs in one group.
+    """
     from cofmupy import Coordinator
 
     config = {
@@ -411,6 +419,8 @@ def cofmupy(job: Job) -> Rows:
     file.write_text(json.dumps(config))
     coordinator = Coordinator()
     coordinator.start(str(file))
+    if job.ordered:
+        coordinator.master.sequence_order = [list(job.parts)]
     coordinator.run_simulation(step_size=job.step, end_time=job.stop)
     result = coordinator.get_results()
     columns = {n: np.asarray(result[tuple(n.split("."))]) for n in job.record}
@@ -421,7 +431,7 @@ def cofmupy(job: Job) -> Rows:
 
 @runner
 def mastersim(job: Job) -> Rows:
-    """Its command line; Gauss-Seidel without iteration."""
+    """Its command line; Gauss-Seidel without iteration, each FMU in a cycle of its own, in the order of `parts`."""
     folder = Path(job.out).with_suffix("")
     folder.mkdir(parents=True)
     mode = {"jacobi": "GAUSS_JACOBI", "gauss-seidel": "GAUSS_SEIDEL"}[job.master]
@@ -458,16 +468,12 @@ def openmodelica(job: Job) -> Rows:
     tolerance, intervals = "1e-8", round(job.stop / (0.02 if job.is_system else GRID))
     head = 'setCommandLineOptions("--allowNonStandardModelica=reinitInAlgorithms");\nloadModel(Modelica, {"4.0.0"});\n'
     if job.is_system:
-        harvester = shutil.which("harvester") or str(Path(sys.executable).with_name("harvester"))
-        subprocess.run(
-            [harvester, "modelica", job.path, "--out", str(folder)], check=True, capture_output=True
-        )
+        _command(sys.executable, "-m", "orchestrator", "modelica", job.path, "--out", str(folder))
         text = 'loadFile("Harvester/package.mo");\n'
         model = "Harvester.Systems." + "".join(p.capitalize() for p in Path(job.path).stem.split("_"))
         column = {n: n for n in job.record}
     else:
         text = f'loadFile(importFMU("{job.path}", "{folder}/it", fullPath = true));\n'
-        name = Path(job.path).stem
         with zipfile.ZipFile(job.path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
         kind = root.find("ModelExchange").attrib["modelIdentifier"]  # type: ignore[union-attr]
@@ -476,7 +482,6 @@ def openmodelica(job: Job) -> Rows:
         equations = f"equation\n{fed}\n" if fed else ""
         text += f'loadString("model Case\n  {kind}_me_FMU it;\n{equations}end Case;");\n'
         model, column = "Case", {n: f"it.{n}" for n in job.record}
-        del name
     options = f"stopTime = {job.stop}, numberOfIntervals = {intervals}, tolerance = {tolerance}"
     script = folder / "run.mos"
     script.write_text(f'{head}{text}simulate({model}, {options}, outputFormat = "csv"); getErrorString();\n')

@@ -1,0 +1,444 @@
+"""`make matrix` on fake tools: what it writes was measured, and what goes wrong is one cell of a table."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from benchmarks.matrix import __main__ as matrix
+from benchmarks.matrix import present, single, systems, tools
+from benchmarks.matrix.cells import percent, remark, table, two
+from benchmarks.matrix.present import GAUSS_SEIDEL, JACOBI, OURS, PARTS, Tool
+from benchmarks.matrix.running import Outcome, carried_out, ran
+from benchmarks.matrix.systems import DIVERGES, OPEN, SIGNALS, WIRED, Row, by_tool, judged
+
+SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Makes a program of a few lines of Python, and finds it on the search path."""
+    if os.name == "nt":
+        pytest.skip("Windows starts no scripts by their first line")
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    Tool.presence.cache_clear()  # of a program of the same name
+
+    def make(text: str, name: str = "fake") -> str:
+        file = tmp_path / name
+        file.write_text(f"#!{sys.executable}\nimport os, sys, time, subprocess\n{text}\n")
+        file.chmod(0o755)
+        return name
+
+    return make
+
+
+def fake(command: str) -> Tool:
+    """A tool whose own Python is a fake."""
+    return Tool("fake", "Fake", command=command, module="fake", alone=((2, "CS"),), strokes=((2, "CS"),))
+
+
+JOB = """
+import json, pathlib
+job = json.loads(pathlib.Path(sys.argv[-1]).read_text())
+out = pathlib.Path(job["out"])
+"""
+GOOD = 'out.write_text("time,y\\n0,1\\n1,2\\n"); out.with_name("wall.txt").write_text("0.5")\n'
+
+
+# ---- cells
+
+
+def test_shares_have_two_digits_and_no_power_of_ten_from_one_on():
+    """100 % is 100, not 1e+02."""
+    shares = (0.0, 8.6e-5, 0.0149, 0.5, 0.994, 0.996, 1.0, 3.24)
+    assert [percent(x) for x in shares] == ["0", "0.0086", "1.5", "50", "99", "100", "100", "324"]
+
+
+def test_speeds_have_two_digits():
+    """Also slow and fast ones."""
+    assert [two(x) for x in (0.0412, 2.4, 3.26, 83.6, 1234.5)] == ["0.041", "2.4", "3.3", "84", "1200"]
+
+
+@pytest.mark.parametrize(
+    ("problem", "text"),
+    [
+        ("RuntimeError: no\nmore | less", "no more / less"),
+        ("cannot open /tmp/x1/job/swing.fmu", "cannot open swing.fmu"),
+        ("see http://a.org/b/c and x/y/z", "see http://a.org/b/c and x/y/z"),
+        ("x" * 200, "x" * 107 + "..."),
+    ],
+)
+def test_a_message_fits_into_a_cell(problem, text):
+    """One line, no bar, no folder of this machine, not too long."""
+    assert remark(problem) == text
+
+
+def test_a_table_is_written_between_its_marks(tmp_path):
+    """The rest of the page stays."""
+    page = tmp_path / "page.md"
+    page.write_text("a\n<!-- matrix: t -->\nold\n<!-- end: t -->\nb\n")
+    matrix.write(page, "t", table(("h",), [("1",)]))
+    assert page.read_text() == "a\n<!-- matrix: t -->\n| h |\n| --- |\n| 1 |\n<!-- end: t -->\nb\n"
+
+
+def test_a_page_without_marks_is_told_in_one_line(tmp_path):
+    """And so is one that is not there."""
+    (tmp_path / "page.md").write_text("no table")
+    for name in ("page.md", "none.md"):
+        with pytest.raises(SystemExit, match=rf"{name}: [^\n]*$"):
+            matrix.write(tmp_path / name, "t", "")
+
+
+def test_a_folder_without_fmus_is_told_in_one_line(tmp_path, monkeypatch):
+    """It says what makes them."""
+    monkeypatch.setattr(sys, "argv", ["matrix", "--build", str(tmp_path)])
+    with pytest.raises(SystemExit, match="no FMU there; `harvester build` makes them"):
+        matrix.main()
+
+
+# ---- rate ports
+
+
+def structure(wires) -> bytes:
+    """An SSD with these wires, every other one with a child."""
+    ends = [(*start.split("."), *end.split(".")) for start, end in wires]
+    words = 'startElement="{}" startConnector="{}" endElement="{}" endConnector="{}"'
+    child = '><ssd:ConnectionGeometry pointsX="0" pointsY="0"/></ssd:Connection>'
+    text = [f"<ssd:Connection {words.format(*e)}{'/>' if n % 2 else child}" for n, e in enumerate(ends)]
+    system = f'<ssd:System xmlns:ssd="{SSD}"><ssd:Connections>{"".join(text)}</ssd:Connections></ssd:System>'
+    return system.encode()
+
+
+def wires_of(content: bytes) -> list[tuple[str, str]]:
+    """Its wires."""
+    found = [c.attrib for c in etree.fromstring(content).iter("{*}Connection")]
+    return [tuple(f"{c[f'{e}Element']}.{c[f'{e}Connector']}" for e in ("start", "end")) for c in found]
+
+
+def test_open_rate_ports_lose_their_wires_and_no_other_does(tmp_path):
+    """21 of 32 wires stay, and so do the other files."""
+    system = tmp_path / "a.ssp"
+    with zipfile.ZipFile(system, "w") as archive:
+        archive.writestr("SystemStructure.ssd", structure(systems.WIRES))
+        archive.writestr("resources/swing.fmu", "swing")
+    with zipfile.ZipFile(systems.held(system, tmp_path)) as archive:
+        left = wires_of(archive.read("SystemStructure.ssd"))
+        assert archive.read("resources/swing.fmu") == b"swing"
+    assert (len(systems.WIRES), len(left)) == (32, 21)
+    assert left == list(systems.OPEN_WIRES)
+
+
+def test_a_system_with_other_rate_ports_than_the_machine_is_refused():
+    """Nobody would know what its row is about."""
+    with pytest.raises(ValueError, match="10 connections to rate ports, expected 11"):
+        systems.without_rates(structure(w for w in systems.WIRES if not w[1].endswith("boom_acceleration")))
+
+
+def test_a_system_that_cannot_be_read_is_a_row(tmp_path):
+    """Not the end of all rows."""
+    (tmp_path / "harvester.ssp").write_text("junk")
+    tool = Tool("fake", "Fake", command="no such program", module="fake", systems=(2,))
+    rows = list(systems.systems([tool], tmp_path, tmp_path))
+    assert [row.rates for row in rows] == [WIRED, OPEN]
+    assert rows[1].remark == "harvester.ssp: File is not a zip file"
+
+
+def row(rates: str, speed: float | None = None, said: str = "", master: str = "jacobi") -> Row:
+    """One row of a tool."""
+    errors = None if speed is None else dict.fromkeys(systems.KINDS, speed)
+    return Row("X", 2, master, rates, said, errors)
+
+
+@pytest.mark.parametrize(
+    ("wired", "open_", "so"),
+    [
+        (row(WIRED, 1e-4), row(OPEN, 2e-3), "connect"),
+        (row(WIRED, 1e-4), row(OPEN, said=DIVERGES), "connect"),
+        (row(WIRED, 2e-3), row(OPEN, 1e-4), "leave open"),
+        (row(WIRED, said=DIVERGES), row(OPEN, 1e-4), "leave open"),
+        (row(WIRED, 1e-3), row(OPEN, 1.001e-3), "no difference"),
+        (row(WIRED, said=DIVERGES), row(OPEN, said=DIVERGES), "neither works"),
+        (row(WIRED, said="exit status 1"), row(OPEN, said="exit status 1"), "not measured"),
+        (row(WIRED, said="not done in 900 s"), row(OPEN, said=DIVERGES), "not measured"),
+        (row(WIRED, 1e-3), row(OPEN, said="2 errors in x"), "not measured"),
+    ],
+)
+def test_advice_on_rate_ports_follows_from_two_measurements(wired, open_, so):
+    """Without both there is none."""
+    assert by_tool([wired, open_]) == [("X", "jacobi", wired.speed, open_.speed, so)]
+
+
+def test_advice_needs_both_rows():
+    """One alone says nothing, and masters are not mixed."""
+    rows = [row(WIRED, 1e-4), row(OPEN, 1e-3, master="gauss-seidel")]
+    assert [line[-1] for line in by_tool(rows)] == ["not measured", "not measured"]
+
+
+# ---- what a run is worth
+
+
+def cycle(stop: float = systems.CYCLE, **change) -> Outcome:
+    """The reference as the result of a tool, up to `stop`, with some columns changed."""
+    truth = {n: systems.reference()[n] for n in ("time", *SIGNALS)} | change
+    keep = truth["time"] <= stop
+    return Outcome({n: c[keep] for n, c in truth.items()}, 2.0)
+
+
+def test_the_reference_is_a_perfect_run():
+    """The judge finds no error in it, and 42 s in 2 s are 21 times real time."""
+    assert judged(cycle()) == ("21 x real time", dict.fromkeys(systems.KINDS, 0.0))
+
+
+def test_an_error_is_that_of_the_worst_signal_of_its_kind():
+    """Half of the range of one angle, and no other kind has any."""
+    name = "manipulator.boom_angle"
+    exact = systems.reference()[name]
+    _, worst = judged(cycle(**{name: exact + 0.5 * np.ptp(exact)}))
+    assert worst == pytest.approx({"speed": 0.0, "angle": 0.5, "pressure": 0.0})
+
+
+def test_a_run_that_is_lost_diverges():
+    """Also when infinite values follow."""
+    time_ = systems.reference()["time"]
+    with np.errstate(over="ignore"):
+        grown = np.exp(20 * time_)
+    assert np.isinf(grown[-1])
+    assert judged(cycle(**{SIGNALS[0]: grown})) == (DIVERGES, None)
+
+
+def test_a_run_that_ends_early_is_said_to_end_early():
+    """It has not diverged, and its accuracy up to there is no result."""
+    assert judged(cycle(12.0)) == ("ends at 12 s", None)
+
+
+def test_a_value_that_is_no_number_is_no_result():
+    """It is told where it comes first."""
+    name = "swing.swing_pressure_a"
+    column = systems.reference()[name].copy()
+    column[100:] = np.nan
+    assert judged(cycle(**{name: column})) == ("swing.swing_pressure_a is nan at 2 s", None)
+
+
+def outcome(y, wall: float = 0.5, stop: float = 1.0) -> Outcome:
+    """Rows of one output over `stop` seconds."""
+    return Outcome({"time": np.linspace(0.0, stop, len(y)), "y": np.array(y, dtype=float)}, wall)
+
+
+def test_only_fmus_that_ran_count():
+    """In deviation and wall time; the others say why, those with one reason together."""
+    tally, truth = single.Tally(), outcome([0, 1, 2])
+    tally.add("good", outcome([0, 1, 4], wall=0.2), truth, {"y": 10.0})
+    tally.add("nan", outcome([0, 1, np.nan]), truth, {"y": 10.0})
+    tally.add("early", outcome([0, 1], stop=0.5), truth, {"y": 10.0})
+    tally.add("broken", Outcome({}, 0.0, "2 errors"), truth, {"y": 10.0})
+    tally.add("also", Outcome({}, 900.0, "2 errors"), truth, {"y": 10.0})
+    tally.add("lone", outcome([0, 1, 2]), Outcome({}, 0.0, "x"), {"y": 10.0})
+    told = "nan: y is nan at 1 s; early: ends at 0.5 s; broken, also: 2 errors; lone: our own run: x"
+    assert tally.cells(6) == ("1 of 6", "0.2 (good.y)", "0.2 s", told)
+
+
+def test_a_tool_that_ran_nothing_has_no_wall_time():
+    """Neither has it a deviation."""
+    tally = single.Tally()
+    tally.fail("a", "no")
+    assert tally.cells(1) == ("0 of 1", "", "", "a: no")
+
+
+def described(folder: Path, name: str) -> Path:
+    """An FMU of nothing but a description with one output."""
+    text = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="m" guid="g"><CoSimulation modelIdentifier="m"/>'
+        '<ModelVariables><ScalarVariable name="y" valueReference="0" causality="output"><Real nominal="10"/>'
+        '</ScalarVariable></ModelVariables><ModelStructure><Outputs><Unknown index="1"/></Outputs>'
+        "</ModelStructure></fmiModelDescription>"
+    )
+    with zipfile.ZipFile(folder / name, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+    return folder / name
+
+
+def test_a_file_that_is_no_fmu_is_one_that_did_not_run(tmp_path, monkeypatch):
+    """The FMUs beside it do."""
+    described(tmp_path, "good.fmu")
+    (tmp_path / "junk.fmu").write_text("junk")
+    monkeypatch.setattr(single, "carried_out", lambda *_, **__: outcome([0, 1, 2]))
+    rows = list(single.alone([fake("fake")], tmp_path, tmp_path))
+    assert rows == [("Fake", "2.0 CS", "1 of 2", "0", "0.5 s", "junk: File is not a zip file")]
+
+
+def pressures(y, stop: float = single.STROKE, wall: float = 1.5) -> Outcome:
+    """A stroke of which one pressure is known and another one hardly moves."""
+    moved = {"time": np.linspace(0.0, stop, len(y)), "boom_head_pressure": np.array(y, dtype=float)}
+    return Outcome(moved | {"swing_pressure_a": 1e-3 * moved["boom_head_pressure"]}, wall)
+
+
+def stroke(tmp_path, monkeypatch, own: Outcome, found: Outcome) -> list[tuple[str, ...]]:
+    """The rows of a tool."""
+    monkeypatch.setattr(single, "carried_out", lambda tool, *_, **__: own if tool is OURS else found)
+    return list(single.strokes([fake("fake")], tmp_path, tmp_path))
+
+
+def test_a_stroke_is_compared_with_our_own(tmp_path, monkeypatch):
+    """Off by a fifth of the range in one of three rows, at both intervals."""
+    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), pressures([0, 12, 0]))
+    assert rows == [("Fake", "2.0 CS", f"{ms} ms", "20", "12", "1.5 s") for ms in (1, 10)]
+
+
+def test_a_stroke_of_no_numbers_did_not_run(tmp_path, monkeypatch):
+    """It is not a perfect run."""
+    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), pressures([0, np.nan, 0]))
+    assert [line[3:] for line in rows] == [("", "", "boom_head_pressure is nan at 3 s")] * 2
+
+
+def test_without_our_own_stroke_there_is_one_row(tmp_path, monkeypatch):
+    """It says why."""
+    rows = stroke(tmp_path, monkeypatch, Outcome({}, 0.0, "no such file"), pressures([0, 10, 0]))
+    assert rows == [("harvester-cosim", "2.0 CS", "1 ms", "", "", "no such file")]
+
+
+def test_of_rows_at_one_time_the_last_counts(tmp_path, monkeypatch):
+    """FMPy has two at an event; the first holds what was before."""
+    found = pressures([0, 5, 10, 0])
+    found.rows["time"][:] = (0.0, 3.0, 3.0, 6.0)
+    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), found)
+    assert rows[0][3:5] == ("0", "0")
+
+
+# ---- jobs and programs
+
+
+def test_a_job_gives_rows_and_wall_time_whatever_the_program_prints(program, tmp_path):
+    """The time comes by a file."""
+    found = carried_out(fake(program(f'{JOB}{GOOD}print("0.5\\nbye")')), tmp_path)
+    assert (found.problem, found.wall) == ("", 0.5)
+    np.testing.assert_array_equal(found.rows["y"], [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('sys.exit("no licence")', "no licence"),
+        ("sys.exit(3)", "exit status 3"),
+        ("os.kill(os.getpid(), 9)", "ended by SIGKILL"),
+        ("", "ends without rows"),
+        (f'{JOB}out.write_text("time,y\\n")', "ends without rows"),
+        (f'{JOB}{GOOD}out.write_text("time,y\\n0,x\\n")', "ends without rows"),
+        (f'{JOB}{GOOD}out.with_name("wall.txt").write_text("soon")', "ends without rows"),
+    ],
+)
+def test_a_job_that_fails_says_why(program, tmp_path, text, problem):
+    """And has no rows."""
+    found = carried_out(fake(program(text)), tmp_path)
+    assert (dict(found.rows), found.problem) == ({}, problem)
+
+
+def test_a_program_that_cannot_be_started_fails(tmp_path):
+    """With the words of the system."""
+    ended = ran([str(tmp_path / "none")], 1.0)
+    assert ended.status == 127
+    assert ended.reason == ended.err != ""
+
+
+def alive(number: int) -> bool:
+    """Does a process run?"""
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{number}/stat") as file:
+        return file.read().rpartition(")")[2].split()[0] != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="no /proc")
+@pytest.mark.parametrize("end", ["time.sleep(600)", ""], ids=["at the limit", "at its end"])
+def test_a_job_leaves_no_process_behind(program, tmp_path, end):
+    """What it has started ends with it, and would else disturb the times of the next job."""
+    child = 'subprocess.Popen(["sleep", "600"])'
+    note = f"pathlib.Path({str(tmp_path / 'child')!r}).write_text(str({child}.pid))"
+    found = carried_out(fake(program(f"import pathlib\n{note}\n{end}")), tmp_path, limit=5.0 if end else 60.0)
+    assert found.problem == ("not done in 5 s" if end else "ends without rows")
+    number = int((tmp_path / "child").read_text())
+    deadline = time.monotonic() + 10
+    while alive(number) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not alive(number)
+
+
+# ---- which tools are here
+
+
+@pytest.mark.parametrize(
+    ("text", "version"),
+    [
+        ('print("fake 1.2.3 (linux)")', "1.2.3"),
+        ('print("fake v3.0.post1-g29")', "3.0.post1-g29"),
+        ('sys.exit(sys.argv[1] != "-v" or print("2.5"))', "2.5"),
+        ('print("no number")', "tells no version"),
+    ],
+)
+def test_a_program_tells_its_version(program, text, version):
+    """By one of three options."""
+    assert Tool("fake", "Fake", command=program(text)).presence().version == version
+
+
+def test_a_number_in_an_error_message_is_no_version(program):
+    """The program does not start, and is not run."""
+    text = """sys.exit("fake: libc.so.6: version `GLIBC_2.38' not found")"""
+    found = Tool("fake", "Fake", command=program(text)).presence()
+    assert (found.version, found.problem) == (
+        "",
+        "`fake --version`: fake: libc.so.6: version `GLIBC_2.38' not found",
+    )
+
+
+@pytest.mark.parametrize("module", ["", "fake"])
+def test_a_program_that_does_not_answer_is_not_run(program, monkeypatch, module):
+    """Nobody waits for it for ever."""
+    monkeypatch.setattr(present, "ANSWER", 0.5)
+    found = Tool("fake", "Fake", command=program("time.sleep(600)"), module=module).presence()
+    assert found.version == ""
+    assert found.problem.endswith("gives no answer in 0.5 s")
+
+
+def test_a_python_without_its_module_is_not_run(program):
+    """It says what Python says."""
+    found = Tool("fake", "Fake", command=program("sys.exit('no module')"), module="fake").presence()
+    assert found.problem == "`import fake`: no module"
+
+
+def test_what_is_not_here_is_not_run():
+    """A program and a package."""
+    for tool in (Tool("a", "A", command="no-such-program"), Tool("b", "B", package="no-such-package")):
+        assert tool.presence().problem == "not found here"
+
+
+def test_orders_name_every_part_once():
+    """Those of the masters whose result depends on it."""
+    for tool in present.TOOLS:
+        for master in tool.masters:
+            assert sorted(master.order or PARTS) == sorted(PARTS)
+
+
+def test_every_tool_has_a_runner():
+    """By its key."""
+    assert {t.key for t in present.TOOLS} == set(tools.RUNNERS)
+    assert {JACOBI, GAUSS_SEIDEL} == set(OURS.masters)
+
+
+def test_a_command_of_a_runner_gives_the_reason(program):
+    """The first error in its log, also when it ends well; else what it said last."""
+    for text, reason in (
+        ('print("hello"); print("error: bad"); print("bye")', "error: bad"),
+        ('print("hello"); sys.exit("out of memory")', "out of memory"),
+        ("sys.exit(4)", "exit status 4"),
+    ):
+        with pytest.raises(RuntimeError, match=f"^{reason}$"):
+            tools._command(program(text))
+    tools._command(program('print("hello")'))
