@@ -7,8 +7,9 @@ The angle counts as a base unit of its own, so that Hz and rad/s are never mixed
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from math import pi
+from math import isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,8 +89,10 @@ _PLAIN = {
     "hp": Unit(745.6998715822702, _POWER),
 }
 
-_SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "^": None, " ": None, "(": None})
-_ATOM = re.compile(r"([A-Za-z%]*)(-?\d+)?")
+LONGEST = 200  # characters; longer ones are no units, and brackets inside brackets have an end
+_SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u"})
+# a name with a power, or 1; then what joins two of them: a product, a quotient, or brackets
+_TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:\^?(?P<power>-?\d{1,2})(?!\d))?|1(?!\d)|[./()]")
 
 # What a reader wants to see instead of the SI unit.
 _SHOWN: dict[Exponents, str] = {
@@ -103,37 +106,113 @@ _SHOWN: dict[Exponents, str] = {
 }
 
 
-def _atom(text: str, whole: str, where: str) -> Unit:
-    """One factor of a product: a name, perhaps with a prefix, and a power."""
-    match = _ATOM.fullmatch(text)
-    named = match is not None and (match[1] or not match[2])
-    name, power = (match[1], int(match[2] or 1)) if match and named else (text, 1)
+class _Unknown(Exception):
+    """The text is no unit that is known."""
+
+
+def _named(name: str, power: int) -> Unit:
+    """The unit of one name, perhaps with a prefix, to a power.
+
+    The zero of a temperature has no meaning in a power of it or in a product.
+    """
     base, scale = _PLAIN.get(name) or _PREFIXED.get(name), 1.0
     if base is None and name[:1] in _PREFIX:
         base, scale = _PREFIXED.get(name[1:]), _PREFIX[name[0]]
     if base is None:
-        raise Problem(
-            f"{where}: unit {whole!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm"
-        )
-    k, m, s, a, t, r = base.exponents
-    exponents = (k * power, m * power, s * power, a * power, t * power, r * power)
-    return Unit((scale * base.factor) ** power, exponents, base.offset)
+        raise _Unknown
+    return base if power == 1 and scale == 1.0 else _raised(Unit(scale * base.factor, base.exponents), power)
+
+
+def _raised(unit: Unit, power: int) -> Unit:
+    k, m, s, a, t, r = unit.exponents
+    return Unit(unit.factor**power, (k * power, m * power, s * power, a * power, t * power, r * power))
+
+
+def _times(one: Unit, other: Unit, sign: int) -> Unit:
+    """The product, or, with sign -1, the quotient."""
+    k, m, s, a, t, r = (x + sign * y for x, y in zip(one.exponents, other.exponents, strict=True))
+    return Unit(one.factor * other.factor**sign, (k, m, s, a, t, r))
+
+
+class _Reader:
+    """Reads products, quotients and brackets; what follows a stroke without brackets is one factor."""
+
+    def __init__(self, text: str) -> None:
+        self._tokens = list(_tokens(text))
+        self._at = 0
+
+    def whole(self) -> Unit:
+        """The unit of the whole text."""
+        found = self._product()
+        if self._next() is not None:
+            raise _Unknown
+        return found
+
+    def _next(self) -> re.Match[str] | None:
+        return self._tokens[self._at] if self._at < len(self._tokens) else None
+
+    def _taken(self, *signs: str) -> str:
+        """The next token, if it is one of these; else nothing is taken."""
+        token = self._next()
+        if token is None or token[0] not in signs:
+            return ""
+        self._at += 1
+        return token[0]
+
+    def _product(self) -> Unit:
+        """Factors that are joined by points and strokes; a product below a stroke has brackets."""
+        found, below = self._factor(), False
+        while sign := self._taken(".", "/"):
+            if below and sign == ".":
+                raise _Unknown  # a/b.c: nobody knows whether c is above or below
+            below = sign == "/"
+            found = _times(found, self._factor(), -1 if below else 1)
+        return found
+
+    def _factor(self) -> Unit:
+        if self._taken("("):
+            found = self._product()
+            if not self._taken(")"):
+                raise _Unknown
+            return found
+        token = self._next()
+        if token is None or token[0] in "./)":
+            raise _Unknown
+        self._at += 1
+        return _PLAIN["1"] if token[0] == "1" else _named(token["name"], int(token["power"] or 1))
+
+
+def _tokens(text: str) -> Iterator[re.Match[str]]:
+    at = 0
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        if token is None:
+            raise _Unknown
+        yield token
+        at = token.end()
+
+
+def _plain(text: str) -> str:
+    """In the characters of the grammar: a space between two factors is a product, others are none."""
+    plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "^")
+    plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
+    return re.sub(r"\s+", ".", plain)
 
 
 def parse(text: str, where: str = "unit") -> Unit:
-    """The unit written as `text`, such as `N.m.s/rad`, `m3/(s.Pa)`, `kN` or `L/min`."""
-    plain = text.replace("°C", "degC").replace("°", "deg").translate(_SPELLING).replace(")", "")
-    over, *under = plain.split("/")
-    above = [_atom(part, text, where) for part in over.split(".")]
-    below = [_atom(part, text, where) for segment in under for part in segment.split(".")]
-    if not below and len(above) == 1:
-        return above[0]
-    factor, exponents = 1.0, np.zeros(6, dtype=int)
-    for unit, sign in [(u, 1) for u in above] + [(u, -1) for u in below]:
-        factor *= unit.factor**sign
-        exponents += sign * np.array(unit.exponents)
-    k, m, s, a, t, r = (int(e) for e in exponents)
-    return Unit(factor, (k, m, s, a, t, r))
+    """The unit written as `text`, such as `N.m.s/rad`, `m3/(s.Pa)`, `m s-1`, `kN` or `L/min`."""
+    plain = _plain(text)
+    if plain in _PLAIN:
+        return _PLAIN[plain]
+    try:
+        found = _Reader(plain[: LONGEST + 1]).whole()
+        if len(plain) > LONGEST or not (found.factor and isfinite(found.factor)):
+            raise _Unknown
+    except (_Unknown, OverflowError):  # OverflowError: a factor to a power that no number holds
+        raise Problem(
+            f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm"
+        ) from None
+    return found
 
 
 def linear(source: str, target: str, where: str) -> tuple[float, float]:

@@ -8,6 +8,7 @@ file defines is read by its symbol.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 from orchestrator import symbols
 from orchestrator.errors import Problem
@@ -35,12 +36,16 @@ IDENTITY = Linear()
 
 @dataclass(frozen=True)
 class Unit:
-    """A named unit; `exponents` in the order of BASES, None when the file does not define them."""
+    """A named unit; `exponents` in the order of BASES, None when the file does not define them.
+
+    fault   what is wrong with its definition; told when a value is to be converted
+    """
 
     name: str
     exponents: tuple[int, ...] | None = None
     factor: float = 1.0
     offset: float = 0.0
+    fault: str = ""
 
     @property
     def dimension(self) -> tuple[int, ...] | None:
@@ -67,21 +72,35 @@ def conversion(source: Unit | None, target: Unit | None, where: str) -> tuple[Li
     """The map from `source` to `target`, and a note when it rests on an assumption.
 
     A side without unit takes the value as it is. Raises Problem, beginning with `where`, when the
-    dimensions differ.
+    dimensions differ or a definition is wrong.
     """
     if source is None or target is None or source == target:
         return IDENTITY, None
     if source.name == target.name and None in (source.exponents, target.exponents):
         return IDENTITY, None
+    for unit in (source, target):
+        if wrong := _wrong(unit):
+            raise Problem(f"{where}: {wrong}")
     source, target = defined(source), defined(target)
     if source.exponents is None or target.exponents is None:
         return IDENTITY, f"{where}: {source} and {target} are not both defined; the value is passed unchanged"
     if source.dimension != target.dimension:
         raise Problem(f"{where}: the units cannot be converted, {_base(source)} and {_base(target)}")
     linear = Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+    if not (linear.factor and isfinite(linear.factor) and isfinite(linear.offset)):
+        told = f"expected a finite factor other than 0, got {linear.factor:g}"
+        raise Problem(f"{where}: {source} and {target} are too far apart: {told}")
     if source.exponents != target.exponents:
         return linear, f"{where}: {source} and {target} differ in the radian only; taken as equal"
     return linear, None
+
+
+def _wrong(unit: Unit) -> str:
+    """Why values of a unit cannot be converted; empty if they can."""
+    if unit.fault or (unit.factor and isfinite(unit.factor) and isfinite(unit.offset)):
+        return unit.fault
+    told = f"factor {unit.factor:g} and offset {unit.offset:g}"
+    return f"{unit}: expected a finite factor other than 0 and a finite offset, got {told}"
 
 
 def _base(unit: Unit) -> str:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, ulp
 
 from orchestrator.errors import Problem
 from orchestrator.files.trace import Trace
+from orchestrator.system.suggested import INSTEAD
 from orchestrator.system.system import System
 
 STEP = 1e-3  # [s], when nobody suggests one
 NEAR = 1e-9  # of the record step: a step that short is noise
+RESOLVED = 1000  # of the smallest differences of times: equal steps are equal to 0.1 %
+MOST = 10**12  # steps: some weeks of the fastest FMUs
 RECORD = 5e-3  # [s], record interval of the command line: 200 Hz, the sampling rate of the paper
 
 
@@ -23,6 +27,7 @@ class Grid:
 
     free      it has points nowhere else: every communication point is recorded
     events    times at which a scenario has a corner, increasing
+    least     the shortest step that its times can tell [s]; 0: unknown
     """
 
     start: float
@@ -33,6 +38,7 @@ class Grid:
     first: float = 0.0
     free: bool = False
     events: tuple[float, ...] = ()
+    least: float = 0.0
 
     @property
     def stop(self) -> float:
@@ -64,8 +70,9 @@ def grid(
 ) -> Grid:
     """The communication points from what the user gave and, where nothing was given, what is suggested."""
     begin, end = _span(system, scenario, start, stop)
-    step = communication_step(system, step)
-    points = _whole_steps(begin, end, step)
+    with _said(system, step):
+        step = communication_step(system, step)
+        points = _whole_steps(begin, end, step)
     points = replace(points, every=_every(record_step, step))
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
 
@@ -84,7 +91,11 @@ def free_grid(
     whole = _whole_steps(begin, end, end - begin)
     points = whole if record_step is None else _whole_steps(begin, end, record_step, "record step")
     inside = tuple(_apart((t for t in events if begin < t < points.stop), points))
-    points = replace(points, first=communication_step(system, first), free=record_step is None, events=inside)
+    first = communication_step(system, first)
+    _positive("step", first)
+    if system.coupling is not None:
+        _check_steps("largest step", begin, end, system.coupling.limits[1])
+    points = replace(points, first=first, free=record_step is None, events=inside)
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
 
 
@@ -133,10 +144,27 @@ def communication_step(system: System, step: float | None) -> float:
     if step is not None:
         return step
     if system.refusal:
-        raise Problem(system.refusal)
+        raise Problem(f"{system.refusal}; {INSTEAD}")
     if system.step is not None:
         return system.step
     return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)
+
+
+@contextmanager
+def _said(system: System, step: float | None) -> Iterator[None]:
+    """A Problem with the step names its place, where the file of the system says it."""
+    try:
+        yield
+    except Problem as problem:
+        place = system.suggestion.place
+        if step is not None or system.step is None or not place:
+            raise
+        raise Problem(f"{place}: {problem}; {INSTEAD}") from None
+
+
+def _least(start: float, stop: float) -> float:
+    """The shortest step [s] that times from start to stop can tell."""
+    return RESOLVED * ulp(max(abs(start), abs(stop)))
 
 
 def thinned(step: float) -> float | None:
@@ -168,16 +196,32 @@ def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _whole_steps(start: float, end: float, step: float, name: str = "step") -> Grid:
+def _positive(name: str, step: float) -> None:
     if not isfinite(step):
         raise Problem(f"{name}: expected a finite time, got {step:g} s")
     if not step > 0:
         raise Problem(f"{name}: expected a positive time, got {step:g} s")
+
+
+def _check_steps(name: str, start: float, end: float, step: float) -> None:
+    """Refuse steps that are too short for the times of a run, or too many."""
+    resolved, fewest = _least(start, end), (end - start) / MOST
+    if step < resolved:
+        told = f"expected at least {resolved:.3g} s, the times of the run can tell no less"
+        raise Problem(f"{name}: {told}, got {step:g} s")
+    if step < fewest:
+        raise Problem(f"{name}: expected at least {fewest:.3g} s, for at most {MOST:g} steps, got {step:g} s")
+
+
+def _whole_steps(start: float, end: float, step: float, name: str = "step") -> Grid:
+    _positive(name, step)
+    _check_steps(name, start, end, step)
     steps = int((end - start) / step + 1e-6)
     if steps < 1:
         raise Problem(f"{name}: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
     reached = start + steps * step
+    points = Grid(start, step, steps, least=_least(start, end))
     if abs(end - reached) > 1e-6 * step:
         note = f"{end - start:g} s is no multiple of the {name}: the run ends at {reached:.9g} s"
-        return Grid(start, step, steps, notes=(note,))
-    return Grid(start, step, steps)
+        return replace(points, notes=(note,))
+    return points

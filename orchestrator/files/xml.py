@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from orchestrator import numerals
 from orchestrator.errors import Problem
 from orchestrator.files.archive import Location
 from orchestrator.units import BASES, IDENTITY, Linear, Unit
 
 Element = Any  # lxml ships no types
+MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
 
 
 def parse(file: Location, expected: str) -> Element:
@@ -27,12 +30,26 @@ def _root(file: Location) -> Element:
     text, safe = file.read(), {"resolve_entities": False, "no_network": True}
     parser = etree.XMLParser(**safe)
     try:
-        return etree.fromstring(text, parser)
+        root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        if any(e.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for e in parser.error_log):
-            line = " ".join(str(error).split()).removesuffix(" (<string>)")
-            raise Problem(f"{file}: is not XML: {line}") from error
-        return etree.fromstring(text, etree.XMLParser(recover=True, **safe))
+        if fault := _fault(error, parser.error_log):
+            raise Problem(f"{file}: is not XML: {fault}") from error
+        root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
+    for entity in root.iter(etree.Entity):  # they are not resolved, so what they stand for would be missing
+        told = f"expected the content itself, got the entity {entity.text}"
+        raise Problem(f"{file}: line {entity.getparent().sourceline}: {local(entity.getparent())}: {told}")
+    return root
+
+
+def _fault(error: Exception, log: Any) -> str:
+    """The first error that is not a prefix without declaration; empty if there are only such."""
+    from lxml import etree
+
+    undeclared = etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE
+    others = [f"{e.message}, line {e.line}, column {e.column}" for e in log if e.type != undeclared]
+    if not len(log):
+        others = [re.sub(r" *\(<string>.*\)$", "", str(error))]
+    return " ".join("".join(others[:1]).split())
 
 
 def local(element: Element) -> str:
@@ -64,10 +81,11 @@ def number(file: Location, element: Element, name: str, default: float | None = 
     if text is None and default is not None:
         return default
     try:
-        return float(text)
-    except (TypeError, ValueError):
+        return numerals.finite(text)
+    except (AttributeError, ValueError):  # AttributeError: there is none
         raise Problem(
-            f"{file}: line {element.sourceline}: {local(element)}: expected a number for {name}, got {text!r}"
+            f"{file}: line {element.sourceline}: {local(element)}: "
+            f"expected a finite number for {name}, got {text!r}"
         ) from None
 
 
@@ -83,22 +101,43 @@ def required(file: Location, element: Element, name: str) -> str:
 
 
 def flag(element: Element, name: str) -> bool:
-    """A boolean attribute, false when missing."""
+    """A boolean attribute, false when missing or odd."""
     return element.get(name) in ("true", "1")
+
+
+def truth(file: Location, element: Element, name: str) -> bool:
+    """A boolean attribute, false when missing."""
+    text = element.get(name, "false")
+    try:
+        return numerals.truth(text)
+    except ValueError:
+        told = f"expected true or false for {name}, got {text!r}"
+        raise Problem(f"{file}: line {element.sourceline}: {local(element)}: {told}") from None
 
 
 def units(file: Location, root: Element) -> dict[str, Unit]:
     """The units that a file defines."""
-    found = {}
-    for unit in children(root, "Units", "Unit"):
-        name, base = required(file, unit, "name"), child(unit, "BaseUnit")
-        if base is None:
-            found[name] = Unit(name)
-            continue
+    named = ((required(file, unit, "name"), unit) for unit in children(root, "Units", "Unit"))
+    return {name: _unit(file, name, unit) for name, unit in named}
+
+
+def _unit(file: Location, name: str, element: Element) -> Unit:
+    """One unit; a fault in it is kept for whoever converts a value: files define units that nothing has."""
+    base = child(element, "BaseUnit")
+    if base is None:
+        return Unit(name)
+    try:
         exponents = tuple(_whole(file, base, b) for b in BASES)
         factor, offset = number(file, base, "factor", 1.0), number(file, base, "offset", 0.0)
-        found[name] = Unit(name, exponents, factor, offset)
-    return found
+    except Problem as problem:
+        return Unit(name, fault=str(problem))
+    return Unit(name, exponents, factor, offset, _zero(file, base, factor))
+
+
+def _zero(file: Location, base: Element, factor: float) -> str:
+    """What to say of a factor that makes all values one."""
+    place = f"{file}: line {base.sourceline}: BaseUnit"
+    return "" if factor else f"{place}: expected a factor other than 0, got {base.get('factor')!r}"
 
 
 def _whole(file: Location, base: Element, name: str) -> int:
@@ -116,8 +155,24 @@ def transformation(file: Location, element: Element) -> tuple[Linear, Mapping[st
     linear = child(element, "LinearTransformation")
     if linear is not None:
         return Linear(number(file, linear, "factor", 1.0), number(file, linear, "offset", 0.0)), {}
-    for kind in ("Boolean", "Integer", "Enumeration"):
-        entries = list(children(element, f"{kind}MappingTransformation", "MapEntry"))
-        if entries:
-            return IDENTITY, {required(file, e, "source"): required(file, e, "target") for e in entries}
+    for e in element:
+        if local(e) in MAPPINGS:
+            return IDENTITY, _table(file, e)
+        if local(e).endswith("Transformation"):
+            told = f"expected LinearTransformation or one of {', '.join(MAPPINGS)}"
+            raise Problem(f"{file}: line {e.sourceline}: {local(e)}: {told}")
     return IDENTITY, {}
+
+
+def _table(file: Location, mapping: Element) -> dict[str, str]:
+    """Source -> target; each source once."""
+    table = dict[str, str]()
+    for e in children(mapping, "MapEntry"):
+        source = required(file, e, "source")
+        if source in table:
+            told = f"expected each source once, got {source!r} again"
+            raise Problem(f"{file}: line {e.sourceline}: MapEntry: {told}")
+        table[source] = required(file, e, "target")
+    if not table:
+        raise Problem(f"{file}: line {mapping.sourceline}: {local(mapping)}: expected a MapEntry, got none")
+    return table

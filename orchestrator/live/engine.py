@@ -78,7 +78,8 @@ class Engine:
             self._march, self._latest = opened.march, opened.recorder
             self._march.begin()
             self._latest.settle()
-            self.notes = (*system.notes, *opened.network.notes, *self._march.notes)
+            told = system.suggestion.notes(setup.step is not None)
+            self.notes = (*system.notes, *told, *opened.network.notes, *self._march.notes)
             self._undo = stack.pop_all()
         assert isinstance(self._latest, Latest)
         self.values = self._latest.values

@@ -100,11 +100,8 @@ class Job:
         if c.adaptive is None:
             if not guarded(self.system, c):
                 return None, False, 1.0
-            return (
-                Pace(times.step, sweep.power, min(c.limits[0], times.step), times.step, True),
-                False,
-                c.guarded,
-            )
+            smallest = min(max(c.limits[0], times.least), times.step)
+            return Pace(times.step, sweep.power, smallest, times.step, True), False, c.guarded
         if c.by_energy and not sweep.network.bonds:
             wanted = "a power bond with inputs that may move on both sides"
             raise Problem(f"control of the energy: expected {wanted}, got none")
@@ -114,7 +111,8 @@ class Job:
             raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {told}")
         rolls = all(face.rollback for face in faces.values())
         first = times.first if rolls else CAUTIOUS * times.first
-        pace = Pace(first, sweep.power, *c.limits, rolls)
+        smallest, largest = c.limits
+        pace = Pace(first, sweep.power, max(smallest, times.least), largest, rolls)
         return pace, c.by_energy, c.adaptive
 
     def _left_out(self) -> tuple[str, ...]:

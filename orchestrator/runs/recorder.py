@@ -120,7 +120,7 @@ def _room(rows: int, reals: int, wholes: int) -> _Kept:
     """Room for all points to keep."""
     try:
         return _Kept(rows, reals, wholes)
-    except MemoryError:
+    except (MemoryError, ValueError):  # ValueError: NumPy has no index for so many
         many = f"{rows:.3g} points of {reals + wholes} signals"
         raise Problem(f"{many} do not fit into memory; choose a longer record step or stop earlier") from None
 

@@ -84,8 +84,8 @@ def run(
 
     whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
     if master is not None:
-        coupling = master if isinstance(master, Coupling) else Coupling(master)
-        whole = replace(whole, coupling=coupling, step=None, refusal="")
+        whole = whole.coupled(master if isinstance(master, Coupling) else Coupling(master))
+    whole = replace(whole, notes=whole.notes + whole.suggestion.notes(step is not None))
     whole = with_sets(whole, parameters).with_start(set or {})
     driven = _scenario(whole, scenario)
     if driven:

@@ -45,7 +45,7 @@ def opened(study: Study) -> System:
     system = load(Path(study.folder) / study.system)
     if study.master is None:
         return system
-    return replace(system, coupling=Coupling(study.master), step=None)
+    return system.coupled(Coupling(study.master))
 
 
 def known(systems: Iterable[System], name: str) -> list[System]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 from orchestrator.errors import Problem, suggest
@@ -12,16 +13,18 @@ from orchestrator.files.xml import (
     Element,
     child,
     children,
-    flag,
     local,
     number,
     parse,
     required,
     transformation,
+    truth,
     units,
 )
+from orchestrator.numerals import finite
 from orchestrator.system.interface import FLOATS
-from orchestrator.system.suggestion import Suggestion, read_suggestion
+from orchestrator.system.suggested import Suggestion
+from orchestrator.system.suggestion import left_out, read_suggestion
 from orchestrator.units import Linear, Unit
 
 SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
@@ -58,7 +61,10 @@ class Binding(NamedTuple):
 
 @dataclass
 class Flat:
-    """All systems of an SSP in flat tables."""
+    """All systems of an SSP in flat tables.
+
+    roots   every .ssd file that was read, the outermost first
+    """
 
     name: str
     file: Location
@@ -72,7 +78,8 @@ class Flat:
     known_units: dict[str, Unit] = field(default_factory=dict)
     start: float | None = None
     stop: float | None = None
-    suggestion: Suggestion = Suggestion(None)  # noqa: RUF009  frozen
+    suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
+    roots: list[tuple[Location, Element]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def connectors(self, owner: str, *kinds: str) -> list[Node]:
@@ -90,24 +97,27 @@ def read_ssd(file: Location) -> Flat:
     if experiment is not None:
         flat.start = number(file, experiment, "startTime") if "startTime" in experiment.attrib else None
         flat.stop = number(file, experiment, "stopTime") if "stopTime" in experiment.attrib else None
-    _read_root(flat, file, root, "")
-    flat.suggestion = read_suggestion(file, root, flat.sources)
+    _read_root(flat, file, root, "", ())
+    flat.suggestion = read_suggestion(flat.roots, flat.sources)
+    flat.notes += left_out(flat.roots)
     return flat
 
 
-def _read_root(flat: Flat, file: Location, root: Element, path: str) -> None:
+def _read_root(flat: Flat, file: Location, root: Element, path: str, around: tuple[Location, ...]) -> None:
+    """A file as the system `path`; `around` it are those that include it, one in the other."""
+    flat.roots.append((file, root))
     flat.known_units |= units(file, root)
     system = child(root, "System")
     if system is None:
         raise Problem(f"{file}: expected a System inside {local(root)}, got none")
-    _Reader(flat, file).system(system, path, {})
+    _Reader(flat, file, (*around, _same(file))).system(system, path, {})
 
 
 class _Reader:
     """Walks the elements of one .ssd file."""
 
-    def __init__(self, flat: Flat, file: Location) -> None:
-        self._flat, self._file = flat, file
+    def __init__(self, flat: Flat, file: Location, open: tuple[Location, ...]) -> None:
+        self._flat, self._file, self._open = flat, file, open
 
     def system(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> None:
         """A system: its elements first, so that bindings come innermost first."""
@@ -122,10 +132,24 @@ class _Reader:
         for part in children(element, "Elements"):
             for e in part:
                 if local(e):
-                    owners[required(self._file, e, "name")] = self._element(e, path, known)
+                    name = self._name(e, path, owners)
+                    owners[name] = self._element(e, path, known)
         for c in children(element, "Connections", "Connection"):
             self._connection(c, path, owners)
         self._bindings(element, path)
+
+    def _name(self, element: Element, path: str, owners: Mapping[str, str]) -> str:
+        """The name of an element; no other has the same, as connections and start values find it by that."""
+        name = required(self._file, element, "name")
+        full = _join(path, name)
+        if not name:
+            raise self._problem(element, "expected a name, got an empty one")
+        if name in owners or full in self._flat.sources or full in self._flat.systems:
+            raise self._problem(element, f"expected a name of its own, {full} is there already")
+        return name
+
+    def _problem(self, element: Element, text: str) -> Problem:
+        return Problem(f"{self._file}: line {element.sourceline}: {local(element)}: {text}")
 
     def _element(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> str:
         """One element of a system; returns the owner of its connectors."""
@@ -140,6 +164,8 @@ class _Reader:
             if dictionary not in dictionaries:
                 raise Problem(f"{self._file}: {full}: no signal dictionary named {dictionary!r}")
             return f"{dictionaries[dictionary]}()"  # no component has such a name
+        else:
+            raise self._problem(element, f"{full}: expected Component, System or SignalDictionaryReference")
         return full
 
     def _component(self, element: Element, full: str) -> None:
@@ -151,16 +177,26 @@ class _Reader:
         if kind == FMU:
             self._flat.sources[full] = source
         elif kind in (SSD, SSP):
-            file = source if kind == SSD else source.member("SystemStructure.ssd")
-            _read_root(self._flat, file, parse(file, "SystemStructureDescription"), full)
+            self._inner(element, full, source if kind == SSD else source.member("SystemStructure.ssd"))
         else:
             raise Problem(f"{self._file}: component {full}: expected an FMU, got type {kind}")
         self._connectors(element, full)
         self._bindings(element, full)
 
+    def _inner(self, element: Element, full: str, file: Location) -> None:
+        """The system of another file, as a component."""
+        root = parse(file, "SystemStructureDescription")
+        if _same(file) in self._open:
+            raise self._problem(element, f"{full}: expected another file, {file} includes itself")
+        _read_root(self._flat, file, root, full, self._open)
+
     def _connectors(self, element: Element, owner: str) -> None:
+        seen = set[Node]()
         for connector in children(element, "Connectors", "Connector"):
             node = Node(owner, required(self._file, connector, "name"))
+            if node in seen:
+                raise self._problem(connector, f"expected a name of its own, {node} is there already")
+            seen.add(node)
             self._flat.kinds[node] = connector.get("kind")
             if child(connector, "Dimension") is not None:
                 self._flat.arrays.add(node)
@@ -186,7 +222,7 @@ class _Reader:
         linear, table = transformation(self._file, element)
         if table:
             linear = _as_linear(table, where)
-        self._flat.hops[end] = Hop(start, linear, flag(element, "suppressUnitConversion"))
+        self._flat.hops[end] = Hop(start, linear, truth(self._file, element, "suppressUnitConversion"))
 
     def _end(
         self, element: Element, side: str, path: str, owners: Mapping[str, str]
@@ -212,6 +248,11 @@ class _Reader:
         return node, SOURCE if (kind in SOURCES) != (name is None) else SINK
 
 
+def _same(file: Location) -> Location:
+    """One name for a file, however a source spells its path."""
+    return Location(file.path.resolve(), file.inside)
+
+
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
@@ -220,9 +261,12 @@ def _as_linear(table: Mapping[str, str], where: str) -> Linear:
     """A mapping of boolean or integer values on a connection, where it is a straight line."""
     words = {"true": "1", "false": "0"}
     try:
-        points = sorted((float(words.get(a, a)), float(words.get(b, b))) for a, b in table.items())
+        points = sorted({(finite(words.get(a, a)), finite(words.get(b, b))) for a, b in table.items()})
     except ValueError:
         points = []
+    for (x, _), (other, _) in pairwise(points):
+        if x == other:
+            raise Problem(f"{where}: this mapping gives two values for {x:g}, expected one")
     if len(points) == 1:
         return Linear(0.0, points[0][1])
     if len(points) >= 2:

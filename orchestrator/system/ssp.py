@@ -57,9 +57,7 @@ def _load_ssd(ssd: Location, exchange: bool = False) -> System:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    told = flat.suggestion
-    notes = (*system.notes, told.note) if told.note else system.notes
-    return replace(system, coupling=told.coupling, step=told.step, refusal=told.refusal, notes=notes)
+    return replace(system, suggestion=flat.suggestion)
 
 
 def _flatten(flat: Flat, system: System) -> System:

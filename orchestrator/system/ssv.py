@@ -11,11 +11,11 @@ from orchestrator.files.xml import (
     Element,
     child,
     children,
-    flag,
     local,
     parse,
     required,
     transformation,
+    truth,
     units,
 )
 from orchestrator.system.interface import KINDS, Value
@@ -23,6 +23,8 @@ from orchestrator.system.ssd import Binding, Flat, Node
 from orchestrator.system.system import Port, System, coerce
 from orchestrator.system.wires import Wire
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
+
+SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 
 
 class Entry(NamedTuple):
@@ -104,15 +106,10 @@ def _entries(flat: Flat, binding: Binding) -> list[Entry]:
 
 
 def _parameter_set(flat: Flat, binding: Binding) -> list[Entry]:
+    _check_type(binding, binding.element, SET)
     inline = child(binding.element, "ParameterValues", "ParameterSet")
-    kind = binding.element.get("type") or "application/x-ssp-parameter-set"
-    if kind != "application/x-ssp-parameter-set":
-        raise Problem(f"{binding.file}: parameter binding: expected a parameter set, got type {kind}")
-    file = binding.file
-    if inline is None and binding.element.get("source"):
-        file = _source(flat, binding, binding.element)
-        inline = parse(file, "ParameterSet")
-    return [] if inline is None else entries(file, inline, flat.known_units)
+    file, root = _content(flat, binding, binding.element, inline, "ParameterSet")
+    return entries(file, root, flat.known_units)
 
 
 def entries(file: Location, root: Element, known: Mapping[str, Unit]) -> list[Entry]:
@@ -139,19 +136,46 @@ def _mapping(flat: Flat, binding: Binding) -> Iterator[tuple[str, str, Linear, M
     element = child(binding.element, "ParameterMapping")
     if element is None:
         return
-    file, inline = binding.file, child(element, "ParameterMapping")
-    if inline is None and element.get("source"):
-        file = _source(flat, binding, element)
-        inline = parse(file, "ParameterMapping")
-    for e in children(inline, "MappingEntry"):
+    _check_type(binding, element, MAPPING)
+    inline = child(element, "ParameterMapping")
+    file, root = _content(flat, binding, element, inline, "ParameterMapping")
+    for e in children(root, "MappingEntry"):
         linear, table = transformation(file, e)
         names = required(file, e, "source"), required(file, e, "target")
-        yield *names, linear, table, flag(e, "suppressUnitConversion")
+        yield *names, linear, table, truth(file, e, "suppressUnitConversion")
 
 
-def _source(flat: Flat, binding: Binding, element: Element) -> Location:
+def _check_type(binding: Binding, element: Element, expected: str) -> None:
+    kind = element.get("type") or expected
+    if kind != expected:
+        raise _problem(binding, element, f"expected the type {expected}, got {kind}")
+
+
+def _content(
+    flat: Flat, binding: Binding, element: Element, inline: Element | None, name: str
+) -> tuple[Location, Element]:
+    """What a binding or its mapping consists of, with its file: it stands inside, or in a file of its own."""
+    source = element.get("source")
+    if source and inline is not None:
+        raise _problem(binding, element, f"expected a source or a {name} inside, got both")
+    if inline is not None:
+        return binding.file, inline
+    if not source:
+        raise _problem(binding, element, f"expected a source or a {name} inside, got neither")
+    file = _source(flat, binding, element, source)
+    return file, parse(file, name)
+
+
+def _source(flat: Flat, binding: Binding, element: Element, source: str) -> Location:
     """The file that a binding refers to: beside the SSD, or inside the component."""
-    source = required(binding.file, element, "source")
-    if element.get("sourceBase") == "component" and binding.owner in flat.sources:
+    base = element.get("sourceBase") or "SSD"
+    if base == "component" and binding.owner in flat.sources:
         return flat.sources[binding.owner].member(source)
+    if base != "SSD":
+        there = "SSD or component" if binding.owner in flat.sources else "SSD"
+        raise _problem(binding, element, f"expected {there} for sourceBase, got {base!r}")
     return binding.file.beside(source)
+
+
+def _problem(binding: Binding, element: Element, text: str) -> Problem:
+    return Problem(f"{binding.file}: line {element.sourceline}: {local(element)}: {text}")

@@ -13,20 +13,21 @@ Ours, which other tools pass over:
 </ssd:DefaultExperiment>
 
 The attributes are those of `Coupling`, and the communication step [s]. The annotation may also be one of the
-outermost System, or of the whole file.
+outermost System, or of the whole file. One in another place, such as a nested file, is left out, and a note
+says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from math import isfinite
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
 from orchestrator.files.xml import Element, children, local
+from orchestrator.numerals import finite, truth, whole
 from orchestrator.settings import Coupling
+from orchestrator.system.suggested import Suggestion
 from orchestrator.system.vendors import read_vendors
 
 TYPE = "harvester-cosim"
@@ -34,21 +35,14 @@ PLACES = ("DefaultExperiment",), ("System",), ()  # of the annotations, from the
 
 
 class Kind(NamedTuple):
-    """A type of attributes; `read` raises ValueError or KeyError for another text than expected."""
+    """A type of attributes; `read` raises ValueError for another text than expected."""
 
     expected: str
     read: Callable[[str], Any]
 
 
-def _number(text: str) -> float:
-    value = float(text)
-    if not isfinite(value):
-        raise ValueError
-    return value
-
-
-TEXT, WHOLE, NUMBER = Kind("a text", str), Kind("a whole number", int), Kind("a number", _number)
-TRUTH = Kind("true or false", {"true": True, "1": True, "false": False, "0": False}.__getitem__)
+TEXT, WHOLE, NUMBER = Kind("a text", str), Kind("a whole number", whole), Kind("a number", finite)
+TRUTH = Kind("true or false", truth)
 KINDS: Mapping[str, Kind] = {
     "master": TEXT,
     "step": NUMBER,
@@ -66,27 +60,15 @@ KINDS: Mapping[str, Kind] = {
 FACTOR: Mapping[str, Kind] = {"component": TEXT, "steps": WHOLE}
 
 
-@dataclass(frozen=True)
-class Suggestion:
-    """How to couple.
+def read_suggestion(roots: Sequence[tuple[Location, Element]], components: Iterable[str]) -> Suggestion:
+    """The suggestion in .ssd files, the outermost first, with these components.
 
-    coupling, step   None where none is suggested; step [s]
-    refusal          why what other tools' annotations say cannot be followed; empty where it can
-    note             where the suggestion comes from, if it is not our annotation
+    Ours, which is that of the outermost file, before those of other tools, which are taken together.
     """
-
-    coupling: Coupling | None
-    step: float | None = None
-    refusal: str = ""
-    note: str = ""
-
-
-def read_suggestion(file: Location, root: Element, components: Iterable[str]) -> Suggestion:
-    """The suggestion in a .ssd file with these components, ours before those of other tools."""
+    file, root = roots[0]
     found = list(_elements(file, root))
     if not found:
-        known = read_vendors(file, root)
-        return Suggestion(known.coupling, known.step, known.refusal, known.note)
+        return read_vendors(roots)
     if len(found) > 1:
         lines = ", ".join(str(e.sourceline) for e in found)
         raise Problem(
@@ -103,7 +85,19 @@ def read_suggestion(file: Location, root: Element, components: Iterable[str]) ->
         coupling.check(components)
     except Problem as problem:
         raise _problem(file, element, str(problem)) from None
-    return Suggestion(coupling, step)
+    return Suggestion(coupling, step, place=f"{file}: line {element.sourceline}: Coupling")
+
+
+def left_out(roots: Sequence[tuple[Location, Element]]) -> list[str]:
+    """Notes on our annotations in other places than `PLACES`, such as inner systems and nested files."""
+    taken = [e for place in PLACES for e in children(roots[0][1], *place, "Annotations", "Annotation")]
+    reason = f"annotation of type {TYPE}: left out, only one of the outermost system counts"
+    return [
+        f"{file}: line {e.sourceline}: {reason}"
+        for file, root in roots
+        for e in root.iter()
+        if local(e) == "Annotation" and e.get("type") == TYPE and e not in taken
+    ]
 
 
 def _elements(file: Location, root: Element) -> Iterator[Element]:
@@ -146,7 +140,7 @@ def _attributes(file: Location, element: Element, kinds: Mapping[str, Kind]) -> 
             raise _problem(file, element, f"unknown attribute {name!r}{near}")
         try:
             found[name] = kinds[name].read(text.strip())
-        except (ValueError, KeyError):
+        except ValueError:
             told = f"expected {kinds[name].expected} for {name}, got {text!r}"
             raise _problem(file, element, told) from None
     return found

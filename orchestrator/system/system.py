@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 
 from orchestrator.errors import Problem, suggest
 from orchestrator.files.archive import Location
-from orchestrator.settings import Coupling, chosen
+from orchestrator.numerals import real, whole
+from orchestrator.settings import Coupling
 from orchestrator.system.interface import Interface, Value, Variable
+from orchestrator.system.suggested import Suggestion
 from orchestrator.units import IDENTITY, Linear, Unit, conversion
 
 FEW = 4  # names that fit into a message
@@ -93,9 +95,8 @@ class Outlet:
 class System:
     """Everything that is known before a run. Times in [s].
 
-    coupling   how its file suggests to couple the components; step: the communication step that goes with it
-    refusal    why the coupling that its file wants is not possible here; a given step or master puts it aside
-    notes      remarks to show after a run
+    notes        remarks to show after a run
+    suggestion   how to couple the components, from its file
     """
 
     name: str
@@ -107,9 +108,22 @@ class System:
     stop: float | None = None
     source: Location | None = None
     notes: tuple[str, ...] = ()
-    coupling: Coupling | None = None
-    step: float | None = None
-    refusal: str = ""
+    suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
+
+    @property
+    def coupling(self) -> Coupling | None:
+        """How its file suggests to couple the components, with what was changed since."""
+        return self.suggestion.coupling
+
+    @property
+    def step(self) -> float | None:
+        """The communication step [s] that goes with it."""
+        return self.suggestion.step
+
+    @property
+    def refusal(self) -> str:
+        """Why the coupling that its file wants is not possible here; a given step or master puts it aside."""
+        return self.suggestion.refusal
 
     def port(self, name: str) -> Port:
         """The port that `component.variable` names; both parts may contain dots."""
@@ -208,14 +222,12 @@ class System:
         components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
         return replace(self, components=components)
 
-    def coupled(self, given: Mapping[str, Any]) -> System:
-        """The same system with other settings of its coupling, named like the fields of `Coupling`.
+    def coupled(self, given: Coupling | Mapping[str, Any]) -> System:
+        """The same system, coupled so, or with other settings, named like the fields of `Coupling`.
 
         A master among them puts aside all that the system's file suggests, else the rest of that stays.
         """
-        step = None if "master" in given else self.step
-        refusal = "" if "master" in given else self.refusal
-        return replace(self, coupling=chosen(given, self.coupling), step=step, refusal=refusal)
+        return replace(self, suggestion=self.suggestion.changed(given))
 
     def without(self, *patterns: str) -> System:
         """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.
@@ -257,14 +269,14 @@ def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = 
     text = str(value).strip()
     try:
         if variable.kind == "Real":
-            return linear(float(text))
+            return linear(real(text))
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":
             return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
         if text in variable.items:
             return variable.items[text]
-        return int(text)
+        return whole(text)
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None

@@ -90,7 +90,7 @@ MASTERS = {
 @pytest.mark.parametrize("label", MASTERS)
 def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
     """Half a second under each of them, steps of their own choice included."""
-    suggested = replace(load(fmu_dir / "harvester.ssp"), coupling=MASTERS[label])
+    suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
     monkeypatch.setattr(engine, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 50, random_walk(2, 3))

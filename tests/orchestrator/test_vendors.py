@@ -37,6 +37,16 @@ def osp(inside: str, declared: str = OSP) -> str:
     return annotation("com.opensimulationplatform", f"<osp:Algorithm {declared}>{inside}</osp:Algorithm>")
 
 
+def named(attributes: str, component: str = 'name="s"') -> dict[str, str]:
+    """As OMSimulator's own Python API writes it: a solver of the system, and its name in a component."""
+
+    def information(text: str) -> str:
+        inside = f"<oms:SimulationInformation {text}/>"
+        return annotation("org.openmodelica", f"<oms:Annotations {OMS}>{inside}</oms:Annotations>")
+
+    return {"in_system": information(f'name="s" {attributes}'), "in_component": information(component)}
+
+
 FIXED = '<oms:FixedStepMaster description="oms-ma" stepSize="0.02" relativeTolerance="0.000100"/>'
 BASE = '<osp:FixedStepAlgorithm baseStepSize="2e-2"/>'
 TASK = 'xmlns:mc="com.avl.model.connect.ssp.task"'
@@ -95,6 +105,20 @@ FOLLOWED = {
         Coupling("jacobi", adaptive=1e-3, smallest=1e-4, largest=0.05),
         0.001,
     ),
+    "OMSimulator, its Python": (named('method="oms_ma" fixedStepSize="0.02" tolerance="1e-4"'), JACOBI, 0.02),
+    "OMSimulator, its Python, steps of its choice": (
+        named(
+            'method="oms_mav" initialStepSize="0.001" minimumStepSize="0.0001" maximumStepSize="0.05" '
+            'relativeTolerance="0.001"'
+        ),
+        Coupling("jacobi", adaptive=1e-3, smallest=1e-4, largest=0.05),
+        0.001,
+    ),
+    "OMSimulator, its Python, usual steps": (
+        named('method="oms_mav2" maximumStepSize="0.01"'),
+        Coupling("jacobi", adaptive=1e-4, smallest=1e-12, largest=0.01),
+        1e-6,
+    ),
     "libcosim": ({"experiment": osp(BASE)}, JACOBI, 0.02),
     "libcosim, prefix not declared": ({"experiment": osp(BASE, declared="")}, JACOBI, 0.02),
     "libcosim, before 2021": (
@@ -148,8 +172,51 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, name):
     if coupling.adaptive is None:
         assert result.card.steps == 5  # of 0.02 s in 0.1 s
     tool = name.split(",")[0].split()[0]
-    wanted = {"draft": "OMSimulator", "two": "OMSimulator, libcosim"}.get(tool, tool)
-    assert any(note.startswith(f"coupled as the annotation of {wanted} in ") for note in result.card.notes)
+    several = "the annotation of OMSimulator and the annotation of libcosim"
+    wanted = {"draft": "SimulationInformation of a draft of SSP", "two": several}
+    said = wanted.get(tool, f"the annotation of {tool}")
+    assert [note for note in result.card.notes if note.startswith("coupled")] == [
+        f"coupled according to {said} in {system.source}"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"step": 0.01}, ", but for what was given: step"),
+        ({"coupling": {"order": 1}}, ", but for what was given: order"),
+        (
+            {"coupling": {"order": 1, "adaptive": 1e-3}, "step": 0.01},
+            ", but for what was given: order, adaptive, step",
+        ),
+        ({"coupling": {"master": "jacobi"}}, None),
+        ({"master": "hermite"}, None),
+        ({"master": "jacobi", "step": 0.02}, None),
+    ],
+)
+def test_the_card_claims_no_more_than_was_followed(make, options, told):
+    """What is given in place of the annotation is named; a given master leaves nothing of it."""
+    system = load(make(in_system=oms(FIXED)))
+    system = system.coupled(options["coupling"]) if "coupling" in options else system
+    own = {name: value for name, value in options.items() if name != "coupling"}
+    notes = [note for note in run(system, **own).card.notes if "annotation" in note]
+    said = f"coupled according to the annotation of OMSimulator in {system.source}"
+    assert notes == ([] if told is None else [said + told])
+
+
+def test_a_hint_for_one_component_is_named_as_such(make):
+    """All components take its step, which the file does not say."""
+    system = load(make(in_component=HINT))
+    notes = run(system).card.notes
+    source = f"the annotation of libcosim in {system.source}"
+    assert f"the step is what {source} says for a; all components take it" in notes
+    assert not any(" says for " in note for note in run(system, step=0.05).card.notes)
+
+
+def test_a_hint_beside_the_same_step_is_no_other(make):
+    """The master's annotation is what is followed then."""
+    system = load(make(in_component=HINT, experiment=osp(BASE.replace("2e-2", "1e-2"))))
+    assert (system.coupling, system.step, system.suggestion.only) == (JACOBI, 0.01, ())
 
 
 SOLVER = '<oms:VariableStepSolver description="cvode" relativeTolerance="0.000100"/>'
@@ -169,6 +236,101 @@ REFUSED = {
         },
         r"OMSimulator solves this by Model Exchange \(euler\)",
     ),
+    "a method that nobody knows": (
+        named('method="oms_mb" fixedStepSize="0.02"'),
+        r"the method 'oms_mb' of OMSimulator is not supported",
+    ),
+    "a step without a method": (
+        named('stepSize="0.02"', component=""),
+        r"attribute stepSize of SimulationInformation \(OMSimulator\) is not supported",
+    ),
+    "a step that the method does not read": (
+        named('method="oms_mav" fixedStepSize="0.02"'),
+        r"attribute fixedStepSize of SimulationInformation \(OMSimulator\) is not supported",
+    ),
+    "a method without its step": (
+        named('method="oms_ma"'),
+        r"SimulationInformation: expected an attribute fixedStepSize, got name, method",
+    ),
+    "a solver that no component names": (
+        named('method="oms_ma" fixedStepSize="0.02"', component=""),
+        r"no component names the solver 's' of OMSimulator",
+    ),
+    "a name without a solver": (
+        named('method="oms_ma" fixedStepSize="0.02"', component='name="t"'),
+        r"no solver of OMSimulator has the name 't'",
+    ),
+    "a master without its step": (
+        {"in_system": oms('<oms:FixedStepMaster description="oms-ma"/>')},
+        r"FixedStepMaster: expected an attribute stepSize, got description",
+    ),
+    "a master without its limits": (
+        {"in_system": oms('<oms:VariableStepMaster initialStepSize="0.01" minimumStepSize="0.2"/>')},
+        r"VariableStepMaster: expected an attribute maximumStepSize, got initialStepSize, minimumStepSize",
+    ),
+    "an algorithm without its step": (
+        {"experiment": osp("<osp:FixedStepAlgorithm/>")},
+        r"FixedStepAlgorithm: expected an attribute baseStepSize, got none",
+    ),
+    "a misspelt step": (
+        {"experiment": osp(BASE.replace("baseStepSize", "basestepsize"))},
+        r"FixedStepAlgorithm: expected an attribute baseStepSize, got basestepsize",
+    ),
+    "a step of another tool's name": (
+        {"experiment": osp(BASE.replace("baseStepSize", "stepSize"))},
+        r"FixedStepAlgorithm: expected an attribute baseStepSize, got stepSize",
+    ),
+    "no algorithm": (
+        {"experiment": osp("<!-- none -->")},
+        r"Algorithm of libcosim: expected a FixedStepAlgorithm, got none",
+    ),
+    "an algorithm in another place": (
+        {"experiment": annotation("com.opensimulationplatform", f"<osp:FixedStepAlgorithm {OSP}/>")},
+        r"FixedStepAlgorithm of libcosim is not supported",
+    ),
+    "sums of signals": (
+        {"in_system": annotation("org.open-simulation-platform", f"<osp:Connections {OSP}/>")},
+        r"Connections of libcosim is not supported",
+    ),
+    "a task without its step": (
+        {
+            "experiment": annotation(
+                "com.avl.model.connect.ssp.task", f'<mc:Task {TASK} stepType="parallel"/>'
+            )
+        },
+        r"Task: expected an attribute deltaTime, got stepType",
+    ),
+    "a task with an end of its own": (
+        {
+            "experiment": annotation(
+                "com.avl.model.connect.ssp.task",
+                f'<mc:Task {TASK} deltaTime="0.02" endType="first_component"/>',
+            )
+        },
+        r"endType 'first_component' of OpenMCx is not supported",
+    ),
+    "extrapolation of a connection": (
+        {"in_system": annotation("com.avl.model.connect.ssp.connection.inter_extrapolation", "<x/>")},
+        r"annotation com\.avl\.model\.connect\.ssp\.connection\.inter_extrapolation of OpenMCx is not supported",
+    ),
+    "two masters beside a hint that fits both": (
+        {
+            "in_component": HINT,
+            "in_system": oms(FIXED.replace("0.02", "0.01")),
+            "experiment": annotation(
+                "com.avl.model.connect.ssp.task", f'<mc:Task {TASK} stepType="sequential" deltaTime="0.01"/>'
+            ),
+        },
+        r"\(OMSimulator\) wants jacobi, step 0\.01 s, but line \d+ \(OpenMCx\) wants gauss-seidel, step 0\.01 s",
+    ),
+    "constraints": (
+        {"in_system": annotation("se.umu.math.umit.ssp.kinematicconstraints", "<x/>")},
+        r"annotation se\.umu\.math\.umit\.ssp\.kinematicconstraints of FMIGo is not supported",
+    ),
+    "a scenario": (
+        {"experiment": annotation("com.github.ecos-platform.scenario", "<x/>")},
+        r"annotation com\.github\.ecos-platform\.scenario of Ecos is not supported",
+    ),
     "another algorithm": (
         {"experiment": osp('<osp:EccoAlgorithm baseStepSize="1"/>')},
         r"EccoAlgorithm of libcosim is not supported",
@@ -187,7 +349,7 @@ REFUSED = {
     ),
     "arguments of a command": (
         {"in_system": annotation("se.umu.math.umit.fmigo-master.arguments", "<x/>")},
-        r"arguments of FMIGo's master are not supported",
+        r"annotation se\.umu\.math\.umit\.fmigo-master\.arguments of FMIGo is not supported",
     ),
 }
 
@@ -202,18 +364,126 @@ def test_what_cannot_be_followed_is_refused_until_the_user_says_how(make, name):
         Problem, match=rf"(?s)^[^\n]*{order}[^\n]*; to choose a way of your own, give --master and"
     ):
         run(path)
-    assert run(path, step=0.05).card.steps == 2
+    for own in ({"step": 0.05}, {"master": "jacobi", "step": 0.05}):
+        card = run(path, **own).card
+        assert card.steps == 2
+        assert [note for note in card.notes if note.startswith("put aside: ")] == [
+            f"put aside: {load(path).refusal}"
+        ]
+
+
+@pytest.mark.parametrize("text", ["0", "-0.02", "nan", "INF", "x", "", "0,02", "0_02", "2_0e-3", "\u0660.\u0661"])
+def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
+    """File, line, element, expected and got; a step of one's own runs the system, and its signals are listed."""
+    path = make(experiment=osp(f'<osp:FixedStepAlgorithm baseStepSize="{text}"/>'))
+    kind = "a positive number of seconds" if text in ("0", "-0.02") else "a finite number"
+    told = rf"SystemStructure\.ssd: line \d+: FixedStepAlgorithm: expected {kind} for baseStepSize, got '{text}'; to "
+    with pytest.raises(Problem, match=told):
+        run(path)
+    assert run(path, master="jacobi", step=0.05).card.steps == 2
+    assert main(["signals", str(path)]) == 0
+    assert "a.x2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "got"),
+    [
+        ({"minimumStepSize": "0.2"}, r"0\.2 s and 0\.05 s"),
+        ({"maximumStepSize": "0"}, r"0\.0001 s and 0 s"),
+        ({"minimumStepSize": "-1"}, r"-1 s and 0\.05 s"),
+    ],
+)
+def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, change, got):
+    """With their line, not as if the user had given them."""
+    text = VARIABLE
+    for name, value in change.items():
+        text = re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', text)
+    path = make(in_system=oms(text))
+    told = rf"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got {got}; to choose"
+    with pytest.raises(Problem, match=told):
+        run(path)
     assert run(path, master="jacobi", step=0.05).card.steps == 2
 
 
-def test_a_step_that_is_none_is_told(make):
-    """With line, element, expected and got."""
-    path = make(experiment=osp('<osp:FixedStepAlgorithm baseStepSize="0"/>'))
+@pytest.mark.parametrize(
+    ("step", "told"),
+    [
+        ("0.3", r"expected at most the time from 0 to 0\.1 s, got 0\.3 s"),
+        ("1e-300", r"expected at least 1\.39e-14 s, the times of the run can tell no less, got 1e-300 s"),
+        ("1e-20", r"expected at least 1\.39e-14 s, the times of the run can tell no less, got 1e-20 s"),
+    ],
+)
+def test_a_step_that_does_not_fit_the_times_is_told_with_its_place(make, step, told):
+    """The line that says it, unless the user says another one."""
+    path = make(in_system=oms(FIXED.replace("0.02", step)))
     with pytest.raises(
-        Problem,
-        match=r"line \d+: FixedStepAlgorithm: expected a positive number of seconds for baseStepSize, got '0'$",
+        Problem, match=rf"ssd: line \d+ \(OMSimulator\): step: {told}; to choose a way of your own"
     ):
-        load(path)
+        run(path)
+    with pytest.raises(Problem, match=r"^step: expected at most the time from 0 to 0\.1 s, got 0\.4 s$"):
+        run(path, step=0.4)
+    assert run(path, step=0.05).card.steps == 2
+
+
+INNER = '<ssd:Component name="inner" type="application/x-ssp-{}" source="resources/inner.{}"/>'
+
+
+@pytest.fixture(params=["definition", "package"])
+def nest(request, fmus, zip_ssp):
+    """An .ssp around another file of two masses, an .ssd or an .ssp, both with annotations."""
+
+    def write(outer: dict[str, str], inner: dict[str, str]) -> Path:
+        masses = {"a.fmu": fmus["mass_a"], "b.fmu": fmus["mass_b"]}
+        part = INNER.format(request.param, "ssd" if request.param == "definition" else "ssp")
+        text = ssd(**outer).replace("<ssd:Elements>", f"<ssd:Elements>{part}")
+        parts = {f"resources/{name}": fmu for name, fmu in masses.items()}
+        if request.param == "definition":
+            return zip_ssp(text, {**parts, "resources/inner.ssd": ssd(**inner).replace("resources/", "")})
+        return zip_ssp(text, {**parts, "resources/inner.ssp": zip_ssp(ssd(**inner), parts, "inner.ssp")})
+
+    return write
+
+
+def test_an_annotation_in_a_nested_file_is_followed(nest):
+    """The only one there is, or one that says the same as the outermost."""
+    for outer in ({}, {"in_system": oms(FIXED)}, {"in_system": oms(FIXED), "experiment": osp(BASE)}):
+        system = load(nest(outer, {"in_system": oms(FIXED)}))
+        assert (system.coupling, system.step, system.refusal) == (JACOBI, 0.02, "")
+        (note,) = (note for note in run(system).card.notes if note.startswith("coupled"))
+        assert note.partition("inner.ss")[1]
+
+
+@pytest.mark.parametrize(
+    ("outer", "inner", "told"),
+    [
+        (
+            {"in_system": oms(FIXED)},
+            {"in_system": oms(FIXED.replace("0.02", "0.01"))},
+            r"inner.*step 0\.01 s",
+        ),
+        (
+            {"in_system": oms(FIXED)},
+            {"experiment": osp(BASE.replace("2e-2", "1"))},
+            r"inner.*\(libcosim\) wants",
+        ),
+        (
+            {"in_system": oms(FIXED)},
+            {"in_system": oms("<oms:VariableStepSolver/>")},
+            r"inner.* Model Exchange",
+        ),
+        (
+            {},
+            {"in_system": oms(FIXED.replace("0.02", "x"))},
+            r"inner.*: FixedStepMaster: expected a finite number",
+        ),
+    ],
+)
+def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer, inner, told):
+    """With the file it stands in."""
+    path = nest(outer, inner)
+    with pytest.raises(Problem, match=told):
+        run(path)
+    assert run(path, step=0.05).card.steps == 2
 
 
 def test_our_own_annotation_wins(make):
