@@ -181,6 +181,33 @@ def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillato
     )
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"stop": 1.0, "step": float("nan")}, r"^step: expected a finite time, got nan s"),
+        ({"stop": 1.0, "step": 0.0}, r"^step: expected a positive time, got 0 s"),
+        (
+            {"start": 1e300, "stop": 2e300},
+            r"^largest step: expected at least 2\.97e\+287 s, the times .* got 0\.1 s",
+        ),
+        ({"stop": 5e11}, r"^largest step: expected at least 0\.5 s, for at most 1e\+12 steps, got 0\.1 s"),
+    ],
+)
+def test_times_that_adaptive_steps_cannot_tell_are_refused(oscillator, options, message):
+    """Before the run begins, which would never end."""
+    with pytest.raises(Problem, match=message):
+        run(oscillator, master=Coupling("jacobi", adaptive=1e-2), **options)
+
+
+def test_adaptive_steps_get_no_shorter_than_the_times_can_tell(oscillator):
+    """A tolerance that nothing meets ends at the smallest step, which has to bring the time forward."""
+    at = 1e9  # [s], where times differ by 1e-7 s at least
+    hopeless = Coupling("jacobi", adaptive=1e-300, smallest=1e-300)
+    card = run(oscillator, master=hopeless, start=at, stop=at + 1e-2, step=1e-3).card
+    assert card.lengths[0] > 1e-5
+    assert card.simulated == pytest.approx(1e-2, abs=1e-7)  # [s]: rounding of times
+
+
 def test_a_wrong_record_step_of_an_adaptive_run_is_told(oscillator):
     """By its own name, not as the step."""
     with pytest.raises(Problem, match="record step: expected at most the time from 0 to 1 s, got 2 s"):

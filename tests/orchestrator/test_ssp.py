@@ -1,5 +1,7 @@
 """Reading SSP 1.0: flattening, directions, transformations, units, parameters, and what is refused."""
 
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,11 @@ def wire(start, end, inner="", extra=""):
         return (f'{side}Element="{element}" ' if element else "") + f'{side}Connector="{connector}"'
 
     return f"<ssd:Connection {ends('start', start)} {ends('end', end)} {extra}>{inner}</ssd:Connection>"
+
+
+def mapped(*pairs):
+    entries = "".join(f'<ssc:MapEntry source="{a}" target="{b}"/>' for a, b in pairs)
+    return f"<ssc:IntegerMappingTransformation>{entries}</ssc:IntegerMappingTransformation>"
 
 
 def system(elements, wires, connectors="", bindings="", name="top"):
@@ -199,6 +206,30 @@ def test_a_unit_that_does_not_fit_is_refused(fmus, zip_ssp, unit):
         load(path)
 
 
+FAULTY = {
+    '<ssc:BaseUnit rad="0.0174533"/>': "BaseUnit: expected a whole number for rad, got 0.0174533",
+    '<ssc:BaseUnit m="1" factor="0"/>': "BaseUnit: expected a factor other than 0, got '0'",
+    '<ssc:BaseUnit m="1" factor="nan"/>': "BaseUnit: expected a finite number for factor, got 'nan'",
+    '<ssc:BaseUnit m="1" offset="x"/>': "BaseUnit: expected a finite number for offset, got 'x'",
+    '<ssc:BaseUnit m="1_0"/>': "BaseUnit: expected a finite number for m, got '1_0'",
+}
+
+
+@pytest.mark.parametrize("base", FAULTY)
+def test_a_fault_in_a_unit_is_told_where_it_is_used(make, base):
+    """As source or as target of a value; a file that only defines it is read."""
+    units = f'<ssd:Units><ssc:Unit name="odd">{base}</ssc:Unit></ssd:Units>'
+    assert load(make(system([gain("a")], []), tail=units)).notes == ()
+    value = inline(("u", '<ssv:Real value="1" unit="odd"/>'))
+    wired = [wire("command", "a.u")], connector("command", "input", "odd")
+    for whole in (system([gain("a", value)], []), system([gain("a")], *wired)):
+        with pytest.raises(Problem) as told:
+            load(make(whole, tail=units))
+        place, _, text = str(told.value).partition(": line ")
+        assert place.endswith("SystemStructure.ssd")
+        assert text.partition(": ")[2] == FAULTY[base]
+
+
 def test_parameter_files_inside_the_fmu(fmus, zip_ssp):
     """sourceBase="component" looks inside the FMU."""
     ssv = """<ParameterSet version="1.0" name="p"><Parameters>
@@ -240,8 +271,6 @@ def test_signals_pass_through_a_dictionary(make):
 
 def test_unpacked_systems_are_read_too(make, tmp_path):
     """A folder with SystemStructure.ssd, and the .ssd itself; paths with spaces."""
-    import zipfile
-
     folder = tmp_path / "un packed"
     with zipfile.ZipFile(make(system([gain("a")], []))) as archive:
         archive.extractall(folder)
@@ -272,6 +301,68 @@ def test_unpacked_systems_are_read_too(make, tmp_path):
             [],
             r"a.factor: expected a value of type Real",
         ),
+        (
+            [gain("a", inline(("factor", "<ssv:Real value='2_0'/>")))],
+            [],
+            r"a.factor: expected a value of type Real, got '2_0'",
+        ),
+        ([gain("a"), gain("a")], [], r"line \d+: Component: expected a name of its own, a is there already"),
+        (
+            [gain("a"), system([], [], name="a")],
+            [],
+            r"System: expected a name of its own, a is there already",
+        ),
+        (
+            [system([gain("b")], [], name="a"), gain("a.b")],
+            [],
+            r"Component: expected a name of its own, a.b is there already",
+        ),
+        ([gain("")], [], r"Component: expected a name, got an empty one"),
+        (
+            [gain("a").replace('"y"', '"u"')],
+            [],
+            r"Connector: expected a name of its own, a.u is there already",
+        ),
+        (
+            ['<ssd:Part name="a"/>'],
+            [],
+            r"line \d+: Part: a: expected Component, System or SignalDictionaryReference",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", extra='suppressUnitConversion="TRUE"')],
+            r"Connection: expected true or false for suppressUnitConversion, got 'TRUE'",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", '<ssc:LinearTransformation factor="1_0"/>')],
+            r"LinearTransformation: expected a finite number for factor, got '1_0'",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", '<ssc:QuadraticTransformation factor="1"/>')],
+            r"QuadraticTransformation: expected LinearTransformation or one of BooleanMapping",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", mapped())],
+            r"IntegerMappingTransformation: expected a MapEntry",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", mapped(("1", "2"), ("1", "3")))],
+            r"MapEntry: expected each source once, got '1' again",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", mapped(("1", "2"), ("01", "3")))],
+            r"connection command -> a.u: this mapping gives two values for 1, expected one",
+        ),
+        (
+            [gain("a")],
+            [wire("command", "a.u", mapped(("nan", "2")))],
+            r"connection command -> a.u: this mapping of values is not supported",
+        ),
     ],
 )
 def test_mistakes_in_a_system_are_told(make, parts, wires, message):
@@ -282,6 +373,140 @@ def test_mistakes_in_a_system_are_told(make, parts, wires, message):
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("truth", "expected"), [("true", 8.0), ("1", 8.0), (" true ", 8.0), ("false", 0.008), ("0", 0.008)]
+)
+def test_truth_is_written_in_four_ways(make, truth, expected):
+    """As XML Schema has it."""
+    wires = [wire("command", "a.u", extra=f'suppressUnitConversion="{truth}"')]
+    path = make(system([gain("a")], wires, connector("command", "input", "mm")))
+    (_, linear), *_ = load(path).inputs["command"].targets
+    assert linear(8.0) == expected
+
+
+def test_a_value_that_is_mapped_twice_in_one_way_is_mapped(make):
+    """1 and 01 are one number, and both become 3."""
+    wires = [wire("command", "a.u", mapped(("0", "1"), ("1", "3"), ("01", "3")))]
+    (_, linear), *_ = (
+        load(make(system([gain("a")], wires, connector("command", "input")))).inputs["command"].targets
+    )
+    assert (linear(0.0), linear(1.0)) == (1.0, 3.0)
+
+
+SET = '<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters/></ssv:ParameterSet>'
+NEITHER = "expected a source or a {} inside, got neither"
+BINDINGS = {  # attributes and content of a binding
+    ("", ""): "ParameterBinding: " + NEITHER.format("ParameterSet"),
+    ('source=""', ""): "ParameterBinding: " + NEITHER.format("ParameterSet"),
+    ("", "<ssd:ParameterValues/>"): "ParameterBinding: " + NEITHER.format("ParameterSet"),
+    ('source="p.ssv"', f"<ssd:ParameterValues>{SET}</ssd:ParameterValues>"): (
+        "ParameterBinding: expected a source or a ParameterSet inside, got both"
+    ),
+    ('source="p.ssv" type="text/csv"', ""): (
+        "ParameterBinding: expected the type application/x-ssp-parameter-set, got text/csv"
+    ),
+    ('source="p.ssv" sourceBase="FMU"', ""): (
+        "ParameterBinding: expected SSD or component for sourceBase, got 'FMU'"
+    ),
+    ('source="p.ssv"', "<ssd:ParameterMapping/>"): (
+        "ParameterMapping: " + NEITHER.format("ParameterMapping")
+    ),
+    ('source="p.ssv"', '<ssd:ParameterMapping source=""/>'): (
+        "ParameterMapping: " + NEITHER.format("ParameterMapping")
+    ),
+    ('source="p.ssv"', '<ssd:ParameterMapping type="a/b" source="p.ssm"/>'): (
+        "ParameterMapping: expected the type application/x-ssp-parameter-mapping, got a/b"
+    ),
+}
+
+
+def bound(attributes, inside=""):
+    binding = f"<ssd:ParameterBinding {attributes}>{inside}</ssd:ParameterBinding>"
+    return f"<ssd:ParameterBindings>{binding}</ssd:ParameterBindings>"
+
+
+@pytest.mark.parametrize("binding", BINDINGS)
+def test_a_binding_without_values_is_told(make, binding):
+    """It would be passed over, and the system run with other values."""
+    values = SET.replace("<ssv:", "<").replace("</ssv:", "</")
+    with pytest.raises(Problem, match=rf"SystemStructure\.ssd: line \d+: .*{BINDINGS[binding]}$"):
+        load(make(system([gain("a", bound(*binding))], []), {"p.ssv": values}))
+
+
+def test_a_binding_of_a_system_has_no_component_to_look_into(make):
+    """sourceBase="component" there would be taken for the SSD's folder."""
+    bindings = bound('source="p.ssv" sourceBase="component"')
+    with pytest.raises(Problem, match="expected SSD for sourceBase, got 'component'"):
+        load(make(system([gain("a")], [], bindings=bindings)))
+
+
+INCLUDED = '<ssd:Component name="again" type="application/x-ssp-{}" source="{}"/>'
+
+
+@pytest.mark.parametrize("source", ["SystemStructure.ssd", "resources/../SystemStructure.ssd", "other.ssd"])
+@pytest.mark.parametrize("unpacked", [True, False])
+def test_a_file_that_includes_itself_is_told(make, tmp_path, source, unpacked):
+    """However its path is spelt, and by way of another file."""
+    text = system([gain("a"), INCLUDED.format("definition", source)], [])
+    other = ssd(system([INCLUDED.format("definition", "SystemStructure.ssd")], []))
+    path = make(text, {"other.ssd": other})
+    if unpacked:
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(tmp_path / "open")
+        path = tmp_path / "open"
+    with pytest.raises(Problem, match=r"line \d+: Component: again.*SystemStructure\.ssd includes itself$"):
+        load(path)
+
+
+def test_a_file_may_be_included_twice(make):
+    """Side by side is not one in the other."""
+    parts = [INCLUDED.format("definition", "other.ssd").replace("again", name) for name in ("one", "two")]
+    inner = ssd(system([gain("a")], []))
+    assert list(load(make(system(parts, []), {"other.ssd": inner})).components) == ["one.a", "two.a"]
+
+
+def entity(value, text, place):
+    """A file with the entity &a; at a place of a text."""
+    return f"<!DOCTYPE s [<!ENTITY a {value}>]>{text.replace(place, f'{place}&a;', 1)}"
+
+
+@pytest.mark.parametrize("value", ['"<x/>"', '"text"', 'SYSTEM "file:///etc/hostname"'])
+@pytest.mark.parametrize("place", ["<ssd:Elements>", "<ssd:Connections>"])
+def test_an_entity_in_the_content_is_told(fmus, zip_ssp, value, place):
+    """It is not resolved, so what it stands for would be missing."""
+    text = ssd(system([gain("a", source="g.fmu")], [wire("u", "a.u")], connector("u", "input"))).partition(
+        "?>"
+    )[2]
+    path = zip_ssp(entity(value, text, place), {"g.fmu": fmus["gain"]})
+    told = rf"SystemStructure\.ssd: line \d+: {place[5:-1]}: expected the content itself, got the entity &a;$"
+    with pytest.raises(Problem, match=told):
+        load(path)
+
+
+def test_an_entity_in_an_attribute_is_its_text(fmus, zip_ssp):
+    """Nothing is lost there."""
+    text = ssd(system([gain("a", source="g.fmu")], [])).partition("?>")[2]
+    path = zip_ssp(
+        '<!DOCTYPE s [<!ENTITY a "1.5">]>' + text.replace('"1.5"', '"&a;"'), {"g.fmu": fmus["gain"]}
+    )
+    assert load(path).stop == 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("startTime=", 'stopTime="1" startTime='), r"Attribute stopTime redefined, line \d+, column \d+"),
+        (('"0.5"', '"&zz;"'), r"Entity 'zz' not defined, line \d+, column \d+"),
+        (("</ssd:System>", ""), r"Opening and ending tag mismatch: System [^\n]*, line \d+, column \d+"),
+    ],
+)
+def test_a_fault_beside_a_prefix_that_is_not_declared_is_told(zip_ssp, change, told):
+    """The prefix is let pass, so it is not what to mend."""
+    text = ssd(system([gain("a")], [])).replace("<ssd:Connectors>", "<odd:Note/><ssd:Connectors>", 1)
+    with pytest.raises(Problem, match=rf"SystemStructure\.ssd: is not XML: {told}$"):
+        load(zip_ssp(text.replace(*change), {}))
+
+
 def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
     """Missing, of another type, not a zip, without or with broken SystemStructure.ssd."""
     text = tmp_path / "x.ssp"
@@ -290,7 +515,8 @@ def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
         tmp_path / "no.ssp": "no such file",
         text: "expected a zip archive",
         zip_ssp("<a/>", {}, "root.ssp"): "expected the element SystemStructureDescription, got a",
-        zip_ssp("<a", {}, "broken.ssp"): "is not XML",
+        zip_ssp("<a", {}, "broken.ssp"): r"is not XML: .*, line 1, column \d+$",
+        zip_ssp("", {}, "empty.ssp"): "is not XML: Document is empty, line 1, column 1$",
     }
     for path, message in cases.items():
         with pytest.raises(Problem, match=message):

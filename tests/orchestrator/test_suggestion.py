@@ -135,6 +135,8 @@ def test_attributes_of_other_namespaces_are_passed_over(make):
     [
         (coupling('mastr="hermite"'), "Coupling: unknown attribute 'mastr'; did you mean master"),
         (coupling('passes="two"'), "Coupling: expected a whole number for passes, got 'two'"),
+        (coupling('passes="1_0"'), "Coupling: expected a whole number for passes, got '1_0'"),
+        (coupling('step="1_0e-3"'), "Coupling: expected a number for step, got '1_0e-3'"),
         (coupling('tolerance="inf"'), "Coupling: expected a number for tolerance, got 'inf'"),
         (coupling('correct="yes"'), "Coupling: expected true or false for correct, got 'yes'"),
         (coupling('step="0"'), "Coupling: expected a positive number of seconds for step, got 0"),
@@ -162,6 +164,33 @@ def test_a_mistake_names_file_line_and_attribute(make, text, message):
         load(path)
     line = etree.fromstring(zipfile.ZipFile(path).read("SystemStructure.ssd")).find(".//{*}DefaultExperiment")
     assert str(told.value).startswith(f"{path}/SystemStructure.ssd: line {line.sourceline}: {message}")
+
+
+def test_a_step_beyond_the_stop_time_names_its_place(make):
+    """Unless another one is given."""
+    path = make(annotated(coupling('step="0.3"')))
+    told = r"\.ssd: line \d+: Coupling: step: expected at most the time from 0 to 0\.1 s, got 0\.3 s"
+    with pytest.raises(Problem, match=told):
+        run(path)
+    assert run(path, step=0.05).card.steps == 2
+
+
+def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
+    """In a nested file or in a component: only the outermost system's says how all is coupled."""
+    parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"] for name in "ab"}
+    inner = zip_ssp(ssd(annotated(coupling())), parts, "inner.ssp")
+    part = f"""<ssd:Component name="s" type="application/x-ssp-package" source="resources/inner.ssp">
+{annotated(coupling('master="hermite"'))}</ssd:Component>"""
+    text = ssd(annotated(coupling('master="jacobi"'))).replace("<ssd:Elements>", f"<ssd:Elements>{part}")
+    path = zip_ssp(text, parts | {"resources/inner.ssp": inner})
+    system = load(path)
+    assert (system.coupling, system.step) == (Coupling("jacobi"), None)
+    told = "annotation of type harvester-cosim: left out, only one of the outermost system counts"
+    places = (
+        f"{path}/SystemStructure.ssd: line 4",
+        f"{path}/resources/inner.ssp/SystemStructure.ssd: line 13",
+    )
+    assert [note for note in system.notes if "left out" in note] == [f"{place}: {told}" for place in places]
 
 
 def test_two_suggestions_are_refused(make):

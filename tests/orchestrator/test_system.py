@@ -86,6 +86,30 @@ def test_conversions_compose():
     assert Linear(2.0, 1.0).then(Linear(10.0, 3.0))(1.0) == 33.0
 
 
+METRE = Unit("m", (0, 1, 0, 0, 0, 0, 0, 0))
+
+
+@pytest.mark.parametrize("factor", [0.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
+    """As source and as target; no value becomes 0 or NaN by it."""
+    odd = Unit("odd", METRE.exponents, factor)
+    with pytest.raises(
+        Problem, match=r"^x: \[odd\]: expected a finite factor other than 0 .*, got factor (0|nan|inf)"
+    ):
+        conversion(*(METRE, odd)[::turn], "x")
+
+
+def test_units_whose_ratio_no_number_holds_are_told():
+    """Each alone is fine."""
+    small, large = (Unit(name, METRE.exponents, f) for name, f in (("small", 1e-200), ("large", 1e200)))
+    for pair in ((small, large), (large, small)):
+        with pytest.raises(
+            Problem, match=r"^x: .* are too far apart: expected a finite factor other than 0, got (0|inf)"
+        ):
+            conversion(*pair, "x")
+
+
 @pytest.mark.parametrize(
     ("wire", "message"),
     [

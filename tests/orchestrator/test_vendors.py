@@ -372,7 +372,9 @@ def test_what_cannot_be_followed_is_refused_until_the_user_says_how(make, name):
         ]
 
 
-@pytest.mark.parametrize("text", ["0", "-0.02", "nan", "INF", "x", "", "0,02", "0_02", "2_0e-3", "\u0660.\u0661"])
+@pytest.mark.parametrize(
+    "text", ["0", "-0.02", "nan", "INF", "x", "", "0,02", "0_02", "2_0e-3", "\u0660.\u0661"]
+)
 def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     """File, line, element, expected and got; a step of one's own runs the system, and its signals are listed."""
     path = make(experiment=osp(f'<osp:FixedStepAlgorithm baseStepSize="{text}"/>'))

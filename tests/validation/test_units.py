@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 
 import numpy as np
@@ -39,6 +40,17 @@ SAMPLES = [
     ("s-1", 2.0, 2.0, "Hz"),
     ("m³/(s·Pa)", 1.0, 1.0, "m3/s/Pa"),
     ("N*m*s/rad", 1.0, 1.0, "N.m.s/rad"),
+    ("m s-1", 2.0, 2.0, "m/s"),
+    (" kN  m ", 2.0, 2000.0, "N.m"),
+    ("L / min", 60.0, 1e-3, "m3/s"),
+    ("N.m/(rad/s)", 3.0, 3.0, "N.m.s/rad"),
+    ("Pa/(kg/s)", 3.0, 3.0, "m-1.s-1"),
+    ("W/((m2 K))", 3.0, 3.0, "kg.s-3.K-1"),
+    ("m**2.s^-1", 3.0, 3.0, "m2/s"),
+    ("\u03bcm", 3.0, 3e-6, "m"),
+    ("degC2", 3.0, 3.0, "K2"),
+    ("degF-1", 5.0, 9.0, "K-1"),
+    ("W/degC", 3.0, 3.0, "W/K"),
 ]
 
 
@@ -50,10 +62,15 @@ def test_known_samples(unit: str, value: float, si: float, name: str) -> None:
     assert convert(np.array([si]), name, unit, "x")[0] == pytest.approx(value, rel=1e-8)
 
 
-@pytest.mark.parametrize("unit", ["furlong", "PSI", "barg", "Nm", "3", "kpsi", "m/furlong"])
+NAMES = ["furlong", "PSI", "barg", "Nm", "3", "kpsi", "m/furlong", "Unit Not Applicable", "[m]"]
+SLIPS = ["m s -1", "m 3", "(m", "m)", "m(s)", "m..s", "m/", "/m", "()", "()m", "N//m", "N/m.s", "m/s kg"]
+POWERS = ["km999", "km-999", "m100", "m" + "9" * 5000, "km99.km99", "(" * 5000 + "m" + ")" * 5000]
+
+
+@pytest.mark.parametrize("unit", [*NAMES, *SLIPS, *POWERS])
 def test_unknown_unit_is_refused(unit: str) -> None:
-    """A unit that is not known is named, not guessed."""
-    with pytest.raises(Problem, match=rf"file: unit '{unit}' is unknown, expected one like bar"):
+    """A unit that is not known, or can be read in two ways, is named, not guessed."""
+    with pytest.raises(Problem, match=rf"file: unit '{re.escape(unit)}' is unknown, expected one like bar"):
         parse(unit, "file")
 
 
