@@ -1,8 +1,8 @@
 """What each tool makes of what the rules find. One row per tool and rule; the evidence stands beside it.
 
-Simulink, Dymola and Amesim were judged by issue threads, without running them. The others run in this
-project's tests, or their sources were read. A thread is evidence for the tool that imports the FMU;
-one about FMUs that a tool has made stands beside the rule only.
+Simulink, Dymola, Amesim and fmusim were judged by issue threads, without running them. The others run in
+this project's tests or in `make matrix`, or their sources were read. A thread is evidence for the tool that
+imports the FMU; one about FMUs that a tool has made stands beside the rule only.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ ANY = "any"
 THREADS = "by issue threads, not by running the tool"
 RUN = "by running it in this project's tests, and by issue threads"
 READ = "by reading its sources, and by issue threads"
+MATRIX = "by running it (`make matrix`), by reading its sources, and by issue threads"
 
 
 def _error(why: str, thread: str) -> Verdict:
@@ -99,7 +100,9 @@ OPENMODELICA = Tool(
             "the imported Modelica code may not compile", "OpenModelica#4707 OpenModelica#5706"
         ),
         "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
-        "run.late": _error("sets parameters and states there", "OpenModelica#16354 OpenModelica#12893"),
+        "run.late": _error(
+            "sets parameters, states and the time there", "OpenModelica#16354 OpenModelica#12893"
+        ),
         "version.new": _warning(
             "imports FMI 3.0 only since pull request 16268 (2026), Model Exchange", "OpenModelica#16268"
         ),
@@ -169,7 +172,7 @@ PYFMI = Tool(
 OMSIMULATOR = Tool(
     "omsimulator",
     "OMSimulator",
-    READ,
+    MATRIX,
     {
         "version.new": _warning("FMI 3.0 is a prototype", "OMSimulator#1523"),
         "structure.initial": _warning(

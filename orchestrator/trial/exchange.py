@@ -82,8 +82,16 @@ class Exchange:
 
     def put(self, time: float, x: Sequence[float]) -> None:
         """Set time and continuous states."""
+        self.put_time(time)
+        self.put_states(x)
+
+    def put_time(self, time: float) -> None:
+        """Set the time."""
         self.instance.binary.beacon.time = time
         self.instance.call("SetTime", ctypes.c_double(time))
+
+    def put_states(self, x: Sequence[float]) -> None:
+        """Set the continuous states."""
         if self.count:
             self._x[:] = list(x)
             self.instance.call("SetContinuousStates", self._x, ctypes.c_size_t(self.count))

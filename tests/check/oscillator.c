@@ -33,6 +33,7 @@ typedef struct {
     State s;
     double shown[VARIABLES]; /* outputs as of the last step, for a fault */
     int continuous;          /* continuous-time mode was entered, for a fault */
+    int upset;               /* something was refused, and the time is from now on */
     void *environment;
     fmi2CallbackLogger say2;
     fmi3LogMessageCallback say3;
@@ -57,7 +58,8 @@ static int no(Model *m, const char *text) {
 
 static void rates(const double *r, double x, double v, double *dx, double *dv) {
     *dx = v;
-    *dv = r[U] - r[STIFFNESS] * x - (is("stiff") ? 1e5 : 1) * r[DAMPING] * v;
+    *dv = r[U] - (is("swings") ? 25 : 1) * r[STIFFNESS] * x - (is("stiff") ? 1e5 : 1) * r[DAMPING] * v;
+    if (is("grows")) *dv += 0.1 * tanh(5e5 * v); /* fast from where it begins, and soon no more */
 }
 
 static void evaluate(Model *m) {
@@ -331,7 +333,10 @@ static void event(int *flags, double *next) {
     *next = 0;
 }
 static int put_states(Model *m, const double *x) {
-    if (is("states") && !m->continuous) return no(m, "not in event mode");
+    if (is("states") && !m->continuous) {
+        m->upset = 1;
+        return no(m, "not in event mode");
+    }
     memcpy(&m->s.r[X], x, 2 * sizeof *x);
     return GOOD;
 }
@@ -345,7 +350,10 @@ static int get_rates(Model *m, double *dx) {
     return GOOD;
 }
 
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t) { return M->s.time = t, fmi2OK; }
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t) {
+    if ((is("soon") && !M->continuous) || M->upset) return no(M, "not in event mode");
+    return M->s.time = t, fmi2OK;
+}
 fmi2Status fmi2EnterEventMode(fmi2Component c) { return (void)c, fmi2OK; }
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return M->continuous = 1, fmi2OK; }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *i) {

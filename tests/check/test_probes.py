@@ -13,7 +13,10 @@ from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
 from orchestrator.check.probes.parent import Limits, current, limits
 from orchestrator.check.subject import Subject
-from orchestrator.trial.tasks import leak
+from orchestrator.trial.beacon import Beacon
+from orchestrator.trial.bench import Bench
+from orchestrator.trial.reading import read
+from orchestrator.trial.tasks import leak, solver
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
@@ -85,7 +88,9 @@ FAULTS = (
     Planted("late", "parameters cannot be set after fmi2ExitInit", "parameters", severity="note"),
     Planted("late", "stiffness is set to 40.04 after", "deaf", severity="note"),
     Planted("late", "states cannot be set before fmi2EnterContinuous", "states", severity="note"),
-    Planted("stiff", "an eigenvalue of 5e+04 1/s: explicit Euler wants", "stiff", severity="note"),
+    Planted("late", "the time cannot be set before fmi2EnterContinuous", "soon", severity="note"),
+    Planted("stiff", "of -5e+04 1/s: explicit Euler wants steps below 4e-05 s", "stiff", severity="note"),
+    Planted("stiff", "of -0.25 +- 32i 1/s: explicit Euler wants steps below 0.0005", "swings", severity="note"),
     Planted("values", "u = nan: position is nan even after the input", "accepts", severity="warning"),
     Planted("values", "segmentation fault in fmi2SetReal", "input"),
     Planted("order", "(a step before the initialisation)", "order", severity="warning"),
@@ -180,6 +185,26 @@ def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
 def test_a_good_fmu_gives_nothing(oscillators, tmp_path, major):
     """No probe has anything to say of the oscillator without fault."""
     assert apply(oscillators.make(major), tmp_path) == []
+
+
+@pytest.mark.parametrize(("fault", "what"), [("soon", "the time"), ("states", "states")])
+def test_a_late_call_that_is_refused_is_named_alone(oscillators, tmp_path, fault, what):
+    """Not also those that the FMU refuses because it has refused one."""
+    found = apply(oscillators.make(2, fault), tmp_path, "late")
+    assert [f.text.split(": ")[1].split(" cannot")[0] for f in found] == [what]
+
+
+def test_a_mode_that_grows_is_not_stiff(oscillators, tmp_path):
+    """No step of any solver makes it decay, and Euler follows it as others do."""
+    assert apply(oscillators.make(2, "grows"), tmp_path, "default", "stiff") == []
+
+
+def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
+    """Of this FMU one instance can live at a time, and each probe makes some."""
+    folder = opened(oscillators.make(2, "once"), tmp_path).folder
+    bench = Bench(folder, read(folder), "me", Beacon(tmp_path / "beacon"))
+    for task in (solver.nominals, solver.late, solver.stiff) * 2:
+        assert list(task(bench)) == []
 
 
 def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):

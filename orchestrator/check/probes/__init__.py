@@ -113,7 +113,7 @@ TABLE: tuple[tuple[str, str, Check, str], ...] = (
     ("nominals", "Nominal values of states are positive", probe("solver:nominals", sides=ME), ""),
     (
         "late",
-        "Parameters and states may be set between initialisation and continuous time",
+        "Parameters, states and time may be set between initialisation and continuous time",
         probe("solver:late", sides=ME, major=2),
         "OpenModelica#16354 OpenModelica#12893",
     ),

@@ -91,13 +91,17 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
 
 @RULES.rule("structure.rates", "Only derivatives of states have the attribute derivative in FMI 2.0")
 def rates(subject: Subject) -> Iterator[Finding]:
-    if subject.major != 2 or "ModelExchange" not in subject.model.interfaces:
+    """The standard allows more; but who counts states by this attribute then counts too many."""
+    model = subject.model
+    if subject.major != 2 or "ModelExchange" not in model.interfaces:
         return
-    said = [v for v in subject.model.variables if v.causality == "input" and v.said.get("derivative")]
+    listed = {u.variable for u in model.structure.get("derivatives", ())}
+    said = [v for v in model.variables if v.said.get("derivative") and v not in listed]
+    said = [v for v in said if v.is_float and v.variability == "continuous"]
     if said:
-        names = some([v.name for v in said])
         yield warning(
-            f"{said[0]}: inputs with the attribute derivative, taken for states by some tools: {names}"
+            f"{said[0]}: the attribute derivative, but no entry in ModelStructure/Derivatives;"
+            f" some tools count a state for each: {some([v.name for v in said])}"
         )
 
 
