@@ -112,6 +112,8 @@ def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     if coupling.adaptive is not None:
         return Grid(start, setup.frame, NEVER, first=step), 1
     ratio = setup.frame / step
+    if ratio > NEVER:
+        raise Problem(f"step: expected at least {setup.frame / NEVER:.3g} s, got {step:g} s")
     steps = round(ratio)
     if steps < 1 or abs(ratio - steps) > 1e-6 * steps:
         raise Problem(f"frame: expected a multiple of the step {step:g} s, got {setup.frame:g} s")

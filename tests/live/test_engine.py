@@ -138,6 +138,8 @@ def test_units_of_axes_and_signals(drift):
         ),
         ({"step": 3e-3}, "frame: expected a multiple of the step 0.003 s, got 0.01 s"),
         ({"step": -1.0}, "step: expected a positive time, got -1 s"),
+        ({"step": 1e-300}, "step: expected at least 9.09e-15 s, got 1e-300 s"),
+        ({"step": 1e-320}, "step: expected at least 9.09e-15 s, got 9.99989e-321 s"),
         ({"system": "none.fmu"}, "none.fmu: no such file"),
     ],
 )
