@@ -90,7 +90,7 @@ FAULTS = (
     Planted("late", "states cannot be set before fmi2EnterContinuous", "states", severity="note"),
     Planted("late", "the time cannot be set before fmi2EnterContinuous", "soon", severity="note"),
     Planted("stiff", "of -5e+04 1/s: explicit Euler wants steps below 4e-05 s", "stiff", severity="note"),
-    Planted("stiff", "of -0.25 +- 32i 1/s: explicit Euler wants steps below 0.0005", "swings", severity="note"),
+    Planted("stiff", "-0.25 +- 32i 1/s: explicit Euler wants steps below 0.0005", "swings", severity="note"),
     Planted("values", "u = nan: position is nan even after the input", "accepts", severity="warning"),
     Planted("values", "segmentation fault in fmi2SetReal", "input"),
     Planted("order", "(a step before the initialisation)", "order", severity="warning"),
