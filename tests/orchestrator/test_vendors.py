@@ -226,7 +226,7 @@ SIZES = (
 )
 HINT = annotation("com.opensimulationplatform", f'<osp:StepSizeHint {OSP} value="0.01"/>')
 REFUSED = {
-    "Model Exchange": ({"in_system": oms(SOLVER)}, r"OMSimulator solves this by Model Exchange \(cvode\)"),
+    "Model Exchange": ({"in_system": oms(SOLVER)}, r"VariableStepSolver of OMSimulator wants Model Exchange \(cvode\)"),
     "a solver of 2026": (
         {
             "in_system": annotation(
@@ -234,7 +234,7 @@ REFUSED = {
                 f'<oms:SimulationInformation {OMS} name="s" method="euler" tolerance="1e-6"/>',
             )
         },
-        r"OMSimulator solves this by Model Exchange \(euler\)",
+        r"SimulationInformation of OMSimulator wants Model Exchange \(euler\)",
     ),
     "a method that nobody knows": (
         named('method="oms_mb" fixedStepSize="0.02"'),

@@ -20,7 +20,7 @@ STEPS = ("initialStepSize", "minimumStepSize", "maximumStepSize")
 VARIABLE = (*STEPS, "relativeTolerance")
 USUAL = dict(zip(VARIABLE, (1e-6, 1e-12, 1e-3, 1e-4), strict=True))  # where an attribute is missing there
 TAKEN = {"oms_ma": ("fixedStepSize", "relativeTolerance"), "oms_mav": VARIABLE, "oms_mav2": VARIABLE}
-TOLERANCES = ("tolerance", "absoluteTolerance")  # written by some, read by no version
+TOLERANCES = ("tolerance", "absoluteTolerance")  # that API writes what it is given, and does not read these
 RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
 
 
@@ -58,7 +58,7 @@ def _solver(file: Location, element: Element, tool: str) -> Told:
 
 def _exchange(file: Location, element: Element, tool: str) -> Problem:
     how = element.get("description") or element.get("method") or local(element)
-    wanted = f"{tool} solves this by Model Exchange ({how})"
+    wanted = f"{local(element)} of {tool} wants Model Exchange ({how})"
     return refused(file, element, f"{wanted}, here FMUs take part by Co-Simulation only")
 
 
