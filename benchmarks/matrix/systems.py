@@ -136,10 +136,10 @@ def judged(found: Outcome, stop: float = CYCLE) -> tuple[str, Mapping[str, float
 
 
 def systems(tools: Sequence[Tool], build: Path, folder: Path) -> Iterator[Row]:
-    """Every tool with every master; rates open in FMI 2.0 only, which is the same in FMI 3.0."""
+    """Every tool with every master; in FMI 3.0, which gives the same, neither rates open nor orders of the FMUs."""
     for tool in tools:
         for fmi in tool.systems:
-            for master in tool.masters:
+            for master in (m for m in tool.masters if fmi == 2 or not m.order):
                 for rates in (WIRED, OPEN) if fmi == 2 and master.method else (WIRED,):
                     said, worst = judged(_run(tool, build, folder, fmi, master, rates))
                     yield Row(tool.name, fmi, master.name, rates if master.method else "", said, worst)
@@ -173,13 +173,13 @@ def by_tool(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     return [(*key, *_compared(pair.get(WIRED), pair.get(OPEN))) for key, pair in found.items()]
 
 
-def _compared(wired: Row | None, open_: Row | None) -> tuple[str, str, str]:
+def _compared(wired: Row | None, open_: Row | None) -> tuple[str, ...]:
     """Both cells, and which is better, if both were measured."""
-    shown = [row.speed if row else "" for row in (wired, open_)]
+    shown = tuple(row.speed if row else "" for row in (wired, open_))
     known = [row for row in (wired, open_) if row and (row.errors or row.remark == DIVERGES)]
     if len(known) < 2:
-        return (*shown, "not measured")  # type: ignore[return-value]
+        return (*shown, "not measured")
     if shown[0] == shown[1]:
-        return (*shown, "neither works" if shown[0] == DIVERGES else "no difference")  # type: ignore[return-value]
+        return (*shown, "neither works" if shown[0] == DIVERGES else "no difference")
     first, second = (row.errors["speed"] if row.errors else np.inf for row in known)
-    return (*shown, "connect" if first < second else "leave open")  # type: ignore[return-value]
+    return (*shown, "connect" if first < second else "leave open")
