@@ -34,6 +34,7 @@ class Quantity:
 
     unit, text   SI unit and one line of description
     nominal      magnitude in that unit, for scaling and error control
+    absolute     states only: the absolute tolerance over the relative one; without it, nominal
     minimum, maximum   bounds that an importer and the FMU check
     tunable      parameters only: may be changed while the simulation runs
     rate         inputs only: name of the input that carries this one's exact time derivative
@@ -50,6 +51,12 @@ class Quantity:
     rate: str | None = None
     warn_above: float | None = None
     group: str = ""
+    absolute: float | None = None
+
+    @property
+    def absolute_scale(self) -> float:
+        """Absolute tolerance of the error control over the relative one."""
+        return self.nominal if self.absolute is None else self.absolute
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 STAGES, MOST_STEPS = 6, 1_000_000
 SHORTEST_REST, LONGEST_REST = 8, 1024
-ABSOLUTE = 0.01  # absolute tolerance of a state over tolerance * nominal value, see solver.h
 GAMMA = 0.25
 ALPHA = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
 G = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
@@ -62,12 +61,14 @@ class System(Protocol):
     """dx/dt = f(x, u); what it returns may be overwritten by its next call.
 
     nominal      magnitudes of the states
+    absolute     their absolute tolerances over the relative one
     stiff        is the explicit method left out?
     rate         f
     linearised   f, df/dx and df/du du
     """
 
     nominal: Array
+    absolute: Array
     stiff: bool
 
     def rate(self, x: Array, u: Array) -> Array: ...
@@ -168,13 +169,13 @@ def _solve(system: System, x: Array, motion: Motion, length: float, tolerance: f
         error, new = math.inf, x
         if stage is None and not system.stiff and pace.its_turn():
             new, estimate, calm = kutta(system, motion, tau, x, h)
-            error, worst = _error(x, new, estimate, tolerance, system.nominal)
+            error, worst = _error(x, new, estimate, tolerance, system.absolute)
             error = error if calm else math.inf
             pace.learn(error <= 1.0)  # a comparison with NaN is false
         if not error <= 1.0:
             stage = stage or _linearised(system, motion, tau, x)
             new, estimate = stage.advance(x, h)
-            error, worst = _error(x, new, estimate, tolerance, system.nominal)
+            error, worst = _error(x, new, estimate, tolerance, system.absolute)
         if error <= 1.0:
             # Order of the estimate of RODAS is 3, so its error grows with h^4; that of the other with h^3.
             growth = min(5.0, 0.9 / max(error, 1e-8) ** 0.25)
@@ -215,9 +216,9 @@ def _linearised(system: System, motion: Motion, tau: float, x: Array) -> Stage:
     return Stage(system, motion if motion.moving else None, tau, u, f.copy(), jacobian, ft)
 
 
-def _error(x: Array, new: Array, estimate: Array, tolerance: float, nominal: Array) -> tuple[float, int]:
+def _error(x: Array, new: Array, estimate: Array, tolerance: float, absolute: Array) -> tuple[float, int]:
     """Weighted root mean square of the error estimate, and where it is largest."""
-    parts = np.abs(estimate) / (tolerance * (ABSOLUTE * nominal + np.maximum(np.abs(x), np.abs(new))))
+    parts = np.abs(estimate) / (tolerance * (absolute + np.maximum(np.abs(x), np.abs(new))))
     return math.sqrt(parts @ parts / parts.size), int(np.argmax(parts))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Any
 
 from fmus.boom_stick.variables import BoomStickOutputs, BoomStickState, CylinderParameters
-from fmus.components import line
+from fmus.components import chamber, line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
 from fmus.components.hose_drive import DriveState
 from fmus.components.spool_dynamics import SpoolState
@@ -60,7 +60,7 @@ def _meanings(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
             yield name, Quantity("m3/s", f"Flow from lump {k} to {k + 1} of {where}", 1e-3)
         yield hose.flows[-1], usual[f"{axis}_{side}_flow"]
         for k, name in enumerate(hose.pressures, 1):
-            yield name, Quantity("Pa", f"Pressure of lump {k} of {where}", 1e7)
+            yield name, chamber.pressure(f"Pressure of lump {k} of {where}")
         for k, within in enumerate(hose.layers):
             for i, name in enumerate(within, 1):
                 text = f"Flow in {where} that friction term {i} of flow {k} remembers"

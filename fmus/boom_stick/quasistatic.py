@@ -16,25 +16,21 @@ from typing import Annotated
 
 from fmus.boom_stick.drives import TERMINALS, drives, require, start_pressures, surroundings
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, QuasistaticParameters
-from fmus.components import cylinder_drive, direct_drive
+from fmus.components import chamber, cylinder_drive, direct_drive
 from fmus.components.cylinder_drive import Oil
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Scalar, Subsystem
 
 
 @dataclass(frozen=True)
 class QuasistaticState:
     """State of the quasistatic drives: pressures."""
 
-    boom_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
-    ]
-    boom_rod_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at the rod side of the boom cylinder", 1e7)]
+    boom_head_pressure: Annotated[Scalar, chamber.pressure("Pressure at the head side of the boom cylinder")]
+    boom_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the boom cylinder")]
     stick_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the stick cylinder", 1e7)
+        Scalar, chamber.pressure("Pressure at the head side of the stick cylinder")
     ]
-    stick_rod_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the rod side of the stick cylinder", 1e7)
-    ]
+    stick_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the stick cylinder")]
 
 
 def _pressures(x: QuasistaticState) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from fmus.components import chamber
 from fmus.components.valve_parameters import ValveParameters
 from fmus.contract import Quantity, Scalar
 
@@ -91,18 +92,14 @@ class BoomStickParameters(QuasistaticParameters):
 class BoomStickState:
     """State of the lumped drives: pressures and line flows, which every variant shows."""
 
-    boom_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
-    ]
-    boom_rod_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at the rod side of the boom cylinder", 1e7)]
+    boom_head_pressure: Annotated[Scalar, chamber.pressure("Pressure at the head side of the boom cylinder")]
+    boom_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the boom cylinder")]
     boom_head_flow: Annotated[Scalar, Quantity("m3/s", "Flow into the head side of the boom cylinder", 1e-3)]
     boom_rod_flow: Annotated[Scalar, Quantity("m3/s", "Flow into the rod side of the boom cylinder", 1e-3)]
     stick_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the stick cylinder", 1e7)
+        Scalar, chamber.pressure("Pressure at the head side of the stick cylinder")
     ]
-    stick_rod_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the rod side of the stick cylinder", 1e7)
-    ]
+    stick_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the stick cylinder")]
     stick_head_flow: Annotated[
         Scalar, Quantity("m3/s", "Flow into the head side of the stick cylinder", 1e-3)
     ]

@@ -132,7 +132,7 @@ def _table(face: Interface) -> str:
             "",
             '#include "model.h"',
             "",
-            "/* name, unit, kind, start, minimum, maximum, nominal, warn_above, rate */",
+            "/* name, unit, kind, start, minimum, maximum, nominal, absolute, warn_above, rate */",
             "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",
@@ -164,7 +164,8 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    numbers = ", ".join(number(n) for n in (v.start or 0.0, low, high, q.nominal, _limit(v)))
+    sizes = (v.start or 0.0, low, high, q.nominal, q.absolute_scale, _limit(v))
+    numbers = ", ".join(number(n) for n in sizes)
     return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Any
 
-from fmus.components import line
+from fmus.components import chamber, line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
 from fmus.components.line import LineState
 from fmus.contract import Quantity, Scalar, quantities
@@ -58,7 +58,7 @@ def _meanings(side: str, names: LineState) -> Iterator[tuple[str, Quantity]]:
         yield name, Quantity("m3/s", f"Flow from lump {k} to {k + 1} of {where}", 1e-3)
     yield names.flows[-1], Quantity("m3/s", f"Flow from {where} to the motor", 1e-3)
     for k, name in enumerate(names.pressures, 1):
-        yield name, Quantity("Pa", f"Pressure of lump {k} of {where}", 1e7)
+        yield name, chamber.pressure(f"Pressure of lump {k} of {where}")
     for k, within in enumerate(names.layers):
         for i, name in enumerate(within, 1):
             text = f"Flow in {where} that friction term {i} of flow {k} remembers"

@@ -21,7 +21,7 @@ from typing import Annotated
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Scalar, Subsystem
 from fmus.swing.drive import TERMINALS, require
 from fmus.swing.variables import QuasistaticParameters, SwingInputs, SwingOutputs
 
@@ -30,8 +30,8 @@ from fmus.swing.variables import QuasistaticParameters, SwingInputs, SwingOutput
 class QuasistaticState:
     """State of the quasistatic drive: the pressures."""
 
-    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of swing line A", 1e7)]
-    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of swing line B", 1e7)]
+    swing_pressure_a: Annotated[Scalar, chamber.pressure("Pressure of swing line A")]
+    swing_pressure_b: Annotated[Scalar, chamber.pressure("Pressure of swing line B")]
 
 
 def _ports(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+from fmus.components import chamber
 from fmus.components.valve_parameters import ValveParameters
 from fmus.contract import Quantity, Scalar
 
@@ -86,8 +87,8 @@ class SwingParameters(QuasistaticParameters):
 class SwingState:
     """State of the lumped drive: pressures and flows of both lines, which every variant shows."""
 
-    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of swing line A", 1e7)]
-    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of swing line B", 1e7)]
+    swing_pressure_a: Annotated[Scalar, chamber.pressure("Pressure of swing line A")]
+    swing_pressure_b: Annotated[Scalar, chamber.pressure("Pressure of swing line B")]
     swing_flow_a: Annotated[Scalar, Quantity("m3/s", "Flow into swing line A", 1e-3)]
     swing_flow_b: Annotated[Scalar, Quantity("m3/s", "Flow into swing line B", 1e-3)]
 

@@ -36,7 +36,8 @@ typedef struct {
     Kind kind;
     double start;
     double minimum, maximum; /* infinite where there is no bound */
-    double nominal;          /* magnitude, for scaling and error control */
+    double nominal;          /* magnitude, for scaling */
+    double absolute;         /* states: absolute tolerance over the relative one */
     double warn_above;       /* infinite where nothing is watched */
     int rate;                /* inputs: index of the input with the time derivative, or -1 */
 } Variable;

@@ -18,7 +18,7 @@ static double error_norm(const double *x, const Work *w, double tolerance, Repor
     double sum = 0.0, largest = -1.0;
     for (int i = 0; i < NX; i++) {
         const double size = fmax(fabs(x[i]), fabs(w->x[i]));
-        const double weight = tolerance * (ABSOLUTE * model_variables[FIRST_STATE + i].nominal + size);
+        const double weight = tolerance * (model_variables[FIRST_STATE + i].absolute + size);
         const double part = fabs(w->error[i]) / weight;
         sum += part * part;
         if (!isnan(largest) && !(part <= largest)) {

@@ -5,10 +5,6 @@
 
 #include "motion.h"
 
-/* Absolute tolerance of a state over tolerance * nominal value. With 1 the pressures of cavitating oil, which are
-   small beside their nominal 10 MPa, are 2 % off after some seconds; with 0.01 it is 0.002 %, at the same cost. */
-static const double ABSOLUTE = 0.01;
-
 /* Called after each accepted inner step, with the states at tau; it may change the motion of the inputs
    from there on, and returns where to stop: tau or later, `length` to go on to the end. */
 typedef struct {

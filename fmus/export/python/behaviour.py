@@ -111,6 +111,7 @@ class Continuous:
         self.variables, self.sizes = variables, sizes(face)
         self.statements = face.equations.statements
         self.nominal = np.array([v.quantity.nominal for v in face.states])
+        self.absolute = np.array([v.quantity.absolute_scale for v in face.states])
         self.stiff = face.stiff
         self._p = np.zeros(len(face.parameters))
         self._rate, self._linearised = _Bound(functions.rate), _Bound(functions.linearised)
