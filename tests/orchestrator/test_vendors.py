@@ -226,7 +226,10 @@ SIZES = (
 )
 HINT = annotation("com.opensimulationplatform", f'<osp:StepSizeHint {OSP} value="0.01"/>')
 REFUSED = {
-    "Model Exchange": ({"in_system": oms(SOLVER)}, r"VariableStepSolver of OMSimulator wants Model Exchange \(cvode\)"),
+    "Model Exchange": (
+        {"in_system": oms(SOLVER)},
+        r"VariableStepSolver of OMSimulator wants Model Exchange \(cvode\)",
+    ),
     "a solver of 2026": (
         {
             "in_system": annotation(
