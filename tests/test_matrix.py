@@ -70,6 +70,7 @@ def test_speeds_have_two_digits():
     ("problem", "text"),
     [
         ("RuntimeError: no\nmore | less", "no more / less"),
+        ("fmpy.util.SomeException: no", "no"),
         ("cannot open /tmp/x1/job/swing.fmu", "cannot open swing.fmu"),
         ("see http://a.org/b/c and x/y/z", "see http://a.org/b/c and x/y/z"),
         ("x" * 200, "x" * 107 + "..."),

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 LONGEST = 110  # characters of a message
-NOISE = r"^\w*Error: |\[FMU\]\[\w+\]\[FMU status:\w+\] "
+NOISE = r"^[\w.]*(?:Error|Exception|Problem): |\[FMU\]\[\w+\]\[FMU status:\w+\] "
 PATH = r"(?<![\w/.:])(/[\w.+-]+)+/"  # of this machine, up to the name of the file
 
 
