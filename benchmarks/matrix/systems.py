@@ -36,10 +36,10 @@ HEAD = (
     "FMI",
     "master",
     "rate ports",
-    "speed [%]",
-    "angle [%]",
+    "joint speed [%]",
+    "joint angle [%]",
     "pressure [%]",
-    "speed, or what happens",
+    "times real time, or what happens",
 )
 RATE_HEAD = ("tool", "master", "rates wired [%]", "rates open [%]", "so")
 
@@ -129,7 +129,7 @@ def judged(found: Outcome, stop: float = CYCLE) -> tuple[str, Mapping[str, float
     if max(worst.values()) > LOST:
         return DIVERGES, None
     problem = found.until(stop).problem
-    return (remark(problem), None) if problem else (f"{two(stop / found.wall)} x real time", worst)
+    return (remark(problem), None) if problem else (two(stop / found.wall), worst)
 
 
 # ---- tables
