@@ -20,11 +20,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fmus.components.spool_valve import opening
-from fmus.identification.finding import Estimate
-from fmus.identification.known import Known, lookup, nominal
+from fmus.identification.known import Estimate, Known, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.rig.plans import PLANS, experiment
+from fmus.rig.experiments import PLANS, experiment
 from fmus.rig.writing import write
 
 VOLTS = (1.5, 2.0, 3.0, 5.0, 8.0, 10.0)

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.errors import Problem
-from orchestrator.live.pace import WISH
-from orchestrator.live.replay import Replay
-from orchestrator.live.setup import Machine
-from orchestrator.live.station import Station
+from orchestrator.base.errors import Problem
+from orchestrator.realtime.machine import Station
+from orchestrator.realtime.pace import WISH
+from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.setup import Machine
 
 SYSTEM = Path("build/harvester.ssp")
 BAR = 0.005  # share of deadlines

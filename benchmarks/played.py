@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.export.build import build
 from fmus.export.compile import HEADERS
-from fmus.harvester import HARVESTER
+from fmus.machine.one_block import HARVESTER
 
 Array = np.ndarray
 

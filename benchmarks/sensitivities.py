@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.played import Fmu
-from fmus.harvester import HARVESTER
-from fmus.identification.refinement.model import Model
+from fmus.identification.refinement.simulation import Model
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.parameters import values
-from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 
 FREE = (
     *("valve_area", "valve_dead_band", "motor_displacement", "bulk_modulus"),

@@ -9,10 +9,10 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fmus.build import build_machine, data
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.build import build_machine, data
+from fmus.machine.parts import SUBSYSTEMS
 from orchestrator import System, load, run
-from orchestrator.variety.cost import inside
+from orchestrator.studies.variants import inside
 
 REPEATS = 5
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))

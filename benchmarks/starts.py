@@ -28,13 +28,13 @@ from fmus.contract import ModelError
 from fmus.identification.known import nominal
 from fmus.identification.machine import FREE, problem
 from fmus.identification.recordings.reading import read
-from fmus.identification.recordings.signals import window
+from fmus.identification.recordings.recording import window
 from fmus.identification.refinement.differences import BlackBox
-from fmus.identification.refinement.failed import Failed
 from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
-from fmus.rig.plans import experiment
+from fmus.identification.refinement.simulation import Failed
+from fmus.rig.experiments import experiment
 from fmus.rig.writing import write
 
 AWAY = 0.3  # standard deviation of a start, relative

@@ -16,10 +16,10 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
-from fmus.build import VARIANTS, build_machine
 from fmus.contract import quantities
 from fmus.export.compile import HEADERS
-from fmus.machine import FAMILIES
+from fmus.machine.build import VARIANTS, build_machine
+from fmus.machine.parts import FAMILIES
 from orchestrator import Trace, run
 
 STEP = 1e-3  # s

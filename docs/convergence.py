@@ -14,9 +14,10 @@ import tempfile
 from pathlib import Path
 
 from orchestrator.convergence import Study, draw_error, draw_work, markdown
-from orchestrator.convergence.command import convergence
-from orchestrator.convergence.table import cost, maximum, nrmse, own_steps
-from orchestrator.validation.figures import png
+
+from orchestrator.results.figures import png
+from orchestrator.studies.convergence_report import cost, maximum, nrmse, own_steps
+from orchestrator.studies.convergence_study import convergence
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
@@ -33,7 +34,7 @@ def main() -> None:
     from machine import build
     from steps import beside_the_published, manipulator
 
-    from fmus.build import build_machine, data
+    from fmus.machine.build import build_machine, data
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -44,15 +44,16 @@ from fidelity_tables import (
     ripple_table,
     rows_of_costs,
 )
+from orchestrator.comparison import draw
 
 from fmus.boom_stick.detailed import detailed
-from fmus.build import build_machine
 from fmus.export.build import build
-from fmus.machine import FAMILIES
+from fmus.machine.build import build_machine
+from fmus.machine.parts import FAMILIES
 from orchestrator import load
-from orchestrator.comparison import compare, draw
-from orchestrator.validation.figures import png
-from orchestrator.variety.combinations import combinations
+from orchestrator.results import comparison
+from orchestrator.results.figures import png
+from orchestrator.studies.variants import combinations
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"
@@ -147,7 +148,7 @@ def costs(system: Path) -> None:
             lines = example.table(part, runs, cost).splitlines()
             fill(EXAMPLE / "README.md", "table", "\n".join(f"    {line}" for line in lines))
             traces = {run.label: run.trace for run in runs.runs}
-            seen = compare(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
+            seen = comparison(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
             (IMAGES / "fidelity-example.png").write_bytes(png(draw(seen)))
     fill(DOCUMENT, "costs", "\n".join(told))
     variants = {part: list(family) for part, family in FAMILIES.items()}

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fmus.machine import parts, wiring
+from fmus.machine.parts import parts, wiring
+from fmus.machine.scenarios import Move
 from fmus.monolith import join, simulate
-from fmus.scenarios import Move
 
 BAR = 1e5  # Pa
 SPLIT = 2.0  # Hz, between bumps and ripple

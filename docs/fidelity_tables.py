@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Test, Trace, cycle, tested
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
-
-from fmus.machine import FAMILIES
 from orchestrator.comparison import Comparison
-from orchestrator.validation.wording import share
-from orchestrator.variety.combinations import Row
+
+from fmus.machine.parts import FAMILIES
+from orchestrator.results.summary import share
+from orchestrator.studies.variants import Row
 
 LEAST = 0.05  # bar: a ripple below has no frequency worth telling
 NOTHING = 0.15  # %: a change of peaks below is none

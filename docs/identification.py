@@ -12,17 +12,15 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from fmus.identification.finding import Estimate
-from fmus.identification.known import lookup, nominal
+from fmus.identification.known import Estimate, lookup, nominal
 from fmus.identification.outcome import beside, explanation, worst
 from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.identification.report import figures, words
+from fmus.identification.report import figures, wording
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.captions import caption
-from fmus.identification.report.compared import Compared, picture
-from fmus.identification.report.embedding import png
-from fmus.identification.report.style import prose
+from fmus.identification.report.comparison import Compared, picture
+from fmus.identification.report.panels import png, prose
+from fmus.identification.report.wording import caption
 from fmus.rig.command import rig
 
 HERE = Path(__file__).parent
@@ -79,7 +77,7 @@ def draw(found: Identified) -> None:
     kinds = [r.kind for r in found.recordings]
     for finding in found.findings:
         number, name = PROCEDURES[finding.procedure]
-        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(figures.draw(finding, kinds)))
+        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(figures.draw_finding(finding, kinds)))
         said = [f"- {prose(remark)}" for remark in finding.remarks]
         told = [caption(finding, kinds), "", estimates(finding.estimates), "", *said]
         fill(f"figure {number}", "\n".join(told).rstrip())
@@ -93,7 +91,7 @@ def estimates(found: Iterable[Estimate]) -> str:
 
 def value(e: Estimate) -> tuple[str, str, str]:
     """Value, interval and unit as they are shown."""
-    return words.value(e), words.interval(e), words.unit(e.unit)
+    return wording.value(e), wording.interval(e), wording.unit(e.unit)
 
 
 def returned(found: Identified) -> str:
@@ -103,8 +101,8 @@ def returned(found: Identified) -> str:
         for e in finding.estimates:
             truth = lookup(e.name, nominal()).value
             holds = "yes" if e.low <= truth <= e.high else "no"
-            shown = words.number(words.in_unit(truth, e.unit), 4)
-            rows.append((f"`{e.name}`", shown, *value(e), words.change(e.value, truth), holds))
+            shown = wording.number(wording.in_unit(truth, e.unit), 4)
+            rows.append((f"`{e.name}`", shown, *value(e), wording.change(e.value, truth), holds))
     head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval holds it")
     return table(head, rows)
 
@@ -114,7 +112,7 @@ def refined(found: Identified) -> str:
     rows = []
     for name, (e, procedure) in found.estimates.items():
         if procedure == MACHINE:
-            before = words.number(words.in_unit(lookup(name, nominal()).value, e.unit), 4)
+            before = wording.number(wording.in_unit(lookup(name, nominal()).value, e.unit), 4)
             rows.append((f"`{name}`", before, *value(e)))
     return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
 
@@ -122,7 +120,7 @@ def refined(found: Identified) -> str:
 def held_out(seen: Compared) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
-        (KINDS[kind], f"`{name}`", words.share(error, 3), LIMITS.get(kind, ""))
+        (KINDS[kind], f"`{name}`", wording.share(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst(seen).items()
     ]
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
@@ -131,7 +129,7 @@ def held_out(seen: Compared) -> str:
 def effects(found: Explanation) -> str:
     """Which effect the residual shows."""
     rows = [
-        (s.effect, words.share(s.alone), words.share(s.together), words.number(s.coefficient, 2))
+        (s.effect, wording.share(s.alone), wording.share(s.together), wording.number(s.coefficient, 2))
         for s in found.shares
     ]
     return f"{found.verdict}\n\n" + table(("effect", "alone", "among all", "strength"), rows)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fmus.build import build_machine, data
+from fmus.machine.build import build_machine, data
 from orchestrator import load, run
-from orchestrator.validation import compare, draw, read_reference, strobe
-from orchestrator.validation.figures import png
-from orchestrator.validation.layout import read_layout
+from orchestrator.results import compare
+from orchestrator.results.figures import draw, png
+from orchestrator.results.layout import read_layout
+from orchestrator.results.motion import strobe
+from orchestrator.results.reference import read_reference
 
 IMAGES = Path(__file__).parent / "images"
 

@@ -21,7 +21,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fmus.build import build_machine, data
+from fmus.machine.build import build_machine, data
 
 IMAGE = Path(__file__).parent / "images" / "rate-ports.png"
 SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))

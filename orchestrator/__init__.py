@@ -13,16 +13,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orchestrator.errors import Problem
-    from orchestrator.files.trace import Trace, read, write
+    from orchestrator.base.coupling import Coupling
+    from orchestrator.base.errors import Problem
+    from orchestrator.data.trace import Trace, read, write
+    from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
+    from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
-    from orchestrator.linear.result import Linear
-    from orchestrator.runs.card import Card
-    from orchestrator.runs.simulation import Interrupted, Result, RunFailed, run
-    from orchestrator.settings import Coupling
-    from orchestrator.system.assembly import assemble
-    from orchestrator.system.ssp import load
-    from orchestrator.system.system import System
+    from orchestrator.linear.model import Linear
+    from orchestrator.ssp.assembly import assemble
+    from orchestrator.ssp.load import load
+    from orchestrator.ssp.system import System
 
 _WHERE = {
     "Card": "runs.card",

@@ -6,9 +6,9 @@ import sys
 from io import TextIOWrapper
 from typing import Any
 
+from orchestrator.base.errors import Problem, Stopped
+from orchestrator.base.interrupts import ends_clean
 from orchestrator.cli import app
-from orchestrator.commands.interrupt import ends_clean
-from orchestrator.errors import Problem, Stopped
 
 INTERRUPTED = 130  # exit status, as of a shell
 

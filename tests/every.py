@@ -12,10 +12,10 @@ from driver import Driver, driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.export.proof import STEP, data_file
 from fmus.export.python.build import build_python
-from fmus.levers import LEVERS
-from fmus.machine import FAMILIES
+from fmus.export.reference_experiment import STEP, data_file
+from fmus.machine.parts import FAMILIES
+from fmus.operator.model import LEVERS
 
 EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()

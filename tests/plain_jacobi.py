@@ -10,8 +10,8 @@ import pytest
 from work_cycle import SIGNALS
 
 from orchestrator import load, run
-from orchestrator.coupling.bank import Link
-from orchestrator.coupling.network import Network
+from orchestrator.engine.network import Network
+from orchestrator.engine.wiring import Link
 
 # the same algorithm on the same FMUs: only the times of the steps differ, by rounding, and with them the
 # inner steps of the solvers; measured 5e-12 over 10 s, and 4e-10 where the run itself is unstable

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.runs.simulation import open_slave
-from orchestrator.slaves.fmu import FmuSlave
-from orchestrator.slaves.slave import Buffer, Call, Slave
-from orchestrator.system.system import Component
+from orchestrator.engine.run import open_slave
+from orchestrator.fmi.calls import Buffer, Call, Slave
+from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.ssp.system import Component
 
 COUNT = 2 * np.pi / 65536  # rad, of an encoder
 NOISE = 1e4  # Pa, standard deviation of a pressure

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmus.build import data
-from fmus.machine import ALL, FAMILIES
-from fmus.poses import POSES
+from fmus.machine.build import data
+from fmus.machine.parts import ALL, FAMILIES
+from fmus.machine.poses import POSES
 from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
-from orchestrator.commands import validate
+from orchestrator.results import validate
 
 REFERENCE = data("reference/work_cycle.csv")
 

@@ -9,7 +9,7 @@ import pytest
 from driver import driving
 from scipy.optimize import brentq, fsolve
 
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 
 BAR = 5e-3  # the stated bar: rounding of |Q| at Q_t and the leakage of closed edges lie below

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmus.build import data
-from fmus.machine import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
+from fmus.machine.build import data
+from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
-from orchestrator.runs.march import March
-from orchestrator.settings import Coupling
-from orchestrator.validation import Validation, compare, read_reference
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.simulation_loop import March
+from orchestrator.results import compare
+from orchestrator.results.compare import Validation
+from orchestrator.results.reference import read_reference
 
 MASTERS = ("jacobi", "gauss-seidel")
 REFERENCE = read_reference(data("reference/work_cycle.csv"))

@@ -14,10 +14,10 @@ from exchange import Piece, columns, instance, integrated, stepped
 from fmpy import read_model_description
 
 from fmus.contract import quantities
-from fmus.machine import ALL
+from fmus.machine.parts import ALL
+from fmus.machine.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.monolith import breakpoints
 from fmus.parameters import values
-from fmus.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 
 # tolerances that leave less than 1e-8 of range: the worst error, of an acceleration, was measured as 3e-8 at
 # 1e-12 and 8e-10 at 1e-14 with CVode, 5e-9 at 1e-11 and 5e-10 at 1e-12 with the FMU's own solver

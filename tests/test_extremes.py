@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, WORK_SPACE, poses
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, WORK_SPACE, poses
+from fmus.machine.poses import parameter
+from fmus.machine.reference import work_cycle
+from fmus.machine.scenarios import COMMANDS, WORK_CYCLE
 from fmus.monolith import join, simulate
 from fmus.parameters import values
-from fmus.poses import parameter
-from fmus.reference import work_cycle
-from fmus.scenarios import COMMANDS, WORK_CYCLE
 from orchestrator import Problem
 from orchestrator import run as cosimulate
 

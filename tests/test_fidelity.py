@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fmus.machine import FAMILIES
+from fmus.machine.parts import FAMILIES
 from orchestrator.__main__ import main
 
 ROOT = Path(__file__).parents[1]

@@ -14,8 +14,8 @@ from fmpy.ssp.ssd import read_ssv
 from plain_jacobi import SAME, ours
 from work_cycle import FMUS, ORDER, RATED, SIGNALS, STEP, VERSIONS, agree, check_log, same, step_through
 
-from fmus.machine import HOLDING
-from fmus.poses import POSES
+from fmus.machine.parts import HOLDING
+from fmus.machine.poses import POSES
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])

@@ -15,9 +15,9 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 
 from fmus.contract import quantities, symbolic
-from fmus.machine import ALL, SUBSYSTEMS
+from fmus.machine.parts import ALL, SUBSYSTEMS
+from fmus.machine.reference import trace, work_cycle
 from fmus.parameters import values
-from fmus.reference import trace, work_cycle
 from orchestrator import load
 
 NAMES = tuple(SUBSYSTEMS)
@@ -345,8 +345,8 @@ def test_impossible_values_are_refused_by_name(fmu_dir, name, start, message, ca
 
 def test_reference_trace_is_what_the_monolith_gives():
     """The stored work cycle equals a new solution to the digits it is written with."""
-    from fmus.build import data
-    from fmus.reference import EVERY, SIGNALS
+    from fmus.machine.build import data
+    from fmus.machine.reference import EVERY, SIGNALS
 
     stored = np.loadtxt(data("reference/work_cycle.csv"), delimiter=",", skiprows=1)
     time, signals = trace()
@@ -358,8 +358,8 @@ def test_reference_trace_is_what_the_monolith_gives():
 
 
 def test_shipped_work_cycle_is_what_its_moves_give():
-    """data/scenarios/work_cycle.csv is the list of moves in fmus/scenarios.py, nothing else."""
-    from fmus.build import data
+    """data/scenarios/work_cycle.csv is the list of moves in fmus/machine/scenarios.py, nothing else."""
+    from fmus.machine.build import data
 
     stored = np.loadtxt(data("scenarios/work_cycle.csv"), delimiter=",", skiprows=1)
     time, commands = work_cycle()

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.build import data
+from fmus.machine.build import data
 from orchestrator import RunFailed, System, Trace, load, run
-from orchestrator.coupling.sweep import Sweep
-from orchestrator.runs import native
-from orchestrator.settings import Coupling
-from orchestrator.validation import compare, read_reference
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.communication_step import Sweep
+from orchestrator.engine.native import compiled
+from orchestrator.results import compare
+from orchestrator.results.reference import read_reference
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "hydraulic_manipulator"
 sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
@@ -83,7 +84,7 @@ def test_with_fmi_3(fmi3_dir):
 @pytest.mark.parametrize("lag", [1, 4])
 def test_both_loops_give_the_same_bits(system, lag):
     """1000 steps of the machine, with a component that takes steps of its own."""
-    assert not isinstance(native.library(), str)  # else both would be Python
+    assert not isinstance(compiled.library(), str)  # else both would be Python
     coupling = Coupling(MASTER, lag=lag, factors={"swing": 2})
     fast, slow = (run(system, master=coupling, step=2e-3, stop=2.0, native=n).trace for n in (True, False))
     for name, values in slow.signals.items():

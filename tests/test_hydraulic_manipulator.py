@@ -14,15 +14,15 @@ import pytest
 from fmpy.validation import validate_fmu
 from hypothesis import given
 from hypothesis import strategies as st
+from orchestrator.convergence import choose
 
 from fmus.components import orifice
 from fmus.contract import quantities, symbolic, unstack
 from fmus.parameters import values
 from orchestrator import read
 from orchestrator import run as orchestrate
-from orchestrator.convergence import choose
-from orchestrator.settings import Coupling
-from orchestrator.validation import read_reference
+from orchestrator.base.coupling import Coupling
+from orchestrator.results.reference import read_reference
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"

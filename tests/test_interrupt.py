@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from fmus.interrupt import held
+from fmus.monolith import held
 
 
 @pytest.fixture(autouse=True)

@@ -12,19 +12,16 @@ import pytest
 from driver import driving
 from fmpy.validation import validate_fmu
 
-from fmus.build import data
+from fmus.composition import declared, flat_names, joined
 from fmus.contract import ModelError, Quantity, Subsystem, quantities, symbolic
-from fmus.flat import declared, flat_names
-from fmus.harvester import HARVESTER
-from fmus.harvester.model import HIDDEN, TEXTS, TOTALS
-from fmus.joined import joined
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.build import data
+from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
-from orchestrator.validation import read_reference
-from orchestrator.validation.compare import compare
-from orchestrator.validation.matching import by_variable
+from orchestrator.results.compare import by_variable, compare
+from orchestrator.results.reference import read_reference
 
 TABLES = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
 NAMES = flat_names(SUBSYSTEMS, TABLES, INPUTS, TOTALS, HIDDEN)

@@ -17,16 +17,22 @@ from fmpy.fmi3 import FMU3Model
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.build import data
+from fmus.composition import joined
 from fmus.contract import ModelError, symbolic
-from fmus.joined import joined
-from fmus.levers import LEVERS
-from fmus.levers.stroke import AHEAD, Stroke, sample
-from fmus.levers.variables import AXES, STROKES
+from fmus.machine.build import data
+from fmus.machine.poses import NOMINAL, POSES, pose_set
+from fmus.machine.scenarios import (
+    DEFAULT,
+    PROGRAMS,
+    WORK_CYCLE,
+    WORK_CYCLE_STOP,
+    Move,
+    program,
+    program_numbers,
+)
+from fmus.machine.scenarios import sample as sampled
+from fmus.operator.model import AHEAD, AXES, LEVERS, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
-from fmus.poses import NOMINAL, POSES, pose_set
-from fmus.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE, WORK_CYCLE_STOP, Move, program, program_numbers
-from fmus.scenarios import sample as sampled
 
 _NAMES = ("start", "command", "rise", "hold", "fall")
 _TIME, _STROKE = ca.SX.sym("t"), [ca.SX.sym(n) for n in _NAMES]
@@ -174,7 +180,7 @@ def test_no_event_is_lost_in_a_whole():
 
 
 def test_the_shipped_program_is_the_work_cycle():
-    """parameters.toml is what `python -m fmus.reference` writes."""
+    """parameters.toml is what `python -m fmus.machine.reference` writes."""
     assert numbers(LEVERS)["parameters"] == program_numbers()["parameters"]
 
 
@@ -205,7 +211,7 @@ def test_a_program_that_is_too_long_is_refused():
 def test_the_default_sets_are_the_start_values():
     """The pose and the program that the system binds change nothing in the FMUs."""
     assert program(PROGRAMS[DEFAULT]) == values(LEVERS).p
-    from fmus.machine import SUBSYSTEMS
+    from fmus.machine.parts import SUBSYSTEMS
 
     for port, value in pose_set(POSES[NOMINAL]).items():
         component, name = port.split(".")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fmus.contract import quantities, symbolic
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.poses import parameter
 from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
-from fmus.poses import parameter
 
 MODEL = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]

@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.reference import TOLERANCE, work_cycle
+from fmus.machine.scenarios import COMMANDS
 from fmus.monolith import join, simulate
-from fmus.reference import TOLERANCE, work_cycle
-from fmus.scenarios import COMMANDS
 from orchestrator import Problem
 from orchestrator.modelica import write_package
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 
-from fmus.machine import ALL
+from fmus.machine.parts import ALL
 
 STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]

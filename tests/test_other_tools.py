@@ -31,7 +31,7 @@ from work_cycle import (
     worst,
 )
 
-from fmus.machine import COMMAND_WIRES
+from fmus.machine.parts import COMMAND_WIRES
 
 # Ecos asks for the version before it has loaded the library; the library does have the function
 ECOS = ('Function "fmi3GetVersion" is not provided by this FMU.',)

@@ -9,7 +9,7 @@ import pytest
 
 from fmus.components import hose
 from fmus.contract import ModelError, quantities, symbolic
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number, numbers, read, values, write
 
 BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))

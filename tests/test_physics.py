@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from fmus.components import chamber, cylinder, motor, spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.contract import column, quantities, symbolic
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 from fmus.units import BASE, parse
 

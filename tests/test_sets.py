@@ -2,14 +2,14 @@
 
 import pytest
 
-from fmus.build import parts
 from fmus.contract import ModelError, quantities
-from fmus.harvester import whole
-from fmus.machine import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.build import parts
+from fmus.machine.one_block import whole
+from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.poses import NOMINAL, POSES, pose_set
+from fmus.machine.system import parameter_sets
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import numbers, values
-from fmus.poses import NOMINAL, POSES, pose_set
-from fmus.system import parameter_sets
 from orchestrator.__main__ import main
 
 VALVE = (

@@ -86,7 +86,7 @@ def test_the_reference_is_complete(pages):
     """It has every command, every variant, every parameter of every part, and what `orchestrator` exports."""
     import orchestrator
     from fmus.contract import quantities
-    from fmus.machine import FAMILIES
+    from fmus.machine.parts import FAMILIES
     from orchestrator.cli import app
 
     def text(name: str) -> str:

@@ -10,8 +10,8 @@ from lxml import etree
 
 from fmus.contract import ModelError, quantities
 from fmus.export.interface import interface
-from fmus.export.terminals import terminals
-from fmus.machine import ALL, COMMAND_WIRES, CONNECTIONS
+from fmus.export.model_description import terminals
+from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS
 from fmus.parameters import values
 
 

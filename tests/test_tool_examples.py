@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.machine import COMMAND_WIRES, CONNECTIONS
+from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 WIRES = sorted(CONNECTIONS + COMMAND_WIRES)

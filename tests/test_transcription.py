@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import transcription
 
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
 from fmus.monolith import join, simulate
 
 DATA = Path(__file__).parents[1] / "data"

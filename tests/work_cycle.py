@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.build import data
-from fmus.machine import COMMAND_WIRES, CONNECTIONS
+from fmus.machine.build import data
+from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS
 
 STEP = 1e-3  # s
 JOINTS = ("swing", "boom", "stick")

@@ -14,8 +14,8 @@ from lxml import etree
 from benchmarks.matrix.cells import percent, remark, two
 from benchmarks.matrix.present import PARTS, Master, Tool
 from benchmarks.matrix.running import Outcome, Rows, carried_out
-from fmus.build import data
-from fmus.machine import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES, Wires
+from fmus.machine.build import data
+from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES, Wires
 
 STEP, CYCLE = 1e-3, 42.0  # s
 WIRES = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES

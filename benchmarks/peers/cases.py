@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.peers import oscillator
 from benchmarks.peers.ssp import wires, without_rates
-from fmus.build import build_machine, data
+from fmus.machine.build import build_machine, data
 
 SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
 STOP = 12.0  # s of the work cycle: by then all three joints have moved both ways

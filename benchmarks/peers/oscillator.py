@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.export.compile import shared_library
-from fmus.export.platforms import PLATFORMS, host
+from fmus.export.compile import PLATFORMS, host, shared_library
 
 SOURCE = Path(__file__).with_name("mass.c")
 RECORD = ("mass_a.x", "mass_a.force", "mass_b.x")

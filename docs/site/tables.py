@@ -69,8 +69,8 @@ def _usual(p: Any) -> str:
 
 
 def _subsystems() -> list[Any]:
-    from fmus.levers import LEVERS
-    from fmus.machine import FAMILIES
+    from fmus.machine.parts import FAMILIES
+    from fmus.operator.model import LEVERS
 
     return [*(sub for family in FAMILIES.values() for sub in family.values()), LEVERS]
 
@@ -79,7 +79,7 @@ def _subsystems() -> list[Any]:
 def variants() -> str:
     """The variants of each part."""
     from fmus.contract import quantities
-    from fmus.machine import FAMILIES
+    from fmus.machine.parts import FAMILIES
 
     lines = []
     for part, family in FAMILIES.items():

@@ -11,12 +11,14 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from orchestrator.comparison import Comparison, write
+
 from fmus.contract import Subsystem, quantities
-from fmus.machine import FAMILIES
+from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, load, run
-from orchestrator.comparison import Comparison, compare, write
-from orchestrator.validation.wording import share
-from orchestrator.variety.cost import inside
+from orchestrator.results import comparison
+from orchestrator.results.summary import share
+from orchestrator.studies.variants import inside
 
 KINDS = ("speed", "angle", "pressure")  # joint speeds and angles [rad/s, rad], all pressures
 TIMED = 4.0  # s of the work cycle that the cost inside the FMU is measured on
@@ -31,7 +33,7 @@ def simulate(system: Path, part: str, stop: float) -> Comparison:
     """A run with each variant, compared with the one that has the most states."""
     variants = FAMILIES[part]
     runs = {name: run(system, swap={part: name}, stop=stop) for name in variants}
-    return compare(runs, against=max(variants, key=lambda name: states(variants[name])))
+    return comparison(runs, against=max(variants, key=lambda name: states(variants[name])))
 
 
 def costs(system: Path, part: str, stop: float) -> dict[str, float]:

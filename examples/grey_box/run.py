@@ -9,8 +9,9 @@ import matplotlib.pyplot as plt
 
 from fmus.components import chamber, orifice, spool_valve
 from fmus.contract import ModelError
-from fmus.identification.recordings.series import read_series
-from fmus.identification.recordings.signals import blank, good, split
+from fmus.identification.recordings.masks import good
+from fmus.identification.recordings.reading import read_series
+from fmus.identification.recordings.recording import blank, split
 from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
 

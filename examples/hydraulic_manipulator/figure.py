@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orchestrator.files.trace import Trace
-from orchestrator.validation import Reference
+from orchestrator.data.trace import Trace
+from orchestrator.results.reference import Reference
 
 BLUE, ORANGE, GREY = "#06406b", "#c25a00", "#8a9099"
 

@@ -14,7 +14,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.export.build import build_all
 from fmus.export.ssp import write_ssp
 from fmus.monolith import join, simulate
-from orchestrator.files.trace import Trace
+from orchestrator.data.trace import Trace
 
 Array = NDArray[np.float64]
 Wires = tuple[tuple[str, str], ...]

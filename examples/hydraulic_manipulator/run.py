@@ -23,7 +23,9 @@ from rich.table import Table
 
 from fmus.contract import ModelError
 from orchestrator import Problem, Result, Trace, read, run, write
-from orchestrator.validation import Reference, Validation, compare, read_reference, summary
+from orchestrator.results import compare, summary
+from orchestrator.results.compare import Validation
+from orchestrator.results.reference import Reference, read_reference
 
 HERE = Path(__file__).resolve().parent
 M1 = HERE / "m1.csv"

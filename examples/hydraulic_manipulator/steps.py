@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 from figure import draw_steps
 from machine import RATES, build, solve
+from orchestrator.convergence import SETTINGS, Setting, Study, Truth, from_run
 from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read, run
-from orchestrator.convergence import SETTINGS, Setting, Study, Truth, from_run, study
-from orchestrator.convergence.command import tell, watched
-from orchestrator.convergence.table import maximum, show
-from orchestrator.settings import Coupling
-from orchestrator.validation import read_reference
+from orchestrator.base.coupling import Coupling
+from orchestrator.results.reference import read_reference
+from orchestrator.studies import convergence
+from orchestrator.studies.convergence_report import maximum, show
+from orchestrator.studies.convergence_study import tell, watched
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
@@ -50,7 +51,7 @@ def manipulator(
 ) -> Study:
     """All masters at all steps."""
     against = truth()
-    rows = study(load(system), against, settings, steps, repeats, BARE, scenario=M1)
+    rows = convergence(load(system), against, settings, steps, repeats, BARE, scenario=M1)
     return Study(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
 
 

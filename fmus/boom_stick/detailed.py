@@ -31,7 +31,7 @@ from fmus.components import hose_drive, oil, spool_dynamics
 from fmus.components.cylinder_drive import Surroundings
 from fmus.components.detailed_parameters import BANDWIDTH, ERROR, fluid
 from fmus.components.hose_drive import DriveState, HoseDrive
-from fmus.components.line import Line, lumps_needed
+from fmus.components.hose_line import Line, lumps_needed
 from fmus.components.spool_dynamics import SpoolState
 from fmus.contract import Scalar, Subsystem, family
 from fmus.parameters import read

@@ -7,7 +7,7 @@ from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Any
 
 from fmus.boom_stick.variables import BoomStickOutputs, BoomStickState, CylinderParameters
-from fmus.components import chamber, line
+from fmus.components import chamber, hose_line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
 from fmus.components.hose_drive import DriveState
 from fmus.components.spool_dynamics import SpoolState
@@ -34,7 +34,7 @@ class DetailedParameters(ReliefParameters, FluidParameters, CylinderParameters, 
 def drive_names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
     """Names of the states of one drive."""
     head, rod = (
-        line.names(
+        hose_line.names(
             f"{axis}_{side}_valve_flow",
             f"{axis}_{side}_flow",
             f"{axis}_{side}_hose",

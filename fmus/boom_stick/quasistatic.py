@@ -1,6 +1,6 @@
 """Boom and stick drives without line dynamics: a valve directly at a single-ended cylinder, for each.
 
-The equations are those of `fmus.components.direct_drive`, once for the boom, once for the stick: the limit of
+The equations are those of `fmus.components.cylinder_drive`, once for the boom, once for the stick: the limit of
 the lumped drives for hoses without inertance. The hoses stay as volumes and as resistances in series with
 the open edges. Line flows are no states but follow from the pressures.
 
@@ -16,7 +16,8 @@ from typing import Annotated
 
 from fmus.boom_stick.drives import TERMINALS, drives, require, start_pressures, surroundings
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, QuasistaticParameters
-from fmus.components import chamber, cylinder_drive, direct_drive
+from fmus.components import chamber, cylinder_drive
+from fmus.components import cylinder_drive as components_cylinder_drive
 from fmus.components.cylinder_drive import Oil
 from fmus.contract import Scalar, Subsystem
 
@@ -38,7 +39,7 @@ def _pressures(x: QuasistaticState) -> tuple[tuple[Scalar, Scalar], tuple[Scalar
 
 
 def _oil(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> tuple[Oil, Oil]:
-    boom, stick = map(direct_drive.oil, drives(p), _pressures(x), surroundings(u))
+    boom, stick = map(components_cylinder_drive.oil, drives(p), _pressures(x), surroundings(u))
     return boom, stick
 
 
@@ -53,7 +54,10 @@ def observe(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -
     (boom, stick), (oil_b, oil_s), (at_b, at_s) = drives(p), _oil(x, u, p), surroundings(u)
     rates_b, rates_s = _pressures(dynamics(x, u, p))
     here_b, here_s = _pressures(x)
-    nodes = (*direct_drive.valve_ports(boom, here_b, at_b), *direct_drive.valve_ports(stick, here_s, at_s))
+    nodes = (
+        *components_cylinder_drive.direct_valve_ports(boom, here_b, at_b),
+        *components_cylinder_drive.direct_valve_ports(stick, here_s, at_s),
+    )
     flows = {
         f"{axis}_{f.name}": getattr(oil, f.name)
         for axis, oil in (("boom", oil_b), ("stick", oil_s))
@@ -70,8 +74,8 @@ def observe(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -
         stick_void_volume=cylinder_drive.void_volume(oil_s),
         stored_energy=cylinder_drive.stored_energy(boom, oil_b, u.boom_position)
         + cylinder_drive.stored_energy(stick, oil_s, u.stick_position),
-        dissipated_power=direct_drive.dissipated_power(boom, here_b, at_b)
-        + direct_drive.dissipated_power(stick, here_s, at_s),
+        dissipated_power=components_cylinder_drive.direct_dissipated_power(boom, here_b, at_b)
+        + components_cylinder_drive.direct_dissipated_power(stick, here_s, at_s),
         convected_power=cylinder_drive.convected_power(boom, oil_b, u.boom_velocity)
         + cylinder_drive.convected_power(stick, oil_s, u.stick_velocity),
         **flows,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fmus.components.oil import Fluid
-from fmus.components.relief import PressureValve
+from fmus.components.orifice import PressureValve
 from fmus.components.spool_dynamics import Edges, Spool
-from fmus.components.valve_parameters import EdgeParameters
+from fmus.components.spool_valve import EdgeParameters
 from fmus.contract import Quantity, Scalar
 
 BANDWIDTH = 75.0  # Hz: modes of the lines up to here, which recordings at the paper's 200 Hz show, ...

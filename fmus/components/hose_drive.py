@@ -3,7 +3,7 @@
     C_h dP_h/dt = Q_h - A_h x' - Q_relief,h + Q_anti,h        C_h = (V_0 + A_h x) kappa(P_h)
     C_r dP_r/dt = Q_r + A_r x' - Q_relief,r + Q_anti,r        C_r = (V_0 + A_r (L - x)) kappa(P_r)
 
-with the flows Q_h, Q_r out of the hoses of `fmus.components.line`, kappa of `oil`, the spool of
+with the flows Q_h, Q_r out of the hoses of `fmus.components.hose_line`, kappa of `oil`, the spool of
 `spool_dynamics` and the relief and anti-cavitation valves of `relief`, which stand at the cylinder.
 
 Signs as in `fmus.components.cylinder_drive`.
@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fmus.components import chamber, cylinder, line, oil, relief, spool_dynamics, spool_valve
+from fmus.components import chamber, cylinder, hose_line, oil, orifice, spool_dynamics, spool_valve
 from fmus.components.cylinder_drive import Surroundings
-from fmus.components.line import Line, LineState
+from fmus.components.hose_line import Line, LineState
 from fmus.components.oil import Fluid
-from fmus.components.relief import PressureValve
+from fmus.components.orifice import PressureValve
 from fmus.components.spool_dynamics import Edges, Spool, SpoolState
 from fmus.components.spool_valve import PortFlow
 from fmus.contract import Scalar
@@ -82,8 +82,8 @@ def valve_ports(d: HoseDrive, x: DriveState, u: Surroundings) -> tuple[PortFlow,
 def safety_flows(d: HoseDrive, x: DriveState, u: Surroundings) -> Flows:
     """What the relief and anti-cavitation valves pass."""
     head, rod = x.head_pressure - u.tank_pressure, x.rod_pressure - u.tank_pressure
-    opened = (relief.flow(d.relief, dp) for dp in (head, rod))
-    drawn = (relief.flow(d.anti_cavitation, -dp) for dp in (head, rod))
+    opened = (orifice.relief_flow(d.relief, dp) for dp in (head, rod))
+    drawn = (orifice.relief_flow(d.anti_cavitation, -dp) for dp in (head, rod))
     return Flows(*opened, *drawn)
 
 
@@ -111,8 +111,8 @@ def rates(d: HoseDrive, x: DriveState, u: Surroundings) -> DriveState:
     head, rod = pressure_rates(d, x, u)
     return DriveState(
         spool=spool_dynamics.rates(d.spool, x.spool, wanted),
-        head_line=line.rates(d.hose, x.head_line, port_a.pressure, x.head_pressure),
-        rod_line=line.rates(d.hose, x.rod_line, port_b.pressure, x.rod_pressure),
+        head_line=hose_line.rates(d.hose, x.head_line, port_a.pressure, x.head_pressure),
+        rod_line=hose_line.rates(d.hose, x.rod_line, port_b.pressure, x.rod_pressure),
         head_pressure=head,
         rod_pressure=rod,
     )
@@ -126,7 +126,7 @@ def force(d: HoseDrive, head: Scalar, rod: Scalar) -> Scalar:
 def void_volume(x: DriveState) -> Scalar:
     """Volume of the voids of chambers and hoses [m3]; above 1e-7 the oil has torn."""
     chambers = chamber.void_volume(x.head_pressure) + chamber.void_volume(x.rod_pressure)
-    return chambers + line.void_volume(x.head_line) + line.void_volume(x.rod_line)
+    return chambers + hose_line.void_volume(x.head_line) + hose_line.void_volume(x.rod_line)
 
 
 def stored_energy(d: HoseDrive, x: DriveState, position: Scalar) -> Scalar:
@@ -136,7 +136,9 @@ def stored_energy(d: HoseDrive, x: DriveState, position: Scalar) -> Scalar:
         v * oil.energy_density(d.fluid, p) + oil.void_energy(p)
         for v, p in zip(_volumes(d, position), pressures, strict=True)
     )
-    return chambers + line.stored_energy(d.hose, x.head_line) + line.stored_energy(d.hose, x.rod_line)
+    return (
+        chambers + hose_line.stored_energy(d.hose, x.head_line) + hose_line.stored_energy(d.hose, x.rod_line)
+    )
 
 
 def convected_power(d: HoseDrive, x: DriveState, velocity: Scalar) -> Scalar:
@@ -152,4 +154,4 @@ def dissipated_power(d: HoseDrive, x: DriveState, u: Surroundings) -> Scalar:
     edges = sum(spool_valve.throttling_loss(node, u.supply_pressure, tank) for node in valve_ports(d, x, u))
     head, rod = x.head_pressure - tank, x.rod_pressure - tank
     safety = head * (s.relief_head - s.anti_head) + rod * (s.relief_rod - s.anti_rod)
-    return edges + safety + line.heat(d.hose, x.head_line) + line.heat(d.hose, x.rod_line)
+    return edges + safety + hose_line.heat(d.hose, x.head_line) + hose_line.heat(d.hose, x.rod_line)

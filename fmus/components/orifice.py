@@ -6,12 +6,23 @@ The textbook's r is sign(dp) sqrt(|dp|), whose slope at dp = 0 is infinite (Merr
 Control Systems, 1967, eq. 3-17). This r is odd and increasing, its slope at zero is dp_t^(-1/2),
 and it lies below the square root by the share (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t,
 3e-8 at 3000 dp_t.
+
+Relief and anti-cavitation valves: a smooth static characteristic.
+
+    Q = g r(dP - P_set, w)        r the ramp of `fmus.components.smooth`: exactly 0 for dP <= P_set
+
+Above P_set + w a straight line of slope g that starts at P_set + w/2. A relief valve sees the pressure of
+its line over that of the return line, an anti-cavitation valve the other way round. Poppet dynamics (faster
+than 5 ms) and hysteresis are left out.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 
+from fmus.components.smooth import ramp
 from fmus.contract import Scalar
 
 
@@ -36,3 +47,22 @@ def one_way_flow(area: Scalar, dp: Scalar, density: Scalar, discharge: Scalar, t
 def loss(volume_flow: Scalar, dp: Scalar) -> Scalar:
     """Power [W] turned into heat, dp q; never negative for the flows above."""
     return volume_flow * dp
+
+
+@dataclass(frozen=True)
+class PressureValve:
+    """Opening pressure P_set [Pa], slope g [m3/(s.Pa)], rounding w [Pa]."""
+
+    pressure: Scalar
+    gain: Scalar
+    rounding: Scalar
+
+
+def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
+    """Flow [m3/s] along a pressure difference [Pa]; never against it if P_set >= 0."""
+    return valve.gain * ramp(drop - valve.pressure, valve.rounding)
+
+
+def cross_flow(valve: PressureValve, drop: Scalar) -> Scalar:
+    """Flow [m3/s] of two valves back to back, with the sign of the pressure difference [Pa]."""
+    return relief_flow(valve, drop) - relief_flow(valve, -drop)

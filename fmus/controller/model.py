@@ -21,17 +21,18 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.components import cylinder, ports
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
-from fmus.controller import drive, geometry
-from fmus.controller.drive import Action, Loop, Measured, Task
-from fmus.controller.numbers import FILE, merged
+from fmus.controller import actuator, geometry
+from fmus.controller.actuator import Action, Loop, Measured, Task
 from fmus.controller.reference import Reference, engaged, errors, machine, reference
 from fmus.controller.valve import Actuator
 from fmus.controller.variables import (
     AXES,
+    FILE,
     ControllerInputs,
     ControllerOutputs,
     ControllerParameters,
     ControllerState,
+    merged,
 )
 from fmus.manipulator import MANIPULATOR
 from fmus.swing import SWING
@@ -82,7 +83,7 @@ def _actions(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Action]:
         kind = "swing" if name == "swing" else "piston"
         loop = Loop(**{f.name: getattr(p, f"{kind}_{f.name}") for f in fields(Loop)})
         state = (getattr(x, f"{name}_gain"), getattr(x, f"{name}_load"))
-        found[name] = drive.action(acting[name], measured[name], task, loop, *state, nominal, p)
+        found[name] = actuator.action(acting[name], measured[name], task, loop, *state, nominal, p)
     return found
 
 
@@ -145,7 +146,7 @@ def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
     """The reference where the machine is, loads as measured, coordination as engaged."""
     now, measured = machine(u), _measured(u)
     (boom, _), (stick, _) = geometry.pistons(now, p)
-    loads = {f"{n}_load": drive.force(a, measured[n]) for n, a in actuators((boom, stick), p).items()}
+    loads = {f"{n}_load": actuator.force(a, measured[n]) for n, a in actuators((boom, stick), p).items()}
     at = {"swing": now.swing_angle, "boom": now.boom_angle, "stick": now.stick_angle}
     return {f"reference_{n}": angle for n, angle in at.items()} | loads | {"coordination": engaged(u)}
 

@@ -1,8 +1,12 @@
-"""Paths of the tip: straight segments in space, as inputs of the controller over time.
+"""What an operator may want of the tip, for experiments with the controller alone.
+
+Paths of the tip: straight segments in space, as inputs of the controller over time.
 
 Each segment begins and ends at rest and changes its acceleration at a constant jerk: a jump of acceleration
 would ask the oil for a jump of pressure. `python -m fmus.controller.paths` writes line.csv and square.csv to
 data/scenarios.
+
+Paths that a user gives on the command line: straight from point to point, and where they begin.
 """
 
 from __future__ import annotations
@@ -18,9 +22,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.tables import write_csv
+from fmus.controller.geometry import joints
+from fmus.machine.files import write_csv
+from fmus.manipulator import MANIPULATOR
+from fmus.parameters import values
 
 Array = NDArray[np.float64]
+
+
+def spells(time: Array) -> dict[str, Array]:
+    """Inputs by name over time [s]: engaged twice, the second time along a path, else at the levers."""
+    half = np.round(np.sin(np.pi * time), 3)  # few digits: they go into a file
+    first, second = (time >= 2) & (time < 4), (time >= 6) & (time < 7.5)
+    wanted = {
+        "engaged": first | second,
+        "follow": second,
+        "radial_velocity": 0.3 * half,
+        "vertical_velocity": 0.2 * half,
+        "swing_velocity": 0.1 * half,
+        "path_radius": 4.5 + 0.1 * half,
+        "path_height": 0.2 * half,
+        "path_angle": 0.4 + 0.05 * half,
+    }
+    return {n: np.round(samples.astype(np.float64), 6) for n, samples in wanted.items()}
+
+
 Point = tuple[float, float, float]  # x forward, y to the left, z up, from the foot of the column [m]
 RATE = 200.0  # samples per second
 NEAREST = 0.1  # m, to the swing axis, where the swing angle would jump
@@ -168,3 +194,47 @@ def main(arguments: Sequence[str]) -> None:
 
 if __name__ == "__main__":
     main(sys.argv[1:])
+
+
+def route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path, float]:
+    """Write route.csv, the scenario through the points 'x,y,z' [m] at a speed [m/s].
+
+    Returns its path and the highest speed [m/s], which is lower where the way is short.
+    """
+    points = tuple(_point(text) for text in texts)
+    if len(points) < 2:
+        raise ModelError(f"--through {texts[0]}: expected two points or more, got one")
+    if not speed > 0:
+        raise ModelError(f"--speed {speed:g}: expected more than 0 m/s")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = Route(points, speed=speed)
+    return write(folder, {"route": path})[0], fastest(path)
+
+
+def _point(text: str) -> Point:
+    try:
+        x, y, z = (float(number) for number in text.split(","))
+    except ValueError:
+        raise ModelError(f"--through {text}: expected x,y,z in metres, such as 3.6,-2,1") from None
+    return x, y, z
+
+
+def through(texts: Sequence[str], arm: Mapping[str, float]) -> dict[str, float]:
+    """The start angles of `course` at the first of the points 'x,y,z' [m], all of which the arm reaches."""
+    each = [course(f"--through {text}", start(Route((_point(text),))), arm) for text in texts]
+    return each[0]
+
+
+def course(label: str, place: Point, arm: Mapping[str, float]) -> dict[str, float]:
+    """Start angles [rad] that put the tip to a place, by `component.variable`.
+
+    place (radius, height, angle) [m, m, rad]
+    arm   lengths and pivots of the machine, by the names of the manipulator; the usual ones where it has none
+    """
+    radius, height, angle = place
+    try:
+        boom, stick = joints(radius, height, {**values(MANIPULATOR).p, **arm})
+    except ModelError as error:
+        raise ModelError(f"{label}: {error}") from None
+    angles = {"swing": angle, "boom": boom, "stick": stick}
+    return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}

@@ -1,4 +1,11 @@
-"""The reference of the tip, in joint space: resolved rates of what is wanted, within the limits.
+"""How much of the wanted speed the reference may have: one share for all joints, so the direction is kept.
+
+    share = 1 / max(1, z)        z = (sum_i (x_i'/v_i)^8 + (outward x_i'/b_i)^8)^(1/8)
+
+with the speed limits v_i and, towards each end of a stroke, b = stroke_gain times what is left of it up to
+the margin: a piston comes to an end exponentially and leaves it freely. max is rounded over 0.2.
+
+The reference of the tip, in joint space: resolved rates of what is wanted, within the limits.
 
     q' = e s g J(q)^+ v + e c (q_machine - q) + (1 - e) (q_machine' + (q_machine - q)/T)
 
@@ -18,9 +25,42 @@ import casadi as ca
 
 from fmus.components.smooth import direction, ramp, s_curve
 from fmus.contract import Scalar
-from fmus.controller import geometry, limits
+from fmus.controller import geometry
 from fmus.controller.geometry import Joints, Tip
-from fmus.controller.limits import Use
+
+SHARPNESS = 8  # of the norm: 1.15 at most where all three actuators are at a limit
+CREEP = 1e-6  # m/s, speed into an end of the stroke that remains: keeps the quotient finite
+WIDTH = 0.2
+FOOT = 1e-3  # m, over which the allowed speed is rounded at the end
+
+
+@dataclass(frozen=True)
+class Use:
+    """Speed wanted over speed allowed: by the speed limits, and by the ends of the strokes."""
+
+    speed: Scalar
+    stroke: Scalar
+
+    @property
+    def share(self) -> Scalar:
+        """Of the speed wanted, 1 while nothing is above 0.9."""
+        n = SHARPNESS
+        z = (self.speed**n + self.stroke**n + 1e-24) ** (1 / n)
+        return 1 / (1 + ramp(z - 1 + WIDTH / 2, WIDTH))
+
+
+def use(swing: Scalar, pistons: list[tuple[str, Scalar, Scalar]], p: Any) -> Use:
+    """Of the swing speed [rad/s] and the pistons (name, position [m], velocity [m/s])."""
+    n = SHARPNESS
+    speed = (swing / p.swing_speed_limit) ** n
+    stroke: Scalar = 0
+    for name, position, velocity in pistons:
+        speed += (velocity / getattr(p, f"{name}_speed_limit")) ** n
+        end = getattr(p, f"{name}_stroke") - p.stroke_margin
+        for left, outward in ((end - position, velocity), (position - p.stroke_margin, -velocity)):
+            allowed = p.stroke_gain * ramp(left, FOOT) + CREEP
+            stroke += (ca.fmax(0, outward) / allowed) ** n
+    return Use((speed + 1e-32) ** (1 / n), (stroke + 1e-32) ** (1 / n))
 
 
 @dataclass(frozen=True)
@@ -90,7 +130,7 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     swing, boom, stick = geometry.joint_speeds(q, wanted(x, u, p, at), p)
     (boom_at, boom_arm), (stick_at, stick_arm) = geometry.pistons(q, p)
     moving = [("boom", boom_at, boom_arm * boom), ("stick", stick_at, stick_arm * stick)]
-    use = limits.use(swing, moving, p)
+    share_used = use(swing, moving, p)
     scale = p.swing_error_limit, p.piston_error_limit, p.piston_error_limit
     off = [e / s for e, s in zip(errors(x, u, p), scale, strict=True)]
     ways = (
@@ -99,7 +139,7 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     )
     error = p.feedback * sum(e**2 for e in off)
     wait = p.feedback * sum(ca.fmax(0, e * way) ** 2 for e, way in zip(off, ways, strict=True))
-    share = use.share * (1 - s_curve((wait - 0.25) / 0.75))
+    share = share_used.share * (1 - s_curve((wait - 0.25) / 0.75))
     back = p.return_rate * ramp(error - 1, 0.5)
     speeds = swing * share, boom * share, stick * share
     here = (now.swing_angle, now.boom_angle, now.stick_angle)
@@ -111,4 +151,4 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
         for v, w, d in zip(speeds, machine_speeds, behind, strict=True)
     ]
     own_speeds = [on * v + (1 - on) * w for v, w in zip(speeds, machine_speeds, strict=True)]
-    return Reference(q, at, tuple(own_speeds), tuple(rates), use, ca.sqrt(wait + 1e-12) - 1e-6, share)
+    return Reference(q, at, tuple(own_speeds), tuple(rates), share_used, ca.sqrt(wait + 1e-12) - 1e-6, share)

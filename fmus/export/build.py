@@ -8,9 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fmus.contract import Subsystem
-from fmus.export.compile import shared_library
+from fmus.export.compile import binaries, host, shared_library
 from fmus.export.package import Package, pack, package
-from fmus.export.platforms import binaries, host
 from fmus.parameters import Values
 
 

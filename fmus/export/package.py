@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmus.contract import Subsystem
-from fmus.export.codegen import main_source, sources
+from fmus.export.c_code import main_source, sources
 from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface
-from fmus.export.model_description import model_description
-from fmus.export.model_description3 import build_description, model_description3
-from fmus.export.proof import proof
-from fmus.export.terminals import terminals
-from fmus.files import shipped
+from fmus.export.model_description import build_description, model_description, model_description3, terminals
+from fmus.export.reference_experiment import proof
+from fmus.machine.files import shipped
 from fmus.parameters import Values, document, values
 from fmus.parameters import numbers as numbers_of
 

@@ -7,18 +7,17 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.contract import ModelError
-from fmus.identification.finding import Finding
+from fmus.identification.known import Finding
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import beside, content, worst
 from fmus.identification.pipeline import MACHINE, identify
+from fmus.identification.recordings.clock import evenly, thinned
 from fmus.identification.recordings.reading import left_out, read_folder
-from fmus.identification.recordings.uniform import evenly, thinned
-from fmus.identification.refinement.names import parameters, signals
-from fmus.identification.report import words
-from fmus.identification.report.compared import Compared
-from fmus.identification.report.data import quality, told
-from fmus.identification.report.page import write_page
-from fmus.identification.report.warned import warnings
+from fmus.identification.refinement.problem import parameters, signals
+from fmus.identification.report import wording
+from fmus.identification.report.comparison import Compared
+from fmus.identification.report.page import quality, told, write_page
+from fmus.identification.report.wording import warnings
 from fmus.parameters import write
 from fmus.units import display
 
@@ -78,7 +77,7 @@ def _show(finding: Finding) -> None:
     print(f"{finding.procedure}:")
     for e in finding.estimates:
         unit, factor = display(e.unit) or (e.unit, 1.0)  # in ASCII: no terminal has to know superscripts
-        value, low, high = (f"{factor * x:.{words.digits(e)}g}" for x in (e.value, e.low, e.high))
+        value, low, high = (f"{factor * x:.{wording.digits(e)}g}" for x in (e.value, e.low, e.high))
         print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")
 
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 from difflib import get_close_matches
 
 from fmus.contract import ModelError, quantities
-from fmus.harvester import HARVESTER
 from fmus.identification.known import Known, lookup
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.names import parameters, signals
-from fmus.identification.refinement.problem import Free, Problem, free_parameters
+from fmus.identification.refinement.problem import Free, Problem, free_parameters, parameters, signals
+from fmus.machine.one_block import HARVESTER
 from fmus.parameters import Values, values
 
 # What a work cycle shows. Left out, because it hardly does or because something else stands for them:

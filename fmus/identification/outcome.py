@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.identification.finding import Estimate
-from fmus.identification.known import Known, lookup, nominal
+from fmus.identification.known import Estimate, Known, lookup, nominal
 from fmus.identification.pipeline import MACHINE, Identified
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.refinement.names import parameters, signals
+from fmus.identification.refinement.problem import parameters, signals
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.compared import Compared, attribute, picture, predicted
+from fmus.identification.report.comparison import Compared, attribute, picture, predicted
 from fmus.identification.report.content import Page, Parameter, Picture, Quality, Refinement
-from fmus.identification.report.refined import refinement
-from fmus.identification.report.warned import warnings
-from fmus.machine import SUBSYSTEMS
+from fmus.identification.report.page import refinement
+from fmus.identification.report.wording import warnings
+from fmus.machine.parts import SUBSYSTEMS
 
 PICTURED = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third
 KINDS = ("angle", "speed", "pressure", "flow")

@@ -12,9 +12,9 @@ from typing import Protocol
 
 import casadi as ca
 
-from fmus.components import cylinder, linkage
-from fmus.components.linkage import Point, Triangle
-from fmus.components.rigid_body import EquationsOfMotion, equations_of_motion
+from fmus.components import cylinder
+from fmus.components import mechanics as components_mechanics
+from fmus.components.mechanics import EquationsOfMotion, Point, Triangle, equations_of_motion
 from fmus.contract import Scalar, column
 from fmus.manipulator.design import Head, Tip
 from fmus.manipulator.variables import ManipulatorParameters, ManipulatorState
@@ -60,7 +60,7 @@ def _end_velocity(upper: Point, lower: Point, boom_speed: Scalar, turn: Scalar) 
 
 
 def _turn(angle: Scalar, point: Point) -> Point:
-    return linkage.rotate(ca.cos(angle), ca.sin(angle), point)
+    return components_mechanics.rotate(ca.cos(angle), ca.sin(angle), point)
 
 
 def _add(a: Point, b: Point, weight: Scalar = 1) -> Point:
@@ -120,8 +120,12 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
 def triangles(x: Posture, p: ManipulatorParameters) -> tuple[Triangle, Triangle]:
     """Cylinder triangles of boom and stick."""
     return (
-        linkage.triangle(x.boom_angle, (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)),
-        linkage.triangle(x.stick_angle, (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)),
+        components_mechanics.triangle(
+            x.boom_angle, (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)
+        ),
+        components_mechanics.triangle(
+            x.stick_angle, (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)
+        ),
     )
 
 
@@ -155,9 +159,13 @@ def require(x: ManipulatorState, p: ManipulatorParameters) -> dict[str, Scalar]:
     conditions: dict[str, Scalar] = {}
     boom, stick = pistons(x, p)
     base, rod = (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)
-    conditions |= _reach("boom", boom, linkage.reach(base, rod), p.boom_closed_length, p.boom_stroke)
+    conditions |= _reach(
+        "boom", boom, components_mechanics.reach(base, rod), p.boom_closed_length, p.boom_stroke
+    )
     base, rod = (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)
-    conditions |= _reach("stick", stick, linkage.reach(base, rod), p.stick_closed_length, p.stick_stroke)
+    conditions |= _reach(
+        "stick", stick, components_mechanics.reach(base, rod), p.stick_closed_length, p.stick_stroke
+    )
     conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.triangle.arm
     conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.triangle.arm
     return conditions

@@ -5,7 +5,7 @@
     tau_i     = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i  eqs. (5) to (7), i = boom, stick
 
 with the resistances R of the friction; the joint of the head acts on stick and boom, too. M, V and G follow
-from the energies (`fmus.manipulator.arm`, `fmus.components.rigid_body`).
+from the energies (`fmus.manipulator.arm`, `fmus.components.mechanics`).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
 The command is `harvester rig`.
 """
 
-from fmus.rig.plans import MACHINES, Machine, experiments
+from fmus.rig.experiments import MACHINES, Machine, experiments
 from fmus.rig.recording import Experiment, record
 from fmus.rig.writing import write
 

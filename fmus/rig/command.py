@@ -8,9 +8,8 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.contract import ModelError
-from fmus.rig.plans import MACHINES, PLANS, each
-from fmus.rig.readme import HEADING, readme
-from fmus.rig.writing import write
+from fmus.rig.experiments import MACHINES, PLANS, each
+from fmus.rig.writing import HEADING, readme, write
 
 README = "README.md"
 

@@ -6,8 +6,8 @@
     J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
     V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
 
-with x, T_i and the strokes from `fmus.components.pump`, T from `fmus.components.engine`, Q_r from
-`fmus.components.relief`, r the `ramp` of `fmus.components.smooth`. Voids in the lines as in
+with x, T_i and the strokes from `fmus.components.engine_and_pump`, T from `fmus.components.engine_and_pump`, Q_r from
+`fmus.components.orifice`, r the `ramp` of `fmus.components.smooth`. Voids in the lines as in
 `fmus.components.chamber`.
 
     engine_power + P_t return_flow = P supply_flow + dE/dt + heat
@@ -25,8 +25,8 @@ from pathlib import Path
 
 import casadi as ca
 
-from fmus.components import chamber, engine, pump, relief
-from fmus.components.pump import Pump
+from fmus.components import chamber, engine_and_pump, orifice
+from fmus.components.engine_and_pump import Pump
 from fmus.contract import Scalar, Subsystem
 from fmus.supply.engine_pump_variables import EnginePumpOutputs, EnginePumpParameters, EnginePumpState
 from fmus.supply.variables import TERMINALS, SupplyInputs, return_flow, supply_flow
@@ -52,10 +52,10 @@ def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Work
         return _Working(
             d,
             rise,
-            pump.drawn(d, stroke, x.engine_speed),
+            engine_and_pump.drawn(d, stroke, x.engine_speed),
             d.leakage * rise,
-            pump.check_flow(pressure, x.supply_pressure, p.check_resistance, p.check_opening),
-            pump.torque(d, stroke, x.engine_speed, rise),
+            engine_and_pump.check_flow(pressure, x.supply_pressure, p.check_resistance, p.check_opening),
+            engine_and_pump.torque(d, stroke, x.engine_speed, rise),
         )
 
     first, second = p.pumps
@@ -63,23 +63,25 @@ def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Work
 
 
 def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
-    return relief.flow(p.relief, x.supply_pressure - p.reservoir_pressure)
+    return orifice.relief_flow(p.relief, x.supply_pressure - p.reservoir_pressure)
 
 
 def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     a, b = _pumps(x, p)
     spilled, motor = _relief_flow(x, p), p.engine
-    accelerating = x.engine_torque - engine.friction(motor, x.engine_speed) - a.torque - b.torque
+    accelerating = (
+        x.engine_torque - engine_and_pump.engine_friction(motor, x.engine_speed) - a.torque - b.torque
+    )
     net = a.delivered + b.delivered - supply_flow(u) - spilled
     return EnginePumpState(
         supply_pressure=chamber.pressure_rate(x.supply_pressure, net, p.rail_capacitance),
         pump_1_pressure=_outlet_rate(a, x.pump_1_pressure, p),
         pump_2_pressure=_outlet_rate(b, x.pump_2_pressure, p),
-        pump_1_stroke=pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
-        pump_2_stroke=pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
+        pump_1_stroke=engine_and_pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
+        pump_2_stroke=engine_and_pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
         engine_speed=accelerating / motor.inertia,
-        engine_torque=(engine.asked_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
+        engine_torque=(engine_and_pump.asked_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
         reservoir_volume=return_flow(u) + a.leakage + b.leakage + spilled - a.drawn - b.drawn,
     )
 
@@ -120,18 +122,25 @@ def _stored_energy(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
 def _dissipated_power(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
     rail = x.supply_pressure - p.reservoir_pressure
     pumps = sum(
-        pump.loss(w.pump, x.engine_speed, w.rise) + w.delivered * (w.rise - rail) for w in _pumps(x, p)
+        engine_and_pump.loss(w.pump, x.engine_speed, w.rise) + w.delivered * (w.rise - rail)
+        for w in _pumps(x, p)
     )
-    return pumps + _relief_flow(x, p) * rail + engine.friction(p.engine, x.engine_speed) * x.engine_speed
+    return (
+        pumps
+        + _relief_flow(x, p) * rail
+        + engine_and_pump.engine_friction(p.engine, x.engine_speed) * x.engine_speed
+    )
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
     tank, motor, speed = p.reservoir_pressure, p.engine, p.engine_no_load_speed
     for _ in range(_SWEEPS):
-        found = engine.governed_speed(motor, _idle_load(p, speed), speed)
+        found = engine_and_pump.governed_speed(motor, _idle_load(p, speed), speed)
         speed = ca.fmax(p.engine_peak_speed, ca.fmin(found, p.engine_no_load_speed))  # some engine may not do
-    (stroke_1, pressure_1), (stroke_2, pressure_2) = (pump.dead_head(d, speed, tank) for d in p.pumps)
+    (stroke_1, pressure_1), (stroke_2, pressure_2) = (
+        engine_and_pump.dead_head(d, speed, tank) for d in p.pumps
+    )
     return {
         "supply_pressure": ca.fmax(pressure_1, pressure_2),
         "pump_1_pressure": pressure_1,
@@ -139,7 +148,7 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "pump_1_stroke": stroke_1,
         "pump_2_stroke": stroke_2,
         "engine_speed": speed,
-        "engine_torque": engine.asked_torque(motor, speed),
+        "engine_torque": engine_and_pump.asked_torque(motor, speed),
         "reservoir_volume": p.reservoir_volume_start,
     }
 
@@ -148,8 +157,8 @@ def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
     """Torque [N.m] of both pumps that deliver nothing."""
     load: Scalar = 0
     for d in p.pumps:
-        stroke, pressure = pump.dead_head(d, speed, p.reservoir_pressure)
-        load = load + pump.torque(d, stroke, speed, pressure - p.reservoir_pressure)
+        stroke, pressure = engine_and_pump.dead_head(d, speed, p.reservoir_pressure)
+        load = load + engine_and_pump.torque(d, stroke, speed, pressure - p.reservoir_pressure)
     return load
 
 

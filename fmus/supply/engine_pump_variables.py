@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from fmus.components.engine import Engine
-from fmus.components.pump import Pump
-from fmus.components.relief import PressureValve
+from fmus.components.engine_and_pump import Engine, Pump
+from fmus.components.orifice import PressureValve
 from fmus.contract import Quantity, Scalar
 from fmus.supply.variables import ReservoirParameters, SupplyOutputs
 

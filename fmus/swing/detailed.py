@@ -4,7 +4,7 @@
     C_b dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b      C = V_m kappa(P)
     torque      = D (P_a - P_b)           D = D_m N                                   eqs. (8), (11), (12)
 
-with the flows Q_a, Q_b out of the lines of `fmus.components.line`, kappa of `oil`, the spool of
+with the flows Q_a, Q_b out of the lines of `fmus.components.hose_line`, kappa of `oil`, the spool of
 `spool_dynamics` and the valves of `relief` at the motor: relief valves from line to line, anti-cavitation
 valves from the return line. The motor's volume V_m holds what `lumped` puts into the line's capacitance, so
 its ports are states and the torque depends on states only. `swing_flow_a` is the flow at the valve,
@@ -20,9 +20,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, line, motor, oil, relief, spool_dynamics, spool_valve
+from fmus.components import chamber, hose_line, motor, oil, orifice, spool_dynamics, spool_valve
 from fmus.components.detailed_parameters import BANDWIDTH, ERROR, fluid
-from fmus.components.line import Line, LineState, lumps_needed
+from fmus.components.hose_line import Line, LineState, lumps_needed
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_dynamics import SpoolState
 from fmus.components.spool_valve import PortFlow
@@ -63,14 +63,14 @@ def _now(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> _Now:
     pressures = (x.swing_pressure_a, x.swing_pressure_b)
     displaced = p.motor_displacement * p.gear_ratio * u.swing_speed
     line_ends = (a.flows[0], b.flows[0], u.supply_pressure, tank, p.density)
-    drawn_a, drawn_b = (relief.flow(p.anti_cavitation, tank - pressure) for pressure in pressures)
+    drawn_a, drawn_b = (orifice.relief_flow(p.anti_cavitation, tank - pressure) for pressure in pressures)
     return _Now(
         spool,
         (a, b),
         pressures,
         spool_dynamics.ports(p.edges, spool.position, *line_ends),
         motor.at_ports(*pressures, tank, displaced, *_leakage(p)),
-        relief.cross_flow(p.relief, pressures[0] - pressures[1]),
+        orifice.cross_flow(p.relief, pressures[0] - pressures[1]),
         (drawn_a, drawn_b),
     )
 
@@ -100,7 +100,7 @@ def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[
     rates = {"swing_spool_position": spool.position, "swing_spool_speed": spool.speed}
     motor_side = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
     for side, name, of, port, pressure, rate in motor_side:
-        along = line.rates(hose(p), of, port.pressure, pressure)
+        along = hose_line.rates(hose(p), of, port.pressure, pressure)
         rates |= {f"swing_pressure_{side}": rate, **dict(zip(name.all(), along.all(), strict=True))}
     return rates
 
@@ -108,14 +108,14 @@ def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[
 def _stored_energy(n: _Now, p: DetailedParameters) -> Scalar:
     of = hose(p)
     sides = sum(p.motor_volume * oil.energy_density(of.fluid, q) + oil.void_energy(q) for q in n.pressures)
-    return sides + sum(line.stored_energy(of, one) for one in n.lines)
+    return sides + sum(hose_line.stored_energy(of, one) for one in n.lines)
 
 
 def _dissipated_power(n: _Now, u: SwingInputs, p: DetailedParameters) -> Scalar:
     tank, (p_a, p_b) = u.tank_pressure, n.pressures
     edges = sum(spool_valve.throttling_loss(node, u.supply_pressure, tank) for node in n.ports)
     valves = n.cross * (p_a - p_b) + sum(q * (tank - at) for q, at in zip(n.anti, n.pressures, strict=True))
-    friction = sum(line.heat(hose(p), one) for one in n.lines)
+    friction = sum(hose_line.heat(hose(p), one) for one in n.lines)
     return edges + valves + friction + motor.leakage_loss(n.nodes, tank, *_leakage(p))
 
 
@@ -133,7 +133,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> Det
             f"swing_motor_flow_{side}": of.flows[-1],
             f"swing_bulk_modulus_{side}": oil.bulk_modulus(hose(p).fluid, pressure),
         }
-    voids = sum(map(chamber.void_volume, n.pressures)) + sum(map(line.void_volume, n.lines))
+    voids = sum(map(chamber.void_volume, n.pressures)) + sum(map(hose_line.void_volume, n.lines))
     return DetailedOutputs(
         **shown,
         swing_torque=displacement * (n.pressures[0] - n.pressures[1]),

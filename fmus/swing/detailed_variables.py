@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Any
 
-from fmus.components import chamber, line
+from fmus.components import chamber, hose_line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
-from fmus.components.line import LineState
+from fmus.components.hose_line import LineState
 from fmus.contract import Quantity, Scalar, quantities
 from fmus.swing.variables import LineParameters, MotorParameters, SwingOutputs, SwingState
 
@@ -37,7 +37,7 @@ class DetailedParameters(ReliefParameters, FluidParameters, MotorParameters, Lin
 def line_names(lumps: int, unsteady_friction: bool) -> tuple[LineState, LineState]:
     """Names of the states of both lines."""
     a, b = (
-        line.names(
+        hose_line.names(
             f"swing_flow_{side}",
             f"swing_motor_flow_{side}",
             "swing_line",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fmus.components import ports
-from fmus.components.valve_parameters import ValveParameters
+from fmus.components.spool_valve import ValveParameters
 from fmus.contract import Scalar, Terminal
 
 

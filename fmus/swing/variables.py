@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fmus.components import chamber
-from fmus.components.valve_parameters import ValveParameters
+from fmus.components.spool_valve import ValveParameters
 from fmus.contract import Quantity, Scalar
 
 

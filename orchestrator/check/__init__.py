@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from orchestrator.base.errors import Problem
 from orchestrator.check.finding import Finding, Rule
-from orchestrator.check.report import Report
-from orchestrator.check.static.description import without_repeats
+from orchestrator.check.report import ANY, TOOLS, Report
+from orchestrator.check.rules.description import without_repeats
 from orchestrator.check.subject import Subject, opened
-from orchestrator.check.tools import ANY, TOOLS
-from orchestrator.errors import Problem
 
 DEFECT = "check.defect"
 
 
 def rules() -> tuple[Rule, ...]:
     """All rules, in the order in which they are applied."""
-    from orchestrator.check.experiment import EXPERIMENT
     from orchestrator.check.probes import PROBES
-    from orchestrator.check.static import STATIC
+    from orchestrator.check.reference_experiment import EXPERIMENT
+    from orchestrator.check.rules import STATIC
 
     return (*STATIC, *PROBES, EXPERIMENT)
 
@@ -30,7 +29,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
     tool   id of the tool that shall take it; any: all findings
     run    also load and run it, in child processes
     """
-    from orchestrator.check.static import STATIC
+    from orchestrator.check.rules import STATIC
 
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")

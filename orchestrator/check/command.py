@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from orchestrator.base.errors import Problem
 from orchestrator.check import check, rules
 from orchestrator.check.report import table
-from orchestrator.errors import Problem
 
 
 def run(

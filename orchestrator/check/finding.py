@@ -1,4 +1,7 @@
-"""What a check says about an FMU, and what a rule is. Everything in `orchestrator.check` speaks in these."""
+"""What a check says about an FMU, and what a rule is. Everything in `orchestrator.check` speaks in these.
+
+A table of rules: each rule enters itself with a decorator, so that none is forgotten.
+"""
 
 from __future__ import annotations
 
@@ -74,3 +77,16 @@ class Rule:
         """All findings, with the id of this rule and, where they name none, its threads."""
         for found in self.check(subject):
             yield replace(found, rule=self.id, thread=found.thread or " ".join(self.threads))
+
+
+class Table(list[Rule]):
+    """Rules in the order in which they are applied."""
+
+    def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
+        """Enter the function below as the rule `name`."""
+
+        def enter(check: Check) -> Check:
+            self.append(Rule(name, text, check, threads))
+            return check
+
+        return enter

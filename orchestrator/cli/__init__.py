@@ -1,6 +1,12 @@
-"""The command line `harvester`. Thin: each command imports what it needs when it runs."""
+"""The command line `harvester`: one file per command, in the order of the help.
 
-from orchestrator.cli import models, simulation, measurements, tracking, control, studies, view  # isort: skip  # as the help
-from orchestrator.cli.app import app
+A command reads its options, calls one function and prints. It imports what it needs when it runs: --help stays fast.
+"""
 
-__all__ = ["app", "control", "measurements", "models", "simulation", "studies", "tracking", "view"]
+# isort: off
+from orchestrator.cli import build, modelica, lists, check  # noqa: F401
+from orchestrator.cli import run, validate, compare, convergence  # noqa: F401
+from orchestrator.cli import rig, identify, track, linearize, sweep, view  # noqa: F401
+from orchestrator.cli.options import app
+
+__all__ = ["app"]

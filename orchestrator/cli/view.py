@@ -1,4 +1,4 @@
-"""The command for people who watch and drive: view."""
+"""`harvester view`: watch and drive the machine in a browser."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.app import BUILD, SYSTEM, app
-from orchestrator.commands.options import Set, Swap
-from orchestrator.commands.texts import assignments, swaps
-from orchestrator.errors import Problem
+from orchestrator.base.errors import Problem
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    Set,
+    Swap,
+    app,
+    assignments,
+    swaps,
+)
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -71,7 +77,7 @@ def _usual(swapped: Mapping[str, str]) -> Path:
     """The system with the controller, else the one without; refuses a swap that only the latter takes."""
     if not CONTROL.exists():
         return SYSTEM
-    from orchestrator.system.ssp import load
+    from orchestrator.ssp.load import load
 
     if swapped:
         try:
@@ -85,7 +91,7 @@ def _usual(swapped: Mapping[str, str]) -> Path:
 
 
 def _takes(system: Path, swapped: Mapping[str, str]) -> bool:
-    from orchestrator.system.ssp import load
+    from orchestrator.ssp.load import load
 
     try:
         load(system).swapped(swapped)

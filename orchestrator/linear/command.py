@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.commands.commands import folder
-from orchestrator.commands.texts import assignments
-from orchestrator.comparison.table import aligned
-from orchestrator.errors import Problem
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import folder
+from orchestrator.cli.options import assignments
 from orchestrator.linear.linearize import linearize
+from orchestrator.linear.model import Array, Linear, Named
 from orchestrator.linear.modes import Mode
-from orchestrator.linear.result import Array, Linear, Named
+from orchestrator.results.comparison_report import aligned
 
 HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12

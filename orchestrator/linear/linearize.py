@@ -1,26 +1,95 @@
-"""One call that linearises a system of FMUs at an operating point."""
+"""The operating point at a time of a co-simulation: its states and inputs, by name.
+
+What to say about inputs and loops through which nothing moves at the operating point.
+
+One call that linearises a system of FMUs at an operating point.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.linear.choice import choose
-from orchestrator.linear.choice import outputs as chosen_outputs
-from orchestrator.linear.operating import along
-from orchestrator.linear.plant import Plant
-from orchestrator.linear.result import Linear, Named
-from orchestrator.linear.silent import silent
-from orchestrator.linear.steady import steady as find_steady
-from orchestrator.system.interface import Value
-from orchestrator.system.parameters import with_sets
-from orchestrator.system.ssp import load
-from orchestrator.system.system import Port, System
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.engine.run import run
+from orchestrator.fmi.description import Value
+from orchestrator.linear.model import Linear, Named, choose
+from orchestrator.linear.model import outputs as chosen_outputs
+from orchestrator.linear.plant import Array, Plant
+from orchestrator.linear.steady_state import steady as find_steady
+from orchestrator.ssp.load import load
+from orchestrator.ssp.parameters import with_sets
+from orchestrator.ssp.system import Port, System
+
+
+def along(
+    plant: Plant, system: System, scenario: Trace | str | Path | None, time: float, step: float | None
+) -> tuple[str, ...]:
+    """Bring the plant to where a run of the system is at `time` [s]. Returns notes.
+
+    The wires of the plant carry what the outputs are there. In the run an input that follows another
+    component lags behind by part of a step, so the time derivatives may differ from those of the run.
+    """
+    start = system.start or 0.0
+    if not np.isfinite(time) or time < start:
+        raise Problem(f"--time {time:g}: expected a time from {start:g} s on")
+    if time == start:
+        plant.settle(plant.x.copy(), plant.u)
+        return ()
+    names = [str(p) for p in (*plant.states, *plant.inputs)]
+    result = run(system, scenario, step=step, stop=time, record=names, record_step=None)
+    last = {name: float(result.trace[name][-1]) for name in names}
+    if abs(float(result.trace.time[-1]) - time) > 1e-9 * max(1.0, time):
+        end = f"the run ends at {result.trace.time[-1]:g} s"
+        raise Problem(f"--time {time:g}: expected a multiple of the communication step, {end}")
+    plant.at(time)
+    plant.v[:] = [last[str(p)] for p in plant.inputs]
+    plant.constant[~plant.fed] = plant.v[~plant.fed]
+    plant.settle(np.array([last[str(p)] for p in plant.states]), plant.u)
+    return ()
+
+
+WHY = "a command in its dead band or beyond its range, a controller that is off"
+
+
+def silent(plant: Plant, b: Array) -> tuple[str, ...]:
+    """Notes. b: of the inputs of the linear model, the first ones of the plant."""
+    if not len(b):
+        return ()
+    inlets = plant.choice.inputs[: b.shape[1]]
+    none = [inlet.name for inlet, column in zip(inlets, b.T, strict=True) if not column.any()]
+    cut = [str(port) for port in _cut(plant)]
+    notes = (f"no state depends here on {', '.join(none)} ({WHY})",) if none else ()
+    return (*notes, f"loops are open here at {', '.join(cut)} ({WHY})") if cut else notes
+
+
+def _cut(plant: Plant) -> Iterator[Port]:
+    """Outputs that go nowhere here, of components that stand between the inputs and the rest.
+
+    Such an output is wired to an input on which a state may depend, and no state depends on any input that
+    it is wired to. What has no inputs from outside, such as the machine behind a controller, is left out:
+    that no pressure depends on a position where nothing flows opens no loop.
+    """
+    own = plant.blocks()
+    moved = np.asarray((own.b @ plant.closed(own.d)).any(axis=0))
+    between = {port.component for inlet in plant.choice.inputs for port, _ in inlet.targets}
+    for j, output in enumerate(plant.outputs):
+        fed = [i for i, row in enumerate(plant.wires) if row[j]]
+        able = any(_able(plant, plant.inputs[i]) for i in fed)
+        if output.component in between and able and not moved[fed].any():
+            yield output
+
+
+def _able(plant: Plant, port: Port) -> bool:
+    """May a state of the component depend on this input, as far as its model description tells?"""
+    face = plant.system.components[port.component].interface
+    told = [face.knowns.get(rate) for rate in face.states.values()]
+    return any(known is None or port.variable in known for known in told)
+
 
 SPAN = 1.0  # [s] that the FMUs are told the run lasts; nothing depends on it
 

@@ -1,4 +1,8 @@
-"""The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
+"""Central differences, for FMUs that tell no derivatives.
+
+One component in a plant: its places in the stacked arrays, its calls, its own derivatives.
+
+The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
 
 With the states x of all components, v all their inputs, y all their outputs and u the inputs from outside,
 
@@ -9,18 +13,83 @@ and, linearised, K = 1 / (1 - L D) with the components' own D: docs/linearize.md
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orchestrator.coupling.initialise import initialise
-from orchestrator.errors import Problem
-from orchestrator.linear.choice import Choice
-from orchestrator.linear.exchange import ExchangeSlave, open_exchange
-from orchestrator.linear.member import Array, Member
-from orchestrator.slaves.slave import Slave
-from orchestrator.system.system import Port
+from orchestrator.base.errors import Problem
+from orchestrator.engine.initialisation import initialise
+from orchestrator.engine.linear_prediction import Tangent
+from orchestrator.fmi.calls import Call, Slave
+from orchestrator.fmi.model_exchange import ExchangeSlave, open_exchange
+from orchestrator.linear.model import Choice
+from orchestrator.ssp.system import Port
+
+Array = NDArray[np.float64]
+SHIFT = 6e-6  # of the size of a value: the cube root of the rounding, where both errors of a difference meet
+
+
+def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Sequence[Array]) -> Array:
+    """d(unknowns) / d(knowns), where `look` computes the one from the other, in place."""
+    columns = []
+    for known in knowns:
+        for j, here in enumerate(known.tolist()):
+            step, told = SHIFT * max(abs(here), 1.0), []
+            for value in (here + step, here - step):
+                known[j] = value
+                look()
+                told.append(np.concatenate([*unknowns]))
+            columns.append((told[0] - told[1]) / ((here + step) - (here - step)))
+            known[j] = here
+    look()
+    return np.array(columns).T.reshape(sum(map(len, unknowns)), -1)
+
+
+class Stacked(Protocol):
+    """The arrays of all components: states, inputs, outputs, and time derivatives of the states."""
+
+    x: Array
+    v: Array
+    y: Array
+    f: Array
+
+
+class Member:
+    """One component: its places in the stacked arrays, and its calls."""
+
+    def __init__(self, slave: ExchangeSlave, x: slice, v: slice, y: slice) -> None:
+        self.slave, self.x, self.v, self.y = slave, x, v, y
+        face = slave.interface
+        self.inputs = [u.name for u in face.of("input") if u.is_continuous]
+        self.outputs = [u.name for u in face.of("output") if u.is_continuous]
+
+    def open(self, plant: Stacked) -> None:
+        """Bind the calls to the arrays of the plant."""
+        f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
+        self._tangent = Tangent(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
+        self.starts = [*self._tangent.values, *self._rows(self.slave.reader, self.inputs, v)]
+        self.writes = self._rows(self.slave.writer, self.inputs, v)
+        self.reads = [*self._tangent.rates, *self._rows(self.slave.reader, self.outputs, y)]
+        self._plant = plant
+
+    def _rows(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:
+        return [make(names, values)] if names else []
+
+    def look(self) -> None:
+        """Set states and inputs, read derivatives and outputs."""
+        self.slave.put(self._plant.x[self.x])
+        for call in (*self.writes, *self.reads):
+            call()
+
+    def jacobian(self) -> Array:
+        """d(f, y) / d(x, v) of this component."""
+        if self.slave.interface.directional:
+            return self._tangent.matrix()
+        p = self._plant
+        return differences(self.look, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
+
 
 ROUNDS = 30  # of Newton's method over the wires; without feed-through loops as many as stages are enough
 EXACT = 1e-13  # of the size of a signal: rounding

@@ -7,10 +7,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from orchestrator.errors import Problem
+from orchestrator.base.errors import Problem
+from orchestrator.fmi.description import Interface, Value, Variable
 from orchestrator.modelica.text import Scope, literal, number, quoted
-from orchestrator.system.interface import Interface, Value, Variable
-from orchestrator.system.system import Component
+from orchestrator.ssp.system import Component
 
 TYPES = {
     "Real": "Real",

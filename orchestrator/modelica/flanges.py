@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from orchestrator.fmi.description import Variable
 from orchestrator.modelica.block import Model, choice, connector, declaration, places
 from orchestrator.modelica.text import Scope, quoted
-from orchestrator.system.interface import Variable
 
 
 @dataclass(frozen=True)

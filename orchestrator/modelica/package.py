@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 
-from orchestrator.errors import Problem, suggest
-from orchestrator.files.archive import Location
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import Location
 from orchestrator.modelica.block import Model, block, model
 from orchestrator.modelica.flanges import with_flanges
 from orchestrator.modelica.system import connected
 from orchestrator.modelica.text import PLAIN, RESERVED, Scope, class_name
-from orchestrator.system.ssp import load
-from orchestrator.system.system import Component, System
+from orchestrator.ssp.load import load
+from orchestrator.ssp.system import Component, System
 
 TEMPLATES = files("orchestrator.modelica") / "templates"
 WRITTEN = "Resources/written.json"  # SHA-256 of each file of a package

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from orchestrator.errors import Problem
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import IDENTITY, Linear
+from orchestrator.fmi.description import Variable
 from orchestrator.modelica.block import Model, attributes
 from orchestrator.modelica.text import Scope, literal, number, quoted
-from orchestrator.system.interface import Variable
-from orchestrator.system.system import Component, Port, System
-from orchestrator.units import IDENTITY, Linear
+from orchestrator.ssp.system import Component, Port, System
 
 
 @dataclass(frozen=True)

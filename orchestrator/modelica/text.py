@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from orchestrator.system.interface import Value
+from orchestrator.fmi.description import Value
 
 PLAIN = r"[A-Za-z_][A-Za-z0-9_]*"
 # keywords, and names that the text of a package uses: a variable of such a name is written in quotes

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from orchestrator.errors import Problem, suggest
-from orchestrator.live.setup import Axis, Setup
-from orchestrator.system import parameters
-from orchestrator.system.ssp import load
-from orchestrator.system.system import System
-from orchestrator.view.scene.geometry import Geometry, Start, geometry, start
-from orchestrator.view.signals import watched
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.ssp import parameters
+from orchestrator.ssp.load import load
+from orchestrator.ssp.system import System
+from orchestrator.view.readings import watched
+from orchestrator.view.scene.pose import Geometry, Start, geometry, start
 
 USUAL = "usual"  # the FMU that the system brings
 VARIANTS = "variants"  # folder beside the system's file

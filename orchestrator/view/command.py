@@ -7,7 +7,7 @@ import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 
-from orchestrator.commands import commands
+from orchestrator.base.files import folder, there
 from orchestrator.view.choice import Choice
 from orchestrator.view.session import Session
 
@@ -26,12 +26,12 @@ def view(
     results: Path,
 ) -> None:
     """Serve until interrupted. A mistake is told before anything is served."""
-    from orchestrator.live.replay import Replay
-    from orchestrator.live.station import Station
+    from orchestrator.realtime.machine import Station
+    from orchestrator.realtime.replay import Replay
     from orchestrator.view.server import Server, quiet
 
-    first = Choice(commands.there(system), pose, swap, set_)
-    commands.folder(results)
+    first = Choice(there(system), pose, swap, set_)
+    folder(results)
     quiet()
     session = Session(first, Station, Replay, [results])
     try:

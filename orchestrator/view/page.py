@@ -8,22 +8,18 @@ from typing import Any
 
 from nicegui import ui
 
-from orchestrator.live.setup import Frame
-from orchestrator.view.controls.panel import mount
+from orchestrator.realtime.setup import Frame
+from orchestrator.view.driving.endpoint import mount
+from orchestrator.view.driving.pilot import Pilot, Seat
 from orchestrator.view.panels.bar import Bar
 from orchestrator.view.panels.charts import Charts
-from orchestrator.view.panels.gauges import Gauges
-from orchestrator.view.panels.state import Line, limit
-from orchestrator.view.reading import Reading
-from orchestrator.view.safety.pilot import Pilot
-from orchestrator.view.safety.seat import Seat
-from orchestrator.view.scene.canvas import Canvas
-from orchestrator.view.scene.marks import rings
+from orchestrator.view.panels.gauges import Gauges, Line, limit
+from orchestrator.view.readings import Reading
+from orchestrator.view.scene.canvas import Canvas, rings
 from orchestrator.view.session import Session
-from orchestrator.view.shared import Shared
-from orchestrator.view.stream import Stream
+from orchestrator.view.stream import Shared, Stream
 from orchestrator.view.task.training import Training
-from orchestrator.view.task.widget import mount as task
+from orchestrator.view.task.training import mount as task
 
 STYLE = Path(__file__).with_name("page.css")
 GREEN = "#2f5a45"

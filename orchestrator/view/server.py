@@ -14,16 +14,15 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
-from orchestrator.errors import Problem
-from orchestrator.view.controls.endpoint import serve as serve_controls
-from orchestrator.view.controls.endpoint import watching
+from orchestrator.base.errors import Problem
+from orchestrator.view import access
+from orchestrator.view.access import Guard, rules
+from orchestrator.view.driving.endpoint import serve as serve_controls
+from orchestrator.view.driving.endpoint import watching
+from orchestrator.view.driving.pilot import Pilot
 from orchestrator.view.page import Page
-from orchestrator.view.safety import complaints
-from orchestrator.view.safety.access import Guard, rules
-from orchestrator.view.safety.pilot import Pilot
 from orchestrator.view.session import Session
-from orchestrator.view.shared import Shared
-from orchestrator.view.stream import Stream
+from orchestrator.view.stream import Shared, Stream
 from orchestrator.view.task.training import Training
 
 TITLE = "Harvester"
@@ -138,4 +137,4 @@ def _shown(host: str) -> str:
 def quiet() -> None:
     """A page that is closed while something is on its way is no news."""
     logging.getLogger("nicegui").setLevel(logging.ERROR)
-    complaints.shorten()
+    access.shorten()

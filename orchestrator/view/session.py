@@ -1,22 +1,92 @@
-"""One machine, one server: what is shown, started anew, replayed and saved."""
+"""The machine that is shown now: live, or a replay in its place, under one name for whoever holds it.
+
+One machine, one server: what is shown, started anew, replayed and saved.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace, read, write
-from orchestrator.live.setup import Machine, Setup
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace, read, write
+from orchestrator.realtime.setup import Array, Frame, Machine, Setup
+from orchestrator.view.access import listed, resolved
 from orchestrator.view.choice import Choice, Plan, plan
-from orchestrator.view.current import Current
-from orchestrator.view.header import names
-from orchestrator.view.reading import Reading
-from orchestrator.view.safety.files import listed, resolved
-from orchestrator.view.signals import by_bare_name
+from orchestrator.view.readings import Reading, by_bare_name, names
+
+
+class Current:
+    """A `Machine` that hands everything on to another one, which may be exchanged.
+
+    factor      the speed that was asked for last, of whichever machine
+    exchanges   counts the exchanges: frames of before have nothing to do with those of after
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.exchanges, self.factor = 0, 1.0
+
+    def exchange(self, machine: Machine) -> None:
+        """Show another machine from now on; the one before stands still."""
+        if self.machine.drives:
+            self.machine.command({})
+        self.machine.pause()
+        machine.speed(self.factor)
+        self.machine = machine
+        self.exchanges += 1
+
+    @property
+    def axes(self) -> Sequence[str]:
+        return self.machine.axes
+
+    @property
+    def signals(self) -> Sequence[str]:
+        return self.machine.signals
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        return self.machine.units
+
+    @property
+    def drives(self) -> bool:
+        return self.machine.drives
+
+    def command(self, values: Mapping[str, float]) -> None:
+        self.machine.command(values)
+
+    def play(self) -> None:
+        self.machine.play()
+
+    def pause(self) -> None:
+        self.machine.pause()
+
+    def speed(self, factor: float) -> None:
+        self.machine.speed(factor)
+        self.factor = factor
+
+    def restart(self, setup: Setup | None = None) -> None:
+        self.machine.restart(setup)
+        self.exchanges += 1
+
+    def latest(self) -> Frame:
+        return self.machine.latest()
+
+    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        return self.machine.since(number)
+
+    def trace(self) -> Trace:
+        return self.machine.trace()
+
+    def close(self) -> None:
+        self.machine.close()
+
 
 JOINTS = ("swing_angle", "boom_angle", "stick_angle")
 

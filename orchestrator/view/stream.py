@@ -1,4 +1,6 @@
-"""Frames to the pages: as many as each of them can draw, at most `RATE` a second.
+"""What all pages show alike and is computed once: the history and the pace.
+
+Frames to the pages: as many as each of them can draw, at most `RATE` a second.
 
 A browser tells which frames it has drawn. Where more than `AHEAD` are on the way it gets no more until it
 has caught up, so a slow one sees fewer pictures, never old ones, and costs the server nothing.
@@ -12,9 +14,37 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from orchestrator.live.setup import Frame
+from orchestrator.realtime.setup import Frame
+from orchestrator.view.panels.charts import NAMES, History
+from orchestrator.view.panels.gauges import Clock
 from orchestrator.view.session import Session
-from orchestrator.view.shared import Shared
+
+
+class Shared:
+    """Renewed at each look; begins anew with another machine.
+
+    reading   the one that the history belongs to
+    looks     how many there were
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.looks = 0
+        self._begin()
+
+    def look(self, frame: Frame) -> None:
+        """Before the pages are told."""
+        if self.reading is not self._session.reading:
+            self._begin()
+        self.looks += 1
+        self.history.look()
+        self.clock.look(frame)
+
+    def _begin(self) -> None:
+        self.reading = self._session.reading
+        self.history = History(self._session.machine, self.reading, NAMES)
+        self.clock = Clock()
+
 
 RATE, FIGURES = 25.0, 4.0  # 1/s
 AHEAD = 8  # pictures on the way to a browser

@@ -8,9 +8,10 @@ import numpy as np
 
 from any_fmu.models import Workshop
 from orchestrator import System, assemble, run
-from orchestrator.runs.simulation import Result, RunFailed, open_slave
-from orchestrator.settings import Coupling
-from orchestrator.slaves.slave import Slave
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.result import Result, RunFailed
+from orchestrator.engine.run import open_slave
+from orchestrator.fmi.calls import Slave
 
 NO_ROLLBACK = {"canGetAndSetFMUstate": "false", "canGetAndSetFMUState": "false"}
 HERMITE = Coupling("hermite", tolerance=1e-9)  # never content with one pass here

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from check.test_probes import apply, opened
+from orchestrator.check.child.beacon import Beacon
 from orchestrator.check.probes import parent
 from orchestrator.check.probes.parent import Limits, limits
-from orchestrator.trial.beacon import Beacon
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do

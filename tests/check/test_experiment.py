@@ -10,9 +10,9 @@ import fmpy
 import pytest
 
 from check.oscillator import Oscillators
-from orchestrator.check.experiment import EXPERIMENT
-from orchestrator.check.experiment_files import PLACE
 from orchestrator.check.finding import Finding
+from orchestrator.check.reference_experiment import EXPERIMENT
+from orchestrator.check.reference_files import PLACE
 from orchestrator.check.subject import Subject
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"

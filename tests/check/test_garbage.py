@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from properties import examples
 
 from check.good import DESCRIPTION, Archive
+from orchestrator.base.errors import Problem
 from orchestrator.check import DEFECT, check
-from orchestrator.errors import Problem
 
 HEAD = '<fmiModelDescription fmiVersion="2.0"'
 GARBAGE: Mapping[str, tuple[bytes, str]] = {
@@ -156,7 +156,7 @@ def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
 
 def test_a_huge_archive_is_not_unpacked_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What unpacks to more than the limit is told, and left."""
-    monkeypatch.setattr("orchestrator.check.unpack.MOST_BYTES", 1000)
+    monkeypatch.setattr("orchestrator.check.subject.MOST_BYTES", 1000)
     path = Archive(2, {DESCRIPTION: b"<a/>", "resources/big": bytes(2000)}).write(tmp_path / "lag.fmu")
     assert "archive.size" in rules(path)
 
@@ -165,7 +165,7 @@ def test_a_large_file_is_noted(
     good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tools unpack an FMU for each model or instance; a large one is worth a note."""
-    monkeypatch.setattr("orchestrator.check.static.contents.LARGEST", 1000)
+    monkeypatch.setattr("orchestrator.check.rules.archive.LARGEST", 1000)
     assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
 
 
@@ -181,7 +181,7 @@ def test_fmpy_speaks_where_no_rule_does(
     lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
     path = lacking.write(tmp_path / "lag.fmu")
     assert rules(path) == {"structure.initial"}
-    monkeypatch.setattr("orchestrator.check.static.description.COVERED", {})
+    monkeypatch.setattr("orchestrator.check.rules.description.COVERED", {})
     assert rules(path) == {"structure.initial", "fmpy.validate"}
 
 

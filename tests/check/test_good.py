@@ -10,7 +10,7 @@ from any_fmu.models import MODELS, Workshop
 
 from check.good import Archive
 from orchestrator.check import check
-from orchestrator.check.tools import ANY, TOOLS
+from orchestrator.check.report import ANY, TOOLS
 
 
 @pytest.mark.parametrize("major", [2, 3])

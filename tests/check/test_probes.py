@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.check.child.beacon import Beacon
+from orchestrator.check.child.description import read
+from orchestrator.check.child.main import Bench
+from orchestrator.check.child.tasks import leaks, solver
 from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
 from orchestrator.check.probes.parent import Limits, current, limits
 from orchestrator.check.subject import Subject
-from orchestrator.trial.beacon import Beacon
-from orchestrator.trial.bench import Bench
-from orchestrator.trial.reading import read
-from orchestrator.trial.tasks import leak, solver
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
@@ -227,8 +227,8 @@ def test_folders_of_compilers_are_no_platforms(oscillators, tmp_path):
 
 def test_a_table_that_doubles_is_no_leak():
     """What grows in one half of the instances only has come to an end; what grows in both goes on."""
-    window = leak.WINDOW
+    window = leaks.WINDOW
     steady = [1000.0 * window * n for n in range(9)]
     once = [0.0] * 6 + [1e6] * 3
-    assert leak._growth(steady, noise=8e3) == pytest.approx(1000.0 - 4e3 / (4 * window))
-    assert leak._growth(once, noise=8e3) < leak.LEAK
+    assert leaks._growth(steady, noise=8e3) == pytest.approx(1000.0 - 4e3 / (4 * window))
+    assert leaks._growth(once, noise=8e3) < leaks.LEAK

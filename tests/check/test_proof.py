@@ -13,18 +13,17 @@ from lxml import etree
 
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
-from fmus.experiment import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
 from fmus.export.build import build
-from fmus.export.proof import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
-from fmus.harvester import HARVESTER
-from fmus.levers import LEVERS
-from fmus.machine import ALL, FAMILIES
+from fmus.export.reference_experiment import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.parts import ALL, FAMILIES
+from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
+from fmus.operator.model import LEVERS
 from fmus.parameters import values
 from fmus.swing import SWING
-from orchestrator.check.experiment import cases
-from orchestrator.check.experiment_files import manifest, table
-from orchestrator.check.experiment_files import parameter_set as read_parameters
-from orchestrator.check.experiment_run import Comparison, compare
+from orchestrator.check.reference_experiment import Comparison, cases, compare
+from orchestrator.check.reference_files import manifest, table
+from orchestrator.check.reference_files import parameter_set as read_parameters
 from orchestrator.check.subject import Subject
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
@@ -92,7 +91,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 
 def test_the_committed_experiments_are_those_of_the_equations():
-    """Inputs, parameters and the beginning of each result are what `python -m fmus.experiment` writes."""
+    """Inputs, parameters and the beginning of each result are what `python -m fmus.machine.reference` writes."""
     known = machine()
     for sub in SUBSYSTEMS.values():
         moving = stimuli(sub, known)

@@ -14,9 +14,8 @@ from check.test_binaries import FAULTS
 from orchestrator.__main__ import main
 from orchestrator.check import check, rules
 from orchestrator.check.finding import SEVERITIES
-from orchestrator.check.report import SHOWN, table
-from orchestrator.check.static import STATIC
-from orchestrator.check.tools import TOOLS
+from orchestrator.check.report import SHOWN, TOOLS, table
+from orchestrator.check.rules import STATIC
 
 DOCS = Path(__file__).parents[2] / "docs/check.md"
 # told of files as a whole, or together with another rule: these have tests of their own

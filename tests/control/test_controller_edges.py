@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from properties import examples
 from steering import INPUTS, STATES, V, measured, model, start
 
-from fmus.build import data
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES
 from fmus.export.python.instance import of_subsystem
-from fmus.poses import NOMINAL
+from fmus.machine.build import data
+from fmus.machine.poses import NOMINAL
 from orchestrator import Trace, read, run
 
 FULL = 10.0  # V, valve_full_command

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from steering import INPUTS, STATES, V, at, measured, model, rates, start
 
-from fmus.build import controller_of, parts
 from fmus.contract import quantities, symbolic
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
 from fmus.export.python.instance import of_subsystem
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.build import controller_of, parts
+from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import numbers, values
 
 OUTPUTS = list(quantities(CONTROLLER.outputs))

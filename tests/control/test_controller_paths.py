@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.build import data
 from fmus.contract import ModelError, quantities, symbolic
 from fmus.controller import paths
 from fmus.controller.paths import COLUMNS, PATHS, Route, inputs, moved, sample, travel
+from fmus.machine.build import data
+from fmus.machine.poses import controlled_poses, path_pose, pose_set
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
-from fmus.poses import controlled_poses, path_pose, pose_set
 
 ROUTES = st.builds(
     Route,

@@ -12,7 +12,8 @@ from steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
 from fmus.contract import ModelError
-from fmus.controller import geometry, inverse, limits
+from fmus.controller import geometry, reference
+from fmus.controller import geometry as controller_geometry
 from fmus.controller.geometry import Joints, Tip
 
 P = SimpleNamespace(**V.p)
@@ -30,7 +31,7 @@ def tip(boom: float, stick: float) -> tuple[float, float]:
 @given(ANGLES)
 def test_closed_form_inverts_the_arm(angles):
     """Angles -> tip -> angles, to rounding (acos near its ends loses half the digits)."""
-    assert inverse.joints(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
+    assert controller_geometry.joints(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
 
 
 def test_a_tip_out_of_reach_is_refused():
@@ -38,7 +39,7 @@ def test_a_tip_out_of_reach_is_refused():
     with pytest.raises(
         ModelError, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"
     ):
-        inverse.joints(9.0, 1.0, V.p)
+        controller_geometry.joints(9.0, 1.0, V.p)
 
 
 @given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
@@ -66,13 +67,13 @@ def test_integrated_rates_end_where_the_closed_form_is():
         k3 = slope(x + h / 2 * k2, (k + 0.5) * h)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, (k + 1) * h))
     found = [at(x, "reference_boom"), at(x, "reference_stick")]
-    assert found == pytest.approx(inverse.joints(radius + 1.2, height, V.p), abs=1e-6)
+    assert found == pytest.approx(controller_geometry.joints(radius + 1.2, height, V.p), abs=1e-6)
 
 
 def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
     """The path's point after `time`; the machine follows exactly, so that nothing waits."""
     now = radius + 0.5 * time
-    boom, stick = inverse.joints(now, height, V.p)
+    boom, stick = controller_geometry.joints(now, height, V.p)
     return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
 
 
@@ -94,7 +95,7 @@ SPEED = st.floats(-3.0, 3.0)
 @given(SPEED, SPEED, SPEED, st.floats(0.02, 0.59), st.floats(0.02, 0.70))
 def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
     """The share brings each actuator below its limit and below what the end of the stroke allows."""
-    use = limits.use(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
+    use = reference.use(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
     share = float(use.share)
     assert 0 <= share <= 1
     slack = 1 + 1e-9
@@ -106,13 +107,13 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
             if speed > 0
             else position - P.stroke_margin
         )
-        assert abs(speed) * share <= P.stroke_gain * max(left, 0.0) + limits.CREEP * slack
+        assert abs(speed) * share <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 
 
 def test_slow_motion_away_from_the_ends_is_not_touched():
     """Exactly the wanted speed up to 80 % of every limit: the norm of three is 1.15 at most."""
     moving = [("boom", 0.3, 0.75 * P.boom_speed_limit), ("stick", 0.35, -0.75 * P.stick_speed_limit)]
-    assert float(limits.use(0.75 * P.swing_speed_limit, moving, P).share) == 1.0
+    assert float(reference.use(0.75 * P.swing_speed_limit, moving, P).share) == 1.0
 
 
 @examples(30)
@@ -146,9 +147,9 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
 def test_beyond_the_margin_only_the_way_back_is_open():
     """Levers brought the piston into the margin: outwards it creeps at 1e-6 m/s, inwards it is free."""
     inside = P.boom_stroke - P.stroke_margin / 2
-    outwards = limits.use(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).share * 0.05
-    assert 0 <= float(outwards) <= 1.001 * limits.CREEP
-    assert float(limits.use(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).share) == 1.0
+    outwards = reference.use(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).share * 0.05
+    assert 0 <= float(outwards) <= 1.001 * reference.CREEP
+    assert float(reference.use(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).share) == 1.0
 
 
 def test_the_reference_waits_for_a_machine_that_stands():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sensors import opener
 
-from fmus.build import data
-from fmus.poses import NOMINAL, POSES
+from fmus.machine.build import data
+from fmus.machine.poses import NOMINAL, POSES
 from orchestrator import Trace, read, run
 
 DETAILED = {

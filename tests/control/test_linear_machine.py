@@ -9,11 +9,11 @@ from scipy.optimize import linear_sum_assignment
 
 from fmus.contract import quantities, symbolic
 from fmus.export.build import build
-from fmus.harvester import HARVESTER
-from fmus.machine import parts, wiring
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.parts import parts, wiring
+from fmus.machine.poses import POSES
 from fmus.monolith import join
 from fmus.parameters import values
-from fmus.poses import POSES
 from fmus.swing import SWING
 from orchestrator import Trace, linearize, run
 from orchestrator.linear.modes import eigen

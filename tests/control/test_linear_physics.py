@@ -7,7 +7,7 @@ import pytest
 from driver import driving
 from scipy.signal import StateSpace, lsim
 
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 from orchestrator import Trace, linearize, run
 

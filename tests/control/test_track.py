@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from fmus.contract import quantities, symbolic
-from fmus.controller.courses import course
+from fmus.controller.paths import course
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.__main__ import main
-from orchestrator.files.trace import Trace
-from orchestrator.tracking.follow import Ride, places
-from orchestrator.tracking.table import rows
+from orchestrator.data.trace import Trace
+from orchestrator.studies.path_following import Ride, places, rows
 
 DETAILED = [
     "--swap", "swing=detailed", "--swap", "boom_stick=detailed",

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from orchestrator.__main__ import main
-from orchestrator.system.ssp import load
-from orchestrator.tracking.figure import above, beside, draw
-from orchestrator.tracking.follow import Ride
-from orchestrator.tracking.machines import differences
-from orchestrator.tracking.table import text
+from orchestrator.ssp.load import load
+from orchestrator.studies.path_figure import above, beside, draw
+from orchestrator.studies.path_following import Ride, differences, text
 
 TIME = np.linspace(0, 4, 5)
 STROKE = "controller.stroke_use"

@@ -9,8 +9,7 @@ import pytest
 
 from fmus.contract import ModelError
 from fmus.export.build import build
-from fmus.export.compile import FLAGS
-from fmus.export.platforms import PLATFORMS, host
+from fmus.export.compile import FLAGS, PLATFORMS, host
 from orchestrator.__main__ import main
 
 
@@ -22,7 +21,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
         scratch = tmp_path / place / "scratch"
         scratch.mkdir(parents=True)
         monkeypatch.setattr("tempfile.tempdir", str(scratch))
-        monkeypatch.setattr("fmus.export.keep.store", lambda place=place: tmp_path / place / "store")
+        monkeypatch.setattr("fmus.export.compile.store", lambda place=place: tmp_path / place / "store")
         built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
         assert not list(scratch.iterdir())  # nothing is left of the compilers' files
     assert built[0] == built[1]
@@ -30,7 +29,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
 
 def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     """The same code, flags and platform: the library is the one that was kept."""
-    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "store")
+    monkeypatch.setattr("fmus.export.compile.store", lambda: tmp_path / "store")
     sub, numbers = toys["gain"]
     first = build(sub, tmp_path / "first", numbers=numbers).read_bytes()
     assert build(sub, tmp_path / "other", numbers=numbers, step=0.5).read_bytes() != first
@@ -51,7 +50,7 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
     """A read-only home is no reason not to build."""
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("fmus.export.keep.store", lambda: tmp_path / "file" / "store")
+    monkeypatch.setattr("fmus.export.compile.store", lambda: tmp_path / "file" / "store")
     sub, numbers = toys["gain"]
     assert build(sub, tmp_path, numbers=numbers).is_file()
 
@@ -120,7 +119,7 @@ def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
 def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms, numbers):
     """Both versions for this machine with the numbers of the parts, or what the options say."""
     asked = []
-    monkeypatch.setattr("fmus.build.build_machine", lambda *arguments: asked.append(arguments) or [])
+    monkeypatch.setattr("fmus.machine.build.build_machine", lambda *arguments: asked.append(arguments) or [])
     assert main(["build", "--out", str(tmp_path), *options]) == 0
     assert [(folder, fmi, set(names), own) for folder, fmi, names, own in asked] == [
         (tmp_path, versions, set(platforms), numbers)
@@ -133,6 +132,6 @@ def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fmus.build.build_machine", interrupted)
+    monkeypatch.setattr("fmus.machine.build.build_machine", interrupted)
     assert main(["build", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err == "harvester: interrupted\n"

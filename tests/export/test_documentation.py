@@ -11,13 +11,12 @@ from lxml import etree, html
 
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
+from fmus.export.documentation import figure, pretty, prose, slug
 from fmus.export.interface import interface
 from fmus.export.package import package
-from fmus.export.prose import prose, slug
-from fmus.export.tables import figure, pretty
-from fmus.files import shipped
-from fmus.harvester import HARVESTER
-from fmus.machine import ALL, FAMILIES
+from fmus.machine.files import shipped
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.parts import ALL, FAMILIES
 from fmus.parameters import numbers, values
 
 OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]

@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import ModelError, Quantity
 from fmus.export.build import build
-from fmus.export.emit import Routine, number, routine
+from fmus.export.c_code import Routine, number, routine
 from fmus.parameters import Values
 
 OPERATIONS = {

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fmus.export.geometry import GAP, PITCH, WIDTH, bends, boxes
-from fmus.export.structure import Element, Structure
+from fmus.export.diagram import GAP, PITCH, WIDTH, bends, boxes
+from fmus.export.ssp_structure import Element, Structure
 
 
 def element(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Element:

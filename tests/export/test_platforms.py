@@ -15,9 +15,8 @@ import pytest
 
 from fmus.contract import ModelError
 from fmus.export.build import build
-from fmus.export.compile import HEADERS
-from fmus.export.platforms import PLATFORMS, host, select, universal
-from fmus.harvester import HARVESTER
+from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
+from fmus.machine.one_block import HARVESTER
 from fmus.swing import SWING
 
 lief.logging.disable()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from fmus.build import parts
 from fmus.identification.outcome import beside, explanation, worst
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
+from fmus.machine.build import parts
 from fmus.parameters import values, write
 from fmus.rig.command import rig
 

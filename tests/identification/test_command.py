@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build import parts
 from fmus.identification.known import lookup, nominal, plain, targets_of, updated
 from fmus.identification.machine import FREE
 from fmus.identification.pipeline import PROCEDURES
+from fmus.machine.build import parts
 from fmus.parameters import values
 from fmus.rig.command import rig
 from orchestrator.__main__ import main

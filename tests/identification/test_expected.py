@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fmus.contract import ModelError
-from fmus.identification import expected
+from fmus.identification import pipeline
 from fmus.identification.pipeline import identify
 from fmus.identification.procedures import valve
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.refinement.names import signals
+from fmus.identification.refinement.problem import signals
 
 
 def made(procedure, names, **conditions):
@@ -47,18 +47,18 @@ def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
 
 def test_a_signal_unlike_any_is_named():
     """A temperature, or a spare channel of a bench, is no mistake: it is said that it is not used."""
-    (text,) = expected.remarks([made("machine", [*signals().values(), "oil_temperature"])])
+    (text,) = pipeline.remarks([made("machine", [*signals().values(), "oil_temperature"])])
     assert text == "run.csv: no signal of the machine, not used: oil_temperature"
-    (text,) = expected.remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
+    (text,) = pipeline.remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
     assert text == "run.csv: no signal of valve, not used: oil_temperature"
-    (text,) = expected.remarks([made("valve", ["pressure_inn"])])
+    (text,) = pipeline.remarks([made("valve", ["pressure_inn"])])
     assert "pressure_inn (misspelt pressure_in?)" in text
 
 
 def test_whatever_the_machine_shows_may_be_recorded():
     """All that a procedure or the refinement reads raises no remark."""
-    assert expected.remarks([made("machine", signals().values(), tank_pressure=1e5)]) == []
-    assert expected.remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
+    assert pipeline.remarks([made("machine", signals().values(), tank_pressure=1e5)]) == []
+    assert pipeline.remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
 
 
 @pytest.mark.parametrize(
@@ -68,4 +68,4 @@ def test_whatever_the_machine_shows_may_be_recorded():
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
     """A key of [experiment] that differs by case or a letter from one that counts."""
     with pytest.raises(ModelError, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
-        expected.remarks([made(procedure, [], **{wrong: "x"})])
+        pipeline.remarks([made(procedure, [], **{wrong: "x"})])

@@ -16,7 +16,7 @@ import pytest
 import scipy.io
 
 from fmus.contract import ModelError, quantities, symbolic
-from fmus.identification.recordings.series import read_series
+from fmus.identification.recordings.reading import read_series
 from fmus.identification.refinement.unitless import in_peaks, unitless
 from fmus.parameters import values
 

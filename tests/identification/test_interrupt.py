@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.identification import command, joint, steps
-from fmus.identification.finding import Estimate, Finding
-from fmus.identification.known import nominal
+from fmus.identification import command, pipeline
+from fmus.identification.known import Estimate, Finding, nominal
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.recording import Recording
+from fmus.identification.refinement.random_starts import Starts
 from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.starts import Starts
 from orchestrator.__main__ import main
 
 VALVE = Recording(Path("valve.csv"), "", "valve", "train", {}, np.arange(9.0), {}, {})
@@ -44,13 +43,13 @@ def interrupt(*_: object, **__: object) -> None:
 @pytest.fixture
 def quick(monkeypatch):
     """Only a valve, found at once."""
-    monkeypatch.setattr(steps, "PROCEDURES", {"valve": Procedure(False)})
+    monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": Procedure(False)})
     return monkeypatch
 
 
 def test_a_finished_procedure_is_kept(quick):
     """An interrupt in the joint refinement, before there is any point to keep, leaves the valve."""
-    quick.setattr(steps, "together", interrupt)
+    quick.setattr(pipeline, "together", interrupt)
     found = identify([VALVE, MACHINE])
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
@@ -60,7 +59,7 @@ def test_a_finished_procedure_is_kept(quick):
 
 def test_nothing_found_is_an_interrupt(quick):
     """There is nothing to write, and an earlier file stays as it is."""
-    quick.setattr(steps, "PROCEDURES", {"valve": Procedure(True)})
+    quick.setattr(pipeline, "PROCEDURES", {"valve": Procedure(True)})
     with pytest.raises(KeyboardInterrupt):
         identify([VALVE])
 
@@ -74,8 +73,8 @@ def test_an_interrupted_search_is_not_begun_again(quick):
         def estimates(self, **_: object) -> tuple[Estimate, ...]:
             return (replace(AREA, value=3e-5),)
 
-    quick.setattr(steps, "together", lambda *_: Best())
-    quick.setattr(steps, "again", lambda *_: pytest.fail("begun again"))
+    quick.setattr(pipeline, "together", lambda *_: Best())
+    quick.setattr(pipeline, "again", lambda *_: pytest.fail("begun again"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.known["swing.valve_area"].value == 3e-5
@@ -86,8 +85,8 @@ def test_interrupted_starts_keep_the_result(quick):
     refined = Refined.__new__(Refined)
     object.__setattr__(refined, "reason", "converged")
     quick.setattr(Refined, "estimates", lambda *_, **__: (AREA,))
-    quick.setattr(steps, "together", lambda *_: refined)
-    quick.setattr(joint, "from_random_starts", lambda *_, **__: Starts((), 0.0, {}, interrupted=True))
+    quick.setattr(pipeline, "together", lambda *_: refined)
+    quick.setattr(pipeline, "from_random_starts", lambda *_, **__: Starts((), 0.0, {}, interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.refined is refined
@@ -96,7 +95,7 @@ def test_interrupted_starts_keep_the_result(quick):
 def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     """parameters.toml of what was found, one line about it, exit status 130 as in other commands."""
     quick.chdir(tmp_path)
-    quick.setattr(steps, "together", interrupt)
+    quick.setattr(pipeline, "together", interrupt)
     for name, value in {
         "read_folder": lambda _: [VALVE, MACHINE],
         "quality": lambda _: None,

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from any_fmu.models import Workshop
 
-from orchestrator.live.setup import Axis, Setup
-from orchestrator.live.station import Station
+from orchestrator.realtime.machine import Station
+from orchestrator.realtime.setup import Axis, Setup
 
 LONG = 60.0  # [s]: only a test that fails waits for it
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, Problem, Trace, load, run
-from orchestrator.live import engine
-from orchestrator.live.engine import Engine
-from orchestrator.live.setup import Axis, Setup
+from orchestrator.realtime import frames
+from orchestrator.realtime.frames import Engine
+from orchestrator.realtime.setup import Axis, Setup
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
 SHOWN = (
@@ -91,7 +91,7 @@ MASTERS = {
 def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
     """Half a second under each of them, steps of their own choice included."""
     suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
-    monkeypatch.setattr(engine, "load", lambda _: suggested)
+    monkeypatch.setattr(frames, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 50, random_walk(2, 3))
     same_as_run(setup, live, suggested)

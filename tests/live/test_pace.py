@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.live import pace
+from orchestrator.realtime import pace
 
 
 class Clock:

@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestrator import Problem, Trace
-from orchestrator.coupling.drive import Table
-from orchestrator.live import board
-from orchestrator.live.board import Board, Orders
-from orchestrator.live.hand import Hand
-from orchestrator.live.latency import BINS, bin_of, quantile
-from orchestrator.live.limits import Limits, Linger, check
-from orchestrator.live.memory import Memory, attach
-from orchestrator.live.ramp import Ramp
-from orchestrator.live.setup import Axis, Setup
+from orchestrator.engine.scenario import Table
+from orchestrator.realtime import shared_memory
+from orchestrator.realtime.frames import Hand, Limits, Linger, Ramp, check
+from orchestrator.realtime.pace import BINS, bin_of, quantile
+from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.realtime.shared_memory import Board, Memory, Orders, attach
 
 positive = st.floats(1e-6, 1e6)
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -110,7 +107,7 @@ def test_the_watchdog_lets_go_of_old_commands():
 @pytest.fixture
 def shared():
     """Two views of the same memory."""
-    memory = Memory(board.size(2, 3, 10))
+    memory = Memory(shared_memory.size(2, 3, 10))
     other = attach(memory.address)
     return Board(memory.map, 2, 3, 10), Board(other, 2, 3, 10)
 
@@ -132,9 +129,9 @@ def test_half_an_order_is_none(shared):
     """Neither one that is being written nor one whose numbers do not fit together."""
     parent, child = shared
     parent.order(Orders(True, 1.0, 1, np.array([1.0, 2.0])))
-    parent._orders[board.SEQUENCE] += 1
+    parent._orders[shared_memory.SEQUENCE] += 1
     assert child.orders() is None
-    parent._orders[board.SEQUENCE] += 1
+    parent._orders[shared_memory.SEQUENCE] += 1
     assert child.orders() is not None
     parent._wanted[2] = 3.0
     assert child.orders() is None
@@ -144,7 +141,7 @@ def test_a_writer_that_died_locks_nobody_out(shared):
     """News whose sequence stays odd are read as they are."""
     parent, child = shared
     child.say("running", "on")
-    child._counts[board.SEQUENCE] += 1
+    child._counts[shared_memory.SEQUENCE] += 1
     assert parent.news().state == "running"
 
 
@@ -176,7 +173,7 @@ def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
 
 def test_a_trace_of_no_time_is_refused():
     """A replay needs a sample."""
-    from orchestrator.live.replay import Replay
+    from orchestrator.realtime.replay import Replay
 
     with pytest.raises(Problem, match="replay: expected a trace with samples, got an empty one"):
         Replay(Trace(np.zeros(0), {}))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, write
-from orchestrator.live import replay
-from orchestrator.live.replay import Replay
+from orchestrator.realtime import replay
+from orchestrator.realtime.replay import Replay
 
 
 class Clock:

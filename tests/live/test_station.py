@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, run
-from orchestrator.live.board import Orders
-from orchestrator.live.setup import Axis
+from orchestrator.realtime.setup import Axis
+from orchestrator.realtime.shared_memory import Orders
 
 from .conftest import u, until
 

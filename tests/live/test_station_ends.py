@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from orchestrator import Problem
-from orchestrator.live import session
-from orchestrator.live.setup import Axis
-from orchestrator.live.station import Station
+from orchestrator.realtime import machine
+from orchestrator.realtime.machine import Station
+from orchestrator.realtime.setup import Axis
 
 from .conftest import gone, posix, until
 
@@ -70,7 +70,7 @@ def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
     station = opened(drift)
     until(lambda: station.latest().state == "running")
     os.kill(station.pid, signal.SIGSTOP)
-    monkeypatch.setattr(session, "SILENT", 0.5)
+    monkeypatch.setattr(machine, "SILENT", 0.5)
     until(lambda: station.latest().state == "failed")
     assert station.latest().message.startswith("the machine has not answered for ")
     os.kill(station.pid, signal.SIGCONT)
@@ -82,8 +82,8 @@ def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
 
 PARENT = """
 import sys
-from orchestrator.live.setup import Axis, Setup
-from orchestrator.live.station import Station
+from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.realtime.machine import Station
 station = Station(Setup(sys.argv[1], (Axis("u", 2.0, 10.0),), ("drift.y",), patience=60.0))
 station.command({"u": 1.0})
 print(station.pid, flush=True)
@@ -100,7 +100,7 @@ def test_it_does_not_outlive_its_parent(drift, tmp_path, how):
     """Killed, ended by an error, or at its end without a close: no process and no file stays."""
     shared = set(os.listdir("/dev/shm")) if sys.platform == "linux" else set()
     command = [sys.executable, "-c", PARENT, drift.system, "wait" if how == "kill" else how]
-    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(session.__file__).parents[2])}
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(machine.__file__).parents[2])}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as parent:
         child = int(parent.stdout.readline())
         if how == "kill":

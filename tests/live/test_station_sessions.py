@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from orchestrator import read, write
-from orchestrator.live import session
-from orchestrator.live.replay import Replay
-from orchestrator.live.setup import Axis, Setup
+from orchestrator.realtime import machine
+from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.setup import Axis, Setup
 
 from .conftest import u, until
 
@@ -80,7 +80,7 @@ def test_the_machine_in_another_fidelity(opened, fmu_dir):
 
 def test_old_frames_make_room(opened, drift, monkeypatch):
     """Of a long session the newest frames are kept, in order, and it is said what is gone."""
-    monkeypatch.setattr(session, "KEPT", 0.4)  # 40 frames
+    monkeypatch.setattr(machine, "KEPT", 0.4)  # 40 frames
     station = opened(drift, speed=10.0)
     until(lambda: station.latest().pulse.frames > 200)
     station.close()

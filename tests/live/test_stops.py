@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.live.engine import Engine
-from orchestrator.live.limits import Limits, Linger
-from orchestrator.live.setup import Array
+from orchestrator.realtime.frames import Engine, Limits, Linger
+from orchestrator.realtime.setup import Array
 from orchestrator.view.choice import Choice, plan
-from orchestrator.view.controls.drive import Full, commands
-from orchestrator.view.controls.patterns import Functions
+from orchestrator.view.driving.commands import Full, commands
+from orchestrator.view.driving.sticks import Functions
 
 HELD, WATCHED = 400, 400  # frames of 10 ms
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}

@@ -17,10 +17,9 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.export.compile import HEADERS
-from fmus.export.platforms import PLATFORMS, host
-from fmus.reference import work_cycle
-from fmus.scenarios import COMMANDS
+from fmus.export.compile import HEADERS, PLATFORMS, host
+from fmus.machine.reference import work_cycle
+from fmus.machine.scenarios import COMMANDS
 
 CODE = Path(__file__).parent / "c"
 STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))
@@ -30,7 +29,7 @@ _numbers = count()
 
 
 def zig(platform: str | None = None) -> list[str]:
-    """The project's own compiler, for a platform of `fmus.export.platforms`."""
+    """The project's own compiler, for a platform of `fmus.export.compile`."""
     return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform or host()].target]
 
 

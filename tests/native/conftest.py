@@ -13,8 +13,8 @@ from native.bench import Fmu, driver, unpack, zig
 
 from fmus.contract import Quantity, Subsystem
 from fmus.export.build import build
-from fmus.harvester import HARVESTER
-from fmus.machine import ALL
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.parts import ALL
 from fmus.parameters import Values
 
 NAMES = (*ALL, HARVESTER.name)

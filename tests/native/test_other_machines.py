@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from native.bench import assert_same, begin, cycle, drive, driver, moves, numbers, unpack, zig
 
-from fmus.build import STEP
 from fmus.export.build import build_all
-from fmus.harvester import HARVESTER
-from fmus.levers import LEVERS
-from fmus.scenarios import WORK_CYCLE_STOP
+from fmus.machine.build import STEP
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.scenarios import WORK_CYCLE_STOP
+from fmus.operator.model import LEVERS
 
 WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from orchestrator import System, assemble
-from orchestrator.runs import native
-from orchestrator.runs.march import March
+from orchestrator.engine.native import compiled
+from orchestrator.engine.simulation_loop import March
 
 
 @pytest.fixture(scope="session")
@@ -107,7 +107,7 @@ def zip_ssp(tmp_path: Path) -> Callable[..., Path]:
 @pytest.fixture
 def both(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
     """Runs a system in both loops and compares all that they leave."""
-    assert not isinstance(native.library(), str)
+    assert not isinstance(compiled.library(), str)
 
     def run_both(system: System, master: object = "gauss-seidel", **options: object) -> Outcome:
         options = {"master": master, "step": 0.1, "stop": 1.0} | options

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.coupling.pace import GROW, NEARLY, REPEATED, SAFETY, SHRINK, Pace
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.communication_step import GROW, NEARLY, REPEATED, SAFETY, SHRINK, Pace
 
 
 def error(trace, exact):

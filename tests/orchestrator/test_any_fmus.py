@@ -9,7 +9,7 @@ from any_fmu.models import Workshop
 from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, circle
 
 from orchestrator import Problem, assemble, run
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
 
 STUCK = "hermite computes every step once: q cannot go back to a saved state"
 SILENT = "slopes from differences of values, because the FMUs tell none: q.y"

@@ -13,7 +13,7 @@ import pytest
 
 from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
-from orchestrator.commands import validate
+from orchestrator.results import validate
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
@@ -300,7 +300,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
 INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
-from orchestrator.runs.recorder import Recorder
+from orchestrator.engine.recorder import Recorder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 settle = Recorder.settle
 def interrupt(self):

@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from orchestrator.convergence import SETTINGS, Study, choose, from_reference, from_run
 
 from orchestrator import Trace, assemble, run, write
 from orchestrator.__main__ import main
-from orchestrator.convergence import SETTINGS, Study, choose, from_reference, from_run, study
-from orchestrator.convergence.settings import Setting, rates
-from orchestrator.convergence.table import UNSTABLE, ends, markdown, nrmse, own_steps
-from orchestrator.errors import Problem
-from orchestrator.settings import Coupling
-from orchestrator.validation import read_reference
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Problem
+from orchestrator.results.reference import read_reference
+from orchestrator.studies import convergence
+from orchestrator.studies.convergence import Setting, rates
+from orchestrator.studies.convergence_report import UNSTABLE, ends, markdown, nrmse, own_steps
 
 SSD = """<SystemStructureDescription version="1.0" name="two"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="two"><Elements>
@@ -73,7 +74,7 @@ ORDERS = {
 @pytest.mark.parametrize("label", ORDERS)
 def test_orders_of_convergence(moving, truth, label):
     """Sources continued by a polynomial of degree n give order n + 1, and the table shows it."""
-    rows = tuple(study(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
+    rows = tuple(convergence(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
     found = Study(truth, rows)
     # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
     assert found.order(rows[1], "position") == pytest.approx(ORDERS[label], abs=0.2)
@@ -85,14 +86,14 @@ def test_orders_of_convergence(moving, truth, label):
 def test_converged_hermite_has_order_four(moving, truth):
     """Passes that go on until nothing changes leave the error of the cubics."""
     setting = Setting("converged", Coupling("hermite", passes=30, tolerance=1e-12, guard=0))
-    rows = tuple(study(moving, truth, [setting], (1e-2, 2e-2), 1, stop=1.0))
+    rows = tuple(convergence(moving, truth, [setting], (1e-2, 2e-2), 1, stop=1.0))
     # 0.66 rad of the fast oscillation per step: the next term of the expansion has a share of a few percent
     assert Study(truth, rows).order(rows[1], "position") == pytest.approx(4, abs=0.3)
 
 
 def test_runs_that_leave_the_truth_are_unstable(moving, truth):
     """An error that grows beyond the range of the signal is no number to compare, and is told."""
-    rows = tuple(study(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
+    rows = tuple(convergence(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
     found = Study(truth, rows)
     assert [row.stable for row in rows] == [True, False]
     assert nrmse(found, "position").lines[0][2] == UNSTABLE
@@ -106,7 +107,9 @@ def test_runs_that_fail_are_rows(fmus):
     """A step that fails ends its run only; the reason is kept."""
     system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
     whole = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
-    rows = tuple(study(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0))
+    rows = tuple(
+        convergence(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0)
+    )
     assert [row.stable for row in rows] == [False, False]
     assert [row.simulated for row in rows] == [pytest.approx(0.5)] * 2  # rounding of 50 steps
     assert all("the pump broke" in line for line in ends(Study(whole, rows)))
@@ -115,7 +118,7 @@ def test_runs_that_fail_are_rows(fmus):
 
 def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
     """A master that the FMUs cannot serve is a row; if nothing runs at all it is a mistake."""
-    from orchestrator.runs.simulation import open_slave
+    from orchestrator.engine.run import open_slave
 
     opened = []
 
@@ -126,19 +129,19 @@ def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
         return open_slave(component)
 
     chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
-    first, second = study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
+    first, second = convergence(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
     assert first.stable
     assert second.refused == "no second run"
     assert list(ends(Study(truth, (second,)))) == ["gauss-seidel order 0: not possible: no second run"]
     with pytest.raises(Problem, match="no second run"):
-        list(study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
+        list(convergence(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
 
 
 def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, truth):
     """A line for each case, with the steps it took; the tables over given steps do not know them."""
     own = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
     chosen = [Setting("free", Coupling("jacobi"), own=own), *choose(["jacobi order 0"])]
-    found = Study(truth, tuple(study(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
+    found = Study(truth, tuple(convergence(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
     assert len(nrmse(found, "position").lines) == 1
     table = own_steps(found)
     assert [line[0] for line in table.lines] == ["free coarse", "free fine"]
@@ -150,7 +153,7 @@ def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
     against = from_reference(read_reference(folder / "exact.csv"))
-    (row,) = study(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
+    (row,) = convergence(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
     every = against.groups["position"][0].values
     apart = trace["a.x"][::20] - every[::3]
@@ -161,7 +164,7 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
 
 def test_the_worst_signal_counts(moving, truth):
     """The error of a group is that of its worst signal, over the range of the truth."""
-    (row,) = study(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
+    (row,) = convergence(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
     for signal in truth.groups["position"]:
@@ -174,7 +177,9 @@ def test_units_of_a_reference_are_converted(moving, truth):
     """A truth in millimetres gives the same shares."""
     signals = {s.name: 1e3 * s.values for s in truth.groups["position"]}
     small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
-    rows = [next(study(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)) for t in (truth, small)]
+    rows = [
+        next(convergence(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)) for t in (truth, small)
+    ]
     assert rows[1].error("position") == pytest.approx(rows[0].error("position"), rel=1e-9)  # rounding
 
 
@@ -195,7 +200,7 @@ def test_bare_settings_go_without_rate_wires(fmus):
     assert rates(system) == ("d.u_rate",)
     time = np.arange(101) * 0.01
     ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
-    plain, wired = study(system, ramp, choose(["jacobi plain", "jacobi order 0"]), (0.01,), 1, stop=1.0)
+    plain, wired = convergence(system, ramp, choose(["jacobi plain", "jacobi order 0"]), (0.01,), 1, stop=1.0)
     lost = {row.setting.label: row.maximum("without unit").maximum for row in (plain, wired)}
     # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
     assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
@@ -293,11 +298,12 @@ def test_every_setting_has_a_name_of_its_own():
 def test_pictures_name_every_line(moving, group):
     """Each stable setting is named once, also where several share a line; lost ones have a cross."""
     from orchestrator.convergence import draw_error, draw_work
-    from orchestrator.convergence.study import finest
+
+    from orchestrator.studies.convergence import finest
 
     whole = finest(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
     found = Study(
-        whole, tuple(study(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
+        whole, tuple(convergence(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
     )
     for figure in (draw_error(found, group), draw_work(found, group)):
         (axes,) = figure.axes

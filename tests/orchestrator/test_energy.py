@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, System, assemble, run
-from orchestrator.runs.card import Card
-from orchestrator.runs.energy import BondEnergy
-from orchestrator.system.bonds import find_bonds, named_bond
-from orchestrator.system.interface import Interface, Variable
-from orchestrator.system.system import Component, Connection, Port
-from orchestrator.units import Unit
+from orchestrator.base.units import DeclaredUnit
+from orchestrator.engine.recorder import BondEnergy
+from orchestrator.engine.result import Card
+from orchestrator.fmi.description import Interface, Variable
+from orchestrator.ssp.power_bonds import find_bonds, named_bond
+from orchestrator.ssp.system import Component, Connection, Port
 
 UNITS = {
-    "N": Unit("N", (1, 1, -2, 0, 0, 0, 0, 0)),
-    "m": Unit("m", (0, 1, 0, 0, 0, 0, 0, 0)),
-    "m/s": Unit("m/s", (0, 1, -1, 0, 0, 0, 0, 0)),
-    "N/s": Unit("N/s", (1, 1, -3, 0, 0, 0, 0, 0)),
-    "bar": Unit("bar", (1, -1, -2, 0, 0, 0, 0, 0), 1e5),
-    "L/min": Unit("L/min", (0, 3, -1, 0, 0, 0, 0, 0), 1e-3 / 60),
+    "N": DeclaredUnit("N", (1, 1, -2, 0, 0, 0, 0, 0)),
+    "m": DeclaredUnit("m", (0, 1, 0, 0, 0, 0, 0, 0)),
+    "m/s": DeclaredUnit("m/s", (0, 1, -1, 0, 0, 0, 0, 0)),
+    "N/s": DeclaredUnit("N/s", (1, 1, -3, 0, 0, 0, 0, 0)),
+    "bar": DeclaredUnit("bar", (1, -1, -2, 0, 0, 0, 0, 0), 1e5),
+    "L/min": DeclaredUnit("L/min", (0, 3, -1, 0, 0, 0, 0, 0), 1e-3 / 60),
 }
 
 

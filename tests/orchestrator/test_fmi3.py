@@ -10,12 +10,12 @@ import pytest
 from any_fmu.models import WIDTHS
 
 from orchestrator import Problem, Trace, assemble, load, run
-from orchestrator.files.archive import Location
-from orchestrator.slaves import library
-from orchestrator.slaves.callbacks import named
-from orchestrator.slaves.fmu import FmuSlave
-from orchestrator.system.description import read_interface
-from orchestrator.system.signals import lines
+from orchestrator.base.files import Location
+from orchestrator.fmi import library
+from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.library import named
+from orchestrator.ssp.assembly import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, load
-from orchestrator.files.archive import Location
-from orchestrator.slaves.access import fitting
-from orchestrator.slaves.fmu import FmuSlave
-from orchestrator.slaves.library import Library
-from orchestrator.system.description import read_interface
+from orchestrator.base.files import Location
+from orchestrator.fmi.calls import fitting
+from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.library import Library
 
 
 def opened(path, name="it"):

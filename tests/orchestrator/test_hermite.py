@@ -5,8 +5,8 @@ import pytest
 from any_fmu.models import RAMP
 
 from orchestrator import assemble, run
-from orchestrator.runs.simulation import open_slave
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.run import open_slave
 
 TWO = Coupling("hermite", guard=0, passes=2, tolerance=1e-14)
 ONE = Coupling("hermite", guard=0, passes=1)

@@ -8,13 +8,13 @@ import pytest
 from any_fmu.models import RATES, STATES, V
 
 from orchestrator import Coupling, Trace, assemble, run
-from orchestrator.coupling.masters.interface_jacobian import interface_jacobian
-from orchestrator.coupling.pace import Pace
-from orchestrator.coupling.tangent import Tangent
-from orchestrator.files.archive import Location
-from orchestrator.runs import native
-from orchestrator.slaves.fmu import FmuSlave
-from orchestrator.system.description import read_interface
+from orchestrator.base.files import Location
+from orchestrator.engine.communication_step import Pace
+from orchestrator.engine.linear_prediction import Tangent
+from orchestrator.engine.masters import interface_jacobian
+from orchestrator.engine.native import compiled
+from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.description import read_interface
 
 ABLE = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
 DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
@@ -132,7 +132,7 @@ def test_a_repeated_step_is_foretold_anew(open_oscillator, monkeypatch, lag):
 )
 def test_c_and_python_give_the_same_numbers(open_oscillator, choices):
     """Bit for bit over 1000 steps, and the same steps where they are chosen."""
-    assert not isinstance(native.library(), str)  # else both would be Python
+    assert not isinstance(compiled.library(), str)  # else both would be Python
     stop = 1.0 if "adaptive" not in choices else 10.0
     slow, fast = (
         follow(open_oscillator, step=1e-3, stop=stop, native=in_c, **choices) for in_c in (False, True)

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from orchestrator.runs.interrupts import Interrupts
+from orchestrator.base.interrupts import Interrupts
 
 
 @pytest.fixture(autouse=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from orchestrator.coupling.joined import Joined
-from orchestrator.coupling.linear import inverted
+from orchestrator.engine.algebraic_loop import inverted
+from orchestrator.engine.linear_prediction import Joined
 
 
 def random(n, m, seed, direct=True):

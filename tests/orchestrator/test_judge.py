@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, System, Trace, assemble, load, run
-from orchestrator.commands.judge import card, describe, judge, parameters
-from orchestrator.validation import FigureSpec, Panel, Reference, Signal, Tolerance
-from orchestrator.validation.layout import Layout, MovingPoint
+from orchestrator.results.figures import FigureSpec, Panel
+from orchestrator.results.layout import Layout, MovingPoint
+from orchestrator.results.metrics import Tolerance
+from orchestrator.results.reference import Reference, Signal
+from orchestrator.results.validate import card, describe, judge, parameters
 
 PROVENANCE = """
 [parameters.factor]

@@ -9,15 +9,16 @@ import pytest
 from any_fmu.models import Workshop
 
 from orchestrator import Problem, assemble, run
-from orchestrator.coupling.initialise import initialise
-from orchestrator.coupling.linear import factorised, solve
-from orchestrator.files.archive import Location
-from orchestrator.runs.native import library
-from orchestrator.runs.simulation import RunFailed, open_slave
-from orchestrator.settings import Coupling
-from orchestrator.slaves.fmu import FmuSlave
-from orchestrator.system.dependencies import output_order
-from orchestrator.system.description import read_interface
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.files import Location
+from orchestrator.engine.algebraic_loop import factorised, solve
+from orchestrator.engine.initialisation import initialise
+from orchestrator.engine.native.compiled import library
+from orchestrator.engine.result import RunFailed
+from orchestrator.engine.run import open_slave
+from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.description import read_interface
+from orchestrator.ssp.dependencies import output_order
 
 # Solutions are as good as the residual, 1e-10 of the magnitude, times what the loop makes of it, at most 5.
 CLOSE = 1e-9

@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
-from orchestrator.files.archive import Location
-from orchestrator.system.dependencies import output_order, sequence
-from orchestrator.system.description import read_interface
+from orchestrator.base.files import Location
+from orchestrator.fmi.description import read_interface
+from orchestrator.ssp.dependencies import output_order, sequence
 
 
 def worst(result, exact):

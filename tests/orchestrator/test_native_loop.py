@@ -9,9 +9,10 @@ import pytest
 from any_fmu.models import RAMP
 
 from orchestrator import Trace, assemble, run
-from orchestrator.runs import compiled, native
-from orchestrator.runs.march import March
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.native import compiled
+from orchestrator.engine.native import compiled as native_compiled
+from orchestrator.engine.simulation_loop import March
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
@@ -19,7 +20,7 @@ STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 @pytest.fixture
 def alike(monkeypatch):
     """Runs a system in both loops and compares all numbers of trace and card, to the last bit."""
-    assert not isinstance(native.library(), str)
+    assert not isinstance(native_compiled.library(), str)
 
     def both(system, **options):
         with monkeypatch.context() as patch:
@@ -166,11 +167,11 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
 @pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-macos"])
 def test_the_code_compiles_for_other_systems(tmp_path, target):
     """Without a warning; headers of other systems have other names, and there Python would do the run."""
-    flags = [flag for flag in native.FLAGS if flag != "-shared"]
-    for source in native.SOURCES:
+    flags = [flag for flag in native_compiled.FLAGS if flag != "-shared"]
+    for source in native_compiled.SOURCES:
         command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-c", source]
         done = subprocess.run(
-            [*command, "-o", tmp_path / "made.o"], cwd=native.FOLDER, capture_output=True, text=True
+            [*command, "-o", tmp_path / "made.o"], cwd=native_compiled.FOLDER, capture_output=True, text=True
         )
         assert done.returncode == 0, done.stderr
 
@@ -182,13 +183,13 @@ def test_the_code_compiles_for_other_systems(tmp_path, target):
 def fresh(monkeypatch, tmp_path):
     """A user who has compiled nothing yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    native.library.cache_clear()
+    native_compiled.library.cache_clear()
     yield tmp_path / "cache"
-    native.library.cache_clear()
+    native_compiled.library.cache_clear()
 
 
 def broken_compiler(monkeypatch):
-    monkeypatch.setattr(native, "FLAGS", (*native.FLAGS, "-fno-such-flag"))
+    monkeypatch.setattr(native_compiled, "FLAGS", (*native_compiled.FLAGS, "-fno-such-flag"))
     return "fno-such-flag"
 
 
@@ -196,12 +197,12 @@ def no_compiler(monkeypatch):
     def missing(name):
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(native, "version", missing)
+    monkeypatch.setattr(native_compiled, "version", missing)
     return "ziglang"
 
 
 def no_folder(monkeypatch):
-    monkeypatch.setattr(native, "_cache", lambda: native.FOLDER / "run.h" / "no folder")
+    monkeypatch.setattr(native_compiled, "_cache", lambda: native_compiled.FOLDER / "run.h" / "no folder")
     return "run.h"
 
 
@@ -213,7 +214,7 @@ def test_where_nothing_can_be_compiled_python_does_it(monkeypatch, oscillator, t
     with monkeypatch.context() as patch:
         reason = trouble(patch)
         result, again = (run(oscillator, step=1e-2, stop=0.5, error_estimate=e) for e in (False, True))
-        assert native.library.cache_info().misses == 1
+        assert native_compiled.library.cache_info().misses == 1
     (note,) = result.card.notes
     assert note.startswith("the compiled loop is not available, Python does it slower: ")
     assert reason in note
@@ -226,11 +227,11 @@ def test_where_nothing_can_be_compiled_python_does_it(monkeypatch, oscillator, t
 
 def test_the_library_is_compiled_once(fresh):
     """The next process of the same user finds it."""
-    assert not isinstance(native.library(), str)
+    assert not isinstance(native_compiled.library(), str)
     (kept,) = (fresh / "harvester-cosim").iterdir()
     before = kept.stat().st_mtime_ns
-    native.library.cache_clear()
-    assert not isinstance(native.library(), str)
+    native_compiled.library.cache_clear()
+    assert not isinstance(native_compiled.library(), str)
     assert [*(fresh / "harvester-cosim").iterdir()] == [kept]
     assert kept.stat().st_mtime_ns == before
 
@@ -240,7 +241,7 @@ def test_the_library_is_compiled_once(fresh):
 START = """
 import sys, threading, time, signal
 from orchestrator import Interrupted, assemble, run
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator import assemble, run
-from orchestrator.settings import Coupling
+from orchestrator.base.coupling import Coupling
 
 FINE = (2e-3, 1e-3)  # [s]; 0.066 and 0.033 rad of the fast oscillation
 COARSE = (3.2e-2, 1.6e-2, 8e-3)  # for iterated masters, whose errors are small

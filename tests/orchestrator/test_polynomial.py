@@ -4,8 +4,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.coupling.polynomial import at, interpolated, mean, predicted, projected, shifted, slope_at
-from orchestrator.coupling.signal import NO_SLOPE, Signal
+from orchestrator.engine.input_signal import (
+    NO_SLOPE,
+    Signal,
+    at,
+    interpolated,
+    mean,
+    predicted,
+    projected,
+    shifted,
+    slope_at,
+)
 
 numbers = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-9 else 0.0)  # far from underflow
 cubics = st.tuples(numbers, numbers, numbers, numbers)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, RunFailed, assemble, run
-from orchestrator.coupling.grid import thinned
+from orchestrator.engine.time_grid import thinned
 
 
 def whole_and_thin(system, record_step, **options):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, Problem, run
-from orchestrator.coupling.masters import MASTERS as MADE
-from orchestrator.files.trace import write
-from orchestrator.runs.sidecar import read_facts, write_facts
-from orchestrator.settings import MASTERS, ORDERS, chosen
+from orchestrator.base.coupling import MASTERS, ORDERS, chosen
+from orchestrator.data.trace import write
+from orchestrator.engine.masters import MASTERS as MADE
+from orchestrator.engine.result import read_facts, write_facts
 
 
 def test_every_master_has_a_name_and_an_order():

@@ -11,7 +11,7 @@ from pyssp_standard.ssd import SSD
 
 from orchestrator import Coupling, Problem, Trace, load, run
 from orchestrator.__main__ import main
-from orchestrator.files.trace import read
+from orchestrator.data.trace import read
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 HEAD = f"""<ssd:SystemStructureDescription version="1.0" name="pair"
@@ -99,7 +99,7 @@ def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, o
     """Those of the file stay, unless a master is named."""
     ran = []
     path = make(annotated(coupling(inside=FACTOR)))
-    monkeypatch.setattr("orchestrator.commands.commands.save", lambda result, *_: ran.append(result))
+    monkeypatch.setattr("orchestrator.engine.run.save", lambda result, *_: ran.append(result))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv"), *options]) == 0
     (result,) = ran
     assert result.coupling == expected

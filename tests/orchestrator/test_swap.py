@@ -11,7 +11,7 @@ from any_fmu.edit import edited as changed
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
-from orchestrator.commands.validate import validate
+from orchestrator.results.validate import validate
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"

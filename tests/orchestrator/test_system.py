@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.coupling.drive import drive
-from orchestrator.units import Linear, Unit, conversion
+from orchestrator.base.units import DeclaredUnit, Linear, conversion
+from orchestrator.engine.scenario import drive
 
 
 def gained(fmus, source_unit, target_unit, *linear):
@@ -78,22 +78,22 @@ def test_a_cut_that_fits_nothing_is_told(fmus):
 
 def test_conversions_compose():
     """There and back is the identity; maps apply in order."""
-    celsius = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15)
-    fahrenheit = Unit("degF", (0, 0, 0, 0, 1, 0, 0, 0), 5 / 9, 273.15 - 32 * 5 / 9)
+    celsius = DeclaredUnit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15)
+    fahrenheit = DeclaredUnit("degF", (0, 0, 0, 0, 1, 0, 0, 0), 5 / 9, 273.15 - 32 * 5 / 9)
     there, back = (conversion(*pair, "")[0] for pair in ((celsius, fahrenheit), (fahrenheit, celsius)))
     assert there(100.0) == pytest.approx(212.0, rel=1e-13)  # a difference of numbers near 300, rounding only
     assert there.then(back)(37.0) == pytest.approx(37.0, rel=1e-13)  # as above
     assert Linear(2.0, 1.0).then(Linear(10.0, 3.0))(1.0) == 33.0
 
 
-METRE = Unit("m", (0, 1, 0, 0, 0, 0, 0, 0))
+METRE = DeclaredUnit("m", (0, 1, 0, 0, 0, 0, 0, 0))
 
 
 @pytest.mark.parametrize("factor", [0.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("turn", [1, -1])
 def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
     """As source and as target; no value becomes 0 or NaN by it."""
-    odd = Unit("odd", METRE.exponents, factor)
+    odd = DeclaredUnit("odd", METRE.exponents, factor)
     with pytest.raises(
         Problem, match=r"^x: \[odd\]: expected a finite factor other than 0 .*, got factor (0|nan|inf)"
     ):
@@ -102,7 +102,9 @@ def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
 
 def test_units_whose_ratio_no_number_holds_are_told():
     """Each alone is fine."""
-    small, large = (Unit(name, METRE.exponents, f) for name, f in (("small", 1e-200), ("large", 1e200)))
+    small, large = (
+        DeclaredUnit(name, METRE.exponents, f) for name, f in (("small", 1e-200), ("large", 1e200))
+    )
     for pair in ((small, large), (large, small)):
         with pytest.raises(
             Problem, match=r"^x: .* are too far apart: expected a finite factor other than 0, got (0|inf)"

@@ -14,11 +14,11 @@ from fmpy.validation import validate_fmu
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.proof import STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
-from fmus.levers import LEVERS
-from fmus.machine import FAMILIES
+from fmus.export.reference_experiment import STEP, data_file
+from fmus.machine.parts import FAMILIES
+from fmus.operator.model import LEVERS
 from fmus.parameters import values
 from python_fmu.stimulus import Array, stimulus
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmus.export.python.build import build_python, build_user
-from fmus.machine import SUBSYSTEMS
+from fmus.machine.parts import SUBSYSTEMS
 from orchestrator import load, run
 from orchestrator.check import check
 from python_fmu.test_states import ACTUATOR

@@ -9,7 +9,7 @@ from driver import driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.python.build import build_python, build_user
-from fmus.machine import FAMILIES
+from fmus.machine.parts import FAMILIES
 from python_fmu.lag import built, in_new_process
 from python_fmu.test_agreement import inputs, shown
 

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from fmus.rig.bench_plans import GROUPS, HOLD, MOTOR_HOLD
-from fmus.rig.plans import PLANS, experiment
+from fmus.machine.scenarios import RATE
+from fmus.rig.experiments import GROUPS, HOLD, MOTOR_HOLD, PLANS, experiment
 from fmus.rig.recording import Experiment, record
-from fmus.scenarios import RATE
 
 BOTH = pytest.mark.parametrize("machine", ["lumped", "detailed"])
 EDGES = pytest.mark.parametrize("edge", ["pa", "bt", "pb", "at"])

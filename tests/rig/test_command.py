@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fmus.rig import command
-from fmus.rig.plans import experiment
+from fmus.rig.experiments import experiment
 from orchestrator.__main__ import main
 
 SHORT = ("motor_leakage_1", "hose_dynamics_1")

@@ -11,12 +11,11 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.identification.recordings.reading import read as read_recording
-from fmus.machine import FAMILIES
-from fmus.rig.plans import PLANS, experiment
-from fmus.rig.readme import readme
+from fmus.machine.parts import FAMILIES
+from fmus.rig.experiments import PLANS, experiment
 from fmus.rig.recording import record
-from fmus.rig.writing import SHARED, write
-from orchestrator.validation import read_reference
+from fmus.rig.writing import SHARED, readme, write
+from orchestrator.results.reference import read_reference
 
 # one of each procedure; those on the machine are the short ones
 NAMES = ("valve_bt", "hose_resistance", "hose_dynamics_4", "motor_leakage_2", "damping_boom_1")

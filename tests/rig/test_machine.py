@@ -8,21 +8,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmus.rig.machine_plans import PLANS
-from fmus.rig.moves import TRAINING
-from fmus.rig.plans import experiment
-from fmus.scenarios import WORK_CYCLE
+from fmus.machine.scenarios import WORK_CYCLE
+from fmus.rig.experiments import MACHINE_PLANS, TRAINING, experiment
 
 TRACE = Path(__file__).parents[2] / "data/reference/work_cycle.csv"
 LITRES = 60e3  # L/min in 1 m3/s
 JOINTS = ("swing", "boom", "stick")
-TRAINED = [name for name in PLANS if name != "machine_test"]
+TRAINED = [name for name in MACHINE_PLANS if name != "machine_test"]
 EACH = [
-    *(pytest.param(name, "lumped", id=f"lumped-{name}") for name in PLANS),
+    *(pytest.param(name, "lumped", id=f"lumped-{name}") for name in MACHINE_PLANS),
     pytest.param("damping_boom_2", "detailed", id="detailed-damping_boom_2"),
     *(
         pytest.param(name, "detailed", id=f"detailed-{name}", marks=pytest.mark.long)
-        for name in PLANS
+        for name in MACHINE_PLANS
         if name != "damping_boom_2"
     ),
 ]

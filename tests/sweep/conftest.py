@@ -9,7 +9,7 @@ import pytest
 from any_fmu.models import Workshop
 from distributed import Client
 
-from orchestrator.sweep import cluster
+from orchestrator.studies import pool
 
 
 @pytest.fixture(scope="session")
@@ -33,12 +33,12 @@ def fails(workshop: Workshop) -> Path:
 @pytest.fixture(scope="session")
 def one() -> Iterator[Client]:
     """A worker."""
-    with cluster.client(1) as client:
+    with pool.client(1) as client:
         yield client
 
 
 @pytest.fixture(scope="session")
 def two() -> Iterator[Client]:
     """Two workers."""
-    with cluster.client(2) as client:
+    with pool.client(2) as client:
         yield client

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from distributed import Client
 
-from orchestrator.sweep.command import Where, sweep
-from orchestrator.sweep.progress import Watch
-from orchestrator.sweep.running import Row
-from orchestrator.sweep.store import Results
+from orchestrator.studies.parameter_study import Where, sweep
+from orchestrator.studies.progress import Watch
+from orchestrator.studies.single_run import Row
+from orchestrator.studies.store import Results
 
 GAIN = """
 title = "A gain"

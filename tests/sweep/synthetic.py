@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from orchestrator.sweep import design
-from orchestrator.sweep.analysis import Effect, Finding, analyse
-from orchestrator.sweep.store import Results
-from orchestrator.sweep.study import Choice, Factor, Output, Study
+from orchestrator.studies import design
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.results import Effect, Finding
+from orchestrator.studies.store import Results
+from orchestrator.studies.study import Choice, Factor, Output, Study
 
 PI = float(np.pi)
 Columns = Mapping[str, np.ndarray]

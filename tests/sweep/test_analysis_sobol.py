@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.sweep.analysis import Effect, Estimate, analyse
-from orchestrator.sweep.analysis.outcome import FIRST, MU_STAR, TOTAL
-from orchestrator.sweep.study import Choice, Factor
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, Estimate
+from orchestrator.studies.study import Choice, Factor
 
 TWO = Choice("swing", ("lumped", "detailed"))
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}

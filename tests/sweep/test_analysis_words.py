@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.sweep.analysis import analyse, sentences
-from orchestrator.sweep.analysis.outcome import FIRST, REGRESSION
-from orchestrator.sweep.study import Choice
-from orchestrator.sweep.units import number, told
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.results import FIRST, REGRESSION
+from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.report.quantities import number, told
+from orchestrator.studies.study import Choice
 
 THREE = [uniform(f"x{i}", 0.0, 1.0) for i in range(3)]
 

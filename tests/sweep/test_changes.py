@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from sweep.studies import GAIN, study
 
-from orchestrator.sweep import reading
-from orchestrator.sweep.changes import changes
-from orchestrator.sweep.fingerprint import told
+from orchestrator.studies import study_file
+from orchestrator.studies.fingerprint import changes, told
 
 MORE = (
     GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
@@ -37,7 +36,7 @@ def _changes(folder: Path, fmu: Path, one: str, other: str) -> str:
     """What is told of two texts of a study."""
     for name in ("up", "down"):
         (folder / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
-    old, new = (told(reading.read(study(folder, text, fmu))) for text in (one, other))
+    old, new = (told(study_file.read(study(folder, text, fmu))) for text in (one, other))
     return changes({"study": old, "files": {}}, {"study": new, "files": {}})
 
 

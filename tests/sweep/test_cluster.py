@@ -16,10 +16,10 @@ from distributed.utils import LoopRunner
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
-from orchestrator.sweep import cluster
-from orchestrator.sweep.command import Where, sweep
-from orchestrator.sweep.progress import Watch
-from orchestrator.sweep.running import Row, Sample
+from orchestrator.studies import pool
+from orchestrator.studies.parameter_study import Where, sweep
+from orchestrator.studies.progress import Watch
+from orchestrator.studies.single_run import Row, Sample
 
 LONG = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many batches
 
@@ -55,7 +55,7 @@ def listening() -> set[object]:
 def test_no_port_is_opened_on_this_machine():
     """The workers of a local cluster are threads: nobody can reach them from outside."""
     before = listening()
-    with cluster.client(1):
+    with pool.client(1):
         assert listening() <= before
 
 
@@ -80,10 +80,10 @@ def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
 @pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "nowhere", "foo://127.0.0.1:1"])
 def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
     """In one line, with what was expected."""
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(pool, "PATIENCE", 0.5)
     with (
         pytest.raises(Problem, match=rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"),
-        cluster.client(scheduler=url),
+        pool.client(scheduler=url),
     ):
         pass
 
@@ -100,12 +100,12 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
         start(runner)
 
     monkeypatch.setattr(LoopRunner, "_start_unlocked", with_garbage)
-    monkeypatch.setattr(cluster, "PATIENCE", 0.02)
+    monkeypatch.setattr(pool, "PATIENCE", 0.02)
     threads = threading.active_count()
     gc.freeze()  # what is there already need not be looked at 200 times
     for n in range(200):
         url = ("nowhere", "foo://127.0.0.1:1", "tcp://127.0.0.1:1")[n % 3]
-        with pytest.raises(Problem, match=f"^--scheduler {url}: "), cluster.client(scheduler=url):
+        with pytest.raises(Problem, match=f"^--scheduler {url}: "), pool.client(scheduler=url):
             pass
     gc.unfreeze()
     assert len(collected) == 200
@@ -115,7 +115,7 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
     """No folder where there was none, also none above it; with --fresh what is there stays."""
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(pool, "PATIENCE", 0.5)
     file, out = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out"
     before = content(out) if kept and run(file, one, "deep/out") else {}
     with pytest.raises(Problem, match=r"^--scheduler tcp://127.0.0.1:1: expected a Dask scheduler"):
@@ -157,9 +157,9 @@ class Nothing(list):
 
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(cluster, "as_completed", Nothing)
-    monkeypatch.setattr(cluster, "LOST", 0.0)
-    batches = cluster.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
+    monkeypatch.setattr(pool, "as_completed", Nothing)
+    monkeypatch.setattr(pool, "LOST", 0.0)
+    batches = pool.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
     with pytest.raises(
         Problem, match=r"^no worker is left in the Dask cluster; what is finished is kept, the"
     ):

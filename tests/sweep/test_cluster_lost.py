@@ -22,7 +22,7 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 COMMAND = """
 import os, signal, sys
 from orchestrator.__main__ import main
-from orchestrator.sweep.store import Store
+from orchestrator.studies.store import Store
 scheduler, add = int(sys.argv.pop(1)), Store.add
 def first(self, rows):
     add(self, rows)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from properties import examples
 from scipy import stats
 
-from orchestrator.sweep.design import METHODS, quantile, samples, table
-from orchestrator.sweep.study import METHODS as NAMES
-from orchestrator.sweep.study import Choice, Factor, Study
+from orchestrator.studies.design import METHODS, quantile, samples, table
+from orchestrator.studies.study import METHODS as NAMES
+from orchestrator.studies.study import Choice, Factor, Study
 
 UNIFORM = Factor("a.u", "uniform", {"minimum": -1.0, "maximum": 3.0})
 NORMAL = Factor("a.n", "normal", {"mean": 2.0, "sd": 0.5})

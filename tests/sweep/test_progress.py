@@ -10,8 +10,8 @@ import sys
 import numpy as np
 from sweep.studies import GAIN, study
 
-from orchestrator.sweep.progress import Lines
-from orchestrator.sweep.running import FAILED, OK, Row
+from orchestrator.studies.progress import Lines
+from orchestrator.studies.single_run import FAILED, OK, Row
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
 

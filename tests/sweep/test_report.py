@@ -14,12 +14,12 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results, uniform
 
-from orchestrator.sweep.analysis import analyse, sentences
-from orchestrator.sweep.report import NUMBERS, PAGE, write
-from orchestrator.sweep.report.scatter import medians
-from orchestrator.sweep.report.spreads import bands, quantiles
-from orchestrator.sweep.store import Results
-from orchestrator.sweep.study import Choice, Factor
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.report.page import NUMBERS, PAGE, write
+from orchestrator.studies.report.plots import bands, medians, quantiles
+from orchestrator.studies.store import Results
+from orchestrator.studies.study import Choice, Factor
 
 TWO = Choice("swing", ("lumped", "detailed"))
 MANY = Choice("parameters", ("near", "nominal", "reach", "raised"))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from sweep.synthetic import Columns, effects, finding, results, uniform
 
-from orchestrator.sweep.analysis import analyse
-from orchestrator.sweep.report import PAGE, write
-from orchestrator.sweep.report.tornado import tornado
-from orchestrator.sweep.study import Choice
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.report.page import PAGE, write
+from orchestrator.studies.report.plots import tornado
+from orchestrator.studies.study import Choice
 
 TWO = Choice("swing", ("lumped", "detailed"))
 SPACE = (uniform("x1", 0.0, 1.0), uniform("x2", 0.0, 1.0))

@@ -9,9 +9,9 @@ import pytest
 from sweep.studies import FAILS, GAIN, run, study
 
 from orchestrator import run as single
-from orchestrator.sweep.measures import MEASURES, measure
-from orchestrator.sweep.study import MEASURES as NAMES
-from orchestrator.sweep.study import Output
+from orchestrator.studies.single_run import MEASURES, measure
+from orchestrator.studies.study import MEASURES as NAMES
+from orchestrator.studies.study import Output
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from sweep.synthetic import ishigami, results, uniform
 
-from orchestrator.sweep import design
-from orchestrator.sweep.analysis import analyse
-from orchestrator.sweep.report import NUMBERS, PAGE, write
-from orchestrator.sweep.study import Choice, Factor
+from orchestrator.studies import design
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.report.page import NUMBERS, PAGE, write
+from orchestrator.studies.study import Choice, Factor
 
 POSE = Choice("parameters", ("reach",))
 SCENARIO = Choice("scenario", ("levers.csv",), sampled=True)

@@ -9,8 +9,8 @@ import pytest
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
-from orchestrator.sweep import store
-from orchestrator.sweep.parts import HALF
+from orchestrator.studies import store
+from orchestrator.studies.store import HALF
 
 
 @pytest.fixture
@@ -45,8 +45,8 @@ def test_only_missing_runs_take_place(file, one):
 
 def rows_of(file, client):
     """Run -> row, computed apart from any folder."""
-    from orchestrator.sweep.cluster import rows
-    from orchestrator.sweep.command import plan
+    from orchestrator.studies.parameter_study import plan
+    from orchestrator.studies.pool import rows
 
     ready = plan(file)
     return {r.run: r for batch in rows(client, ready.packet, ready.samples) for r in batch}
@@ -54,8 +54,8 @@ def rows_of(file, client):
 
 def store_of(file, folder):
     """The folder of a study, ready to take rows."""
-    from orchestrator.sweep.command import plan
-    from orchestrator.sweep.fingerprint import fingerprint
+    from orchestrator.studies.fingerprint import fingerprint
+    from orchestrator.studies.parameter_study import plan
 
     folder.mkdir()
     ready = plan(file)

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from sweep.studies import run
 
-from orchestrator.sweep import reading, report
+from orchestrator.studies import study_file
+from orchestrator.studies.report import page
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
@@ -34,7 +35,7 @@ def test_the_small_study_runs_as_it_stands(fmu_dir, tmp_path, one):
     assert runs == [0, 1, 2, 3]
     assert (results.table["status"] == "ok").all()
     assert results.table["output:peak"].between(1e6, 2.07e7).all()
-    assert report.report(tmp_path / "out").exists()
+    assert page.report(tmp_path / "out").exists()
 
 
 def test_the_short_scenario_leaves_the_machine_at_rest(fmu_dir, tmp_path, one):
@@ -56,7 +57,7 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     file.write_text(_block("toml", 1), encoding="utf-8")
     (tmp_path / "levers.csv").write_text("time,swing_command\n0,0\n1,3\n")
     file.write_text(file.read_text().replace("../build", fmu_dir.as_posix()))
-    found = reading.read(file)
+    found = study_file.read(file)
     assert [f.distribution for f in found.factors] == ["uniform", "normal", "values"]
     assert found.fixed["manipulator.head_mass"] == pytest.approx(
         340.0, rel=1e-15

@@ -6,7 +6,7 @@ import pytest
 from sweep.studies import GAIN, study
 
 from orchestrator import Problem
-from orchestrator.sweep import reading
+from orchestrator.studies import study_file
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def _told(file, text):
     """What is wrong with a study of this text."""
     file.write_text(text, encoding="utf-8")
     with pytest.raises(Problem) as wrong:
-        reading.read(file)
+        study_file.read(file)
     return str(wrong.value)
 
 
@@ -40,4 +40,4 @@ def test_a_window_may_end_with_the_runs(file):
     """At the stop of the study, also where that is no whole number of steps."""
     for end in ("0.2", "0.1999"):
         file.write_text(GAIN.replace("stop = 0.2", f"stop = {end}") + f"stop = {end}\n", encoding="utf-8")
-        assert reading.read(file).outputs[0].stop == float(end)
+        assert study_file.read(file).outputs[0].stop == float(end)

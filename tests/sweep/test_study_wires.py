@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator import Problem
-from orchestrator.sweep import reading
+from orchestrator.studies import study_file
 
 STUDY = """
 system = "{system}"
@@ -35,7 +35,7 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
     """In one line, and without --cut, which `sweep` has not got."""
     file = _file(tmp_path, fmu_dir, name)
     with pytest.raises(Problem) as wrong:
-        reading.read(file)
+        study_file.read(file)
     key = f'"{name}"' if "." in name else name
     wire = "levers.boom_command -> boom_stick.boom_command"
     assert str(wrong.value) == (
@@ -46,8 +46,8 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
 
 def test_what_the_refusal_advises_is_accepted(fmu_dir: Path, tmp_path: Path) -> None:
     """A number of the levers is a factor; a scenario drives the wired input itself."""
-    assert reading.read(_file(tmp_path, fmu_dir, "levers.boom_1_command")).factors
+    assert study_file.read(_file(tmp_path, fmu_dir, "levers.boom_1_command")).factors
     file = _file(tmp_path, fmu_dir, "manipulator.head_mass")
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     file.write_text(file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n', encoding="utf-8")
-    assert reading.read(file).settled[0].options == ("rest.csv",)
+    assert study_file.read(file).settled[0].options == ("rest.csv",)

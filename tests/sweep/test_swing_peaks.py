@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.sweep import reading, report
-from orchestrator.sweep.command import Where, sweep
+from orchestrator.studies import study_file
+from orchestrator.studies.parameter_study import Where, sweep
+from orchestrator.studies.report import page
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
 
@@ -27,7 +28,7 @@ def _copy(name: str, fmus: Path, folder: Path, *changes: tuple[str, str]) -> Pat
 @pytest.mark.parametrize("name", ["study.toml", "small.toml"])
 def test_names_and_units_of_the_studies_are_right(name: str, fmu_dir: Path, tmp_path: Path) -> None:
     """Every factor and signal is in the machine, and peaks are in Pa."""
-    study = reading.read(_copy(name, fmu_dir, tmp_path))
+    study = study_file.read(_copy(name, fmu_dir, tmp_path))
     assert {output.unit for output in study.outputs} == {"Pa"}
     # the levers play nothing but the strokes of the study
     played = {n for n, value in study.fixed.items() if n.endswith("_command") and value}
@@ -46,6 +47,6 @@ def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> No
     results = sweep(file, tmp_path / "out", Where(workers=1))
     assert (results.table["status"] == "ok").all()
     assert results.table["output:start_left"].between(1e6, 2.07e7).all()
-    assert report.report(tmp_path / "out").exists()
-    numbers = json.loads((tmp_path / "out" / report.NUMBERS).read_text("utf-8"))
+    assert page.report(tmp_path / "out").exists()
+    numbers = json.loads((tmp_path / "out" / page.NUMBERS).read_text("utf-8"))
     assert numbers["sentences"]["start_left"][0].startswith("What moves start_left cannot be told")

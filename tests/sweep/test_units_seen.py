@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from sweep.synthetic import finding, results, uniform
 
-from orchestrator.sweep import printing
-from orchestrator.sweep.analysis import analyse, sentences
-from orchestrator.sweep.report import NUMBERS, PAGE, write
-from orchestrator.sweep.report.scatter import scatter
-from orchestrator.sweep.report.varied import words
-from orchestrator.sweep.units import display, factor, seen
+from orchestrator.studies import progress
+from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.report.page import NUMBERS, PAGE, words, write
+from orchestrator.studies.report.plots import scatter
+from orchestrator.studies.report.quantities import display, factor, seen
 
 SPACE = (uniform("x1", 0.0, 1.0), uniform("x2", 0.0, 1.0))
 
@@ -70,7 +70,7 @@ def test_a_factor_is_told_in_one_unit_too() -> None:
 
 def test_the_command_line_prints_bar() -> None:
     """And never powers of ten of Pa."""
-    text = printing.text(results(lambda x: 1.2631e7 + 1e3 * x["x1"], SPACE, "latin", 20))
+    text = progress.text(results(lambda x: 1.2631e7 + 1e3 * x["x1"], SPACE, "latin", 20))
     name, low, mean, high, unit = text.splitlines()[-1].split()
     assert (name, unit) == ("peak", "bar")
     assert 126.31 <= float(low) <= float(mean) <= float(high) <= 126.32

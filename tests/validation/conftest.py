@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.files.trace import Trace
-from orchestrator.validation import Validation, compare, read_reference
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare
+from orchestrator.results.compare import Validation
+from orchestrator.results.reference import read_reference
 
 META = """
 [reference]

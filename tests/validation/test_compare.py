@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.validation import Reference, Signal, Tolerance, Validation, compare, read_reference
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare
+from orchestrator.results.compare import Validation
+from orchestrator.results.metrics import Tolerance
+from orchestrator.results.reference import Reference, Signal, read_reference
 
 Edit = Callable[[str, str], Path]
 

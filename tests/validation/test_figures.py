@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.validation import FigureSpec, Panel, Validation, compare, draw, read_reference
-from orchestrator.validation import embed as embedding
-from orchestrator.validation.figures import decimate, png, svg
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare
+from orchestrator.results import figures as embedding
+from orchestrator.results.compare import Validation
+from orchestrator.results.figures import FigureSpec, Panel, decimate, draw, png, svg
+from orchestrator.results.reference import read_reference
 
 SPEC = FigureSpec(
     "Shaft",

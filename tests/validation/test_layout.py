@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.build import data
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.validation import FigureSpec, Panel
-from orchestrator.validation.layout import Layout, read_layout
+from fmus.machine.build import data
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.results.figures import FigureSpec, Panel
+from orchestrator.results.layout import Layout, read_layout
 
 LAYOUT = """
 title = "Shaft"

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.errors import Problem
-from orchestrator.validation.metrics import ISO_MINIMUM, Metrics, Rating, iso_rating, measure
+from orchestrator.base.errors import Problem
+from orchestrator.results.metrics import ISO_MINIMUM, Metrics, Rating, iso_rating, measure
 
 TIME = np.array([0.0, 1.0, 2.0, 3.0])
 REFERENCE = np.array([0.0, 2.0, 4.0, 2.0])

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.errors import Problem
-from orchestrator.validation import Motion, strobe
-from orchestrator.validation.motion import frames
+from orchestrator.base.errors import Problem
+from orchestrator.results.motion import Motion, frames, strobe
 
 TIME = np.linspace(0.0, 4.0, 4001)
 

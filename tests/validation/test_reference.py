@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.errors import Problem
-from orchestrator.validation import Tolerance, read_reference
+from orchestrator.base.errors import Problem
+from orchestrator.results.metrics import Tolerance
+from orchestrator.results.reference import read_reference
 
 Edit = Callable[[str, str], Path]
 

@@ -12,19 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.files.trace import Trace
-from orchestrator.validation import (
-    Component,
-    FigureSpec,
-    Motion,
-    Panel,
-    Parameter,
-    Report,
-    Validation,
-    compare,
-    read_reference,
-    write_report,
-)
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare
+from orchestrator.results.compare import Validation
+from orchestrator.results.figures import FigureSpec, Panel
+from orchestrator.results.motion import Motion
+from orchestrator.results.reference import read_reference
+from orchestrator.results.report import Component, Parameter, Report, write_report
 
 VOID = {"meta", "link", "br", "input", "img"}
 

@@ -11,17 +11,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from orchestrator.files.trace import Trace
-from orchestrator.validation import (
-    Reference,
-    Signal,
-    Tolerance,
-    Validation,
-    compare,
-    read_reference,
-    summary,
-)
-from orchestrator.validation.wording import number, percent
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare, summary
+from orchestrator.results.compare import Validation
+from orchestrator.results.metrics import Tolerance
+from orchestrator.results.reference import Reference, Signal, read_reference
+from orchestrator.results.summary import number, percent
 
 
 def shown(outcome: Validation, width: int = 80) -> list[str]:

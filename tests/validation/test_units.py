@@ -8,8 +8,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from orchestrator.errors import Problem
-from orchestrator.symbols import convert, linear, parse, shown
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import convert, linear, parse, shown
 
 # Unit, value in it, value in SI, SI unit: by definition (pound 0.45359237 kg, inch 25.4 mm, gallon 231 in3).
 SAMPLES = [

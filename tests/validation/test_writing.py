@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.validation import Origin, Tolerance, compare, read_reference, write_reference
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.results import compare
+from orchestrator.results.metrics import Tolerance
+from orchestrator.results.reference import Origin, read_reference, write_reference
 
 ORIGIN = Origin(
     title='The "joined" machine',

@@ -11,11 +11,11 @@ import pytest
 from any_fmu.edit import edited
 from every import EVERY, python
 
-from fmus.machine import FAMILIES
-from fmus.variants import names
+from fmus.machine.parts import FAMILIES
+from fmus.machine.variants import names
 from orchestrator import load, run
 from orchestrator.__main__ import main
-from orchestrator.variety.combinations import combinations
+from orchestrator.studies.variants import combinations
 
 VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
 WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
@@ -23,7 +23,7 @@ WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 
 def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsys, monkeypatch):
     """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
-    monkeypatch.setattr("orchestrator.variety.command.LENGTH", 0.5)
+    monkeypatch.setattr("orchestrator.studies.variants.LENGTH", 0.5)
     assert main(["variants", str(fmu_dir / "harvester.ssp")]) == 0
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
@@ -99,8 +99,8 @@ def test_every_combination_runs_the_work_cycle(fmu_dir):
 def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):
     """One row for each combination, on paper and in the file; here of few."""
     few = {"swing": {"lumped": 0, "quasistatic": 0}}
-    monkeypatch.setattr("fmus.machine.FAMILIES", few)
-    monkeypatch.setattr("orchestrator.variety.command.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
+    monkeypatch.setattr("fmus.machine.parts.FAMILIES", few)
+    monkeypatch.setattr("orchestrator.studies.variants.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
     out = tmp_path / "new" / "table.csv"
     assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -124,9 +124,9 @@ def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     few = {"swing": {"lumped": 0, "quasistatic": 0}}
-    monkeypatch.setattr("fmus.machine.FAMILIES", few)
-    monkeypatch.setattr("orchestrator.variety.command.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
-    monkeypatch.setattr("orchestrator.variety.command.combinations", interrupted)
+    monkeypatch.setattr("fmus.machine.parts.FAMILIES", few)
+    monkeypatch.setattr("orchestrator.studies.variants.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
+    monkeypatch.setattr("orchestrator.studies.variants.combinations", interrupted)
     out = tmp_path / "table.csv"
     assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 130
     assert f"\n1 of 2 combinations, in {out}\n" in capsys.readouterr().out

@@ -11,9 +11,9 @@ import pytest
 from every import MACHINES
 
 from fmus.contract import quantities
-from fmus.machine import FAMILIES, parts, wiring
+from fmus.machine.parts import FAMILIES, parts, wiring
+from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
 from fmus.monolith import breakpoints, join
-from fmus.scenarios import COMMANDS, PROGRAMS, sample
 
 STOP = 5.0  # s: boom, swing and stick move and are braked
 TOLERANCE = 1e-9  # of CVODES, quadratures included

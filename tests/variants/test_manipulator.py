@@ -18,7 +18,7 @@ from scipy.special import ellipk
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
 from fmus.contract import quantities, symbolic
-from fmus.machine import parts, poses, wiring
+from fmus.machine.parts import parts, poses, wiring
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
 from fmus.monolith import join, simulate

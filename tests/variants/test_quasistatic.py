@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from fmus.components import spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.contract import quantities, symbolic
-from fmus.machine import FAMILIES, parts, wiring
+from fmus.machine.parts import FAMILIES, parts, wiring
+from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
-from fmus.scenarios import COMMANDS, PROGRAMS, sample
 
 SUPPLY, RHO = 20.684e6, 970.0  # Pa, kg/m3
 VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from every import MACHINES
 
-from fmus.machine import parts, wiring
+from fmus.machine.parts import parts, wiring
+from fmus.machine.poses import POSES, parameter
 from fmus.monolith import join, simulate
 from fmus.parameters import values
-from fmus.poses import POSES, parameter
 
 STAND = 3.0  # s
 

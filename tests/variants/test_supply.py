@@ -25,8 +25,8 @@ from supply_bench import (
     through_orifices,
 )
 
-from fmus.components import pump
-from fmus.components.pump import Pump
+from fmus.components import engine_and_pump
+from fmus.components.engine_and_pump import Pump
 from fmus.contract import quantities, symbolic
 from fmus.parameters import values
 from fmus.supply import VARIANTS
@@ -158,7 +158,7 @@ def one_pump() -> Pump:
 
 def stroke_after(start: float, pressure: float, time: float) -> float:
     s = ca.SX.sym("s")
-    ode = {"x": s, "ode": pump.stroke_rate(one_pump(), s, pressure)}
+    ode = {"x": s, "ode": engine_and_pump.stroke_rate(one_pump(), s, pressure)}
     return float(
         ca.integrator("s", "cvodes", ode, 0.0, time, {"reltol": 1e-10, "abstol": 1e-12})(x0=start)["xf"]
     )

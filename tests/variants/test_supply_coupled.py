@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fmus.contract import quantities
-from fmus.machine import DRIVES, FAMILIES, SUPPLY_WIRES, parts, wiring
+from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES, parts, wiring
+from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
 from fmus.monolith import join, simulate
-from fmus.scenarios import COMMANDS, PROGRAMS, sample
 from orchestrator import load, run
-from orchestrator.system.bonds import find_bonds
+from orchestrator.ssp.power_bonds import find_bonds
 
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.files.trace import Trace
+from orchestrator.data.trace import Trace
 from orchestrator.view.task.exercise import Exercise, Target
 
 Array = NDArray[np.float64]

@@ -6,8 +6,7 @@ import json
 
 from view.standin import StandIn
 
-from orchestrator.view.safety.pilot import Pilot
-from orchestrator.view.safety.seat import Seat
+from orchestrator.view.driving.pilot import Pilot, Seat
 
 LEFT = (-1, 0, 0, 0)
 

@@ -14,9 +14,9 @@ import numpy as np
 import uvicorn
 from fastapi import FastAPI
 
-from orchestrator.view.controls import endpoint
-from orchestrator.view.safety.access import Guard, Rules, rules
-from orchestrator.view.safety.pilot import Pilot
+from orchestrator.view.access import Guard, Rules, rules
+from orchestrator.view.driving import endpoint
+from orchestrator.view.driving.pilot import Pilot
 
 LONG = 60.0  # s; only bounds a failure, on a computer that does much else
 PATIENCE, ABSENCE = 4 * LONG, 8 * LONG  # s, of a pilot that must not lose them by itself

@@ -13,12 +13,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from nicegui import app, ui
 from view.standin import StandIn
 
-from orchestrator.view.controls import endpoint, panel
-from orchestrator.view.safety.access import Guard, rules
-from orchestrator.view.safety.pilot import Pilot
-from orchestrator.view.safety.seat import Seat
-from orchestrator.view.task import widget
-from orchestrator.view.task.samples import NEEDED
+from orchestrator.view.access import Guard, rules
+from orchestrator.view.driving import endpoint
+from orchestrator.view.driving import endpoint as driving_endpoint
+from orchestrator.view.driving.pilot import Pilot, Seat
+from orchestrator.view.task.exercise import NEEDED
 from orchestrator.view.task.training import Training
 
 FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
@@ -61,9 +60,9 @@ def main(port: int) -> None:
 
     @ui.page("/")
     def page() -> None:
-        seats.append(panel.mount(machine, pilot))
+        seats.append(driving_endpoint.mount(machine, pilot))
         ui.input("field")
-        widget.mount(training)
+        training.mount(training)
         ui.html("<div style='height: 3000px'></div>", sanitize=False)
 
     ui.run(host="127.0.0.1", port=port, show=False, reload=False, show_welcome_message=False)

@@ -7,10 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from view.standin import CONTROLLER, LEVERS
 
-from orchestrator.errors import Problem
-from orchestrator.view.controls.drive import Full, commands, modes
-from orchestrator.view.controls.patterns import PATTERNS, Functions, Sticks, functions, legend, pattern
-from orchestrator.view.controls.shape import Curve, shaped
+from orchestrator.base.errors import Problem
+from orchestrator.view.driving.commands import Full, commands, modes
+from orchestrator.view.driving.sticks import (
+    PATTERNS,
+    Curve,
+    Functions,
+    StickAxes,
+    functions,
+    legend,
+    pattern,
+    shaped,
+)
 
 share = st.floats(0, 0.9)
 CURVES = st.builds(Curve, share, st.floats(0, 1))
@@ -71,7 +79,7 @@ SIDES = {
 def test_patterns(name: str, axis: str) -> None:
     """Each axis moves the one function that ISO 10968 and SAE J1814 give it, in their direction."""
     which, sign = SIDES[axis][:2] if name == "ISO" else SIDES[axis][2:]
-    found = functions(Sticks(**{axis: 1.0}), pattern(name), FULL)
+    found = functions(StickAxes(**{axis: 1.0}), pattern(name), FULL)
     assert found == Functions(**{which: float(sign)})
 
 
@@ -85,7 +93,7 @@ def test_legend_says_what_happens(name: str, mode: str) -> None:
     for place, text in words.items():
         hand, end = place.split("_")
         axis, sign = ends[end]
-        found = functions(Sticks(**{f"{hand}_{axis}": float(sign)}), pattern(name), FULL)
+        found = functions(StickAxes(**{f"{hand}_{axis}": float(sign)}), pattern(name), FULL)
         if found.curl:
             assert text == "(no curl)"
             continue
@@ -130,11 +138,11 @@ def test_modes() -> None:
 
 
 @given(
-    st.builds(Sticks, *[DEFLECTIONS] * 4),
+    st.builds(StickAxes, *[DEFLECTIONS] * 4),
     st.sampled_from(sorted(PATTERNS)),
     st.sampled_from(["levers", "tip"]),
 )
-def test_commands_are_bounded(sticks: Sticks, name: str, mode: str) -> None:
+def test_commands_are_bounded(sticks: StickAxes, name: str, mode: str) -> None:
     """No position of the sticks commands more than full."""
     full = Full()
     found = commands(functions(sticks, pattern(name), Curve()), mode, CONTROLLER, full)

@@ -16,12 +16,12 @@ from matplotlib import image
 from numpy.typing import NDArray
 from view.standin import LONG, wait
 
-from orchestrator.files.trace import Trace, write
-from orchestrator.live.replay import Replay
-from orchestrator.live.station import APART, Station
+from orchestrator.data.trace import Trace, write
+from orchestrator.realtime.machine import APART, Station
+from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
 from orchestrator.view.choice import Choice
-from orchestrator.view.safety.pilot import Pilot
+from orchestrator.view.driving.pilot import Pilot
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
 
@@ -289,7 +289,7 @@ def test_replay(page: Any, server: Server) -> None:
 
 def test_save(page: Any, tmp_path: Path) -> None:
     """The session comes as a file that can be read, with the axes and the signals."""
-    from orchestrator.files.trace import read
+    from orchestrator.data.trace import read
 
     with page.expect_download() as loaded:
         page.get_by_role("button", name="Save the session").click()

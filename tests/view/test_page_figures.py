@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from orchestrator.live.setup import Frame, Pulse
+from orchestrator.realtime.setup import Frame, Pulse
 from orchestrator.view.panels.charts import CHARTS, Chart, options
-from orchestrator.view.panels.state import Clock, cells, limit
-from orchestrator.view.reading import Reading
+from orchestrator.view.panels.gauges import Clock, cells, limit
+from orchestrator.view.readings import Reading
 
 PULSE = Pulse()
 NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")

@@ -14,18 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace, write
-from orchestrator.live.replay import Replay
-from orchestrator.live.setup import Frame, Pulse
-from orchestrator.system.ssp import load
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace, write
+from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.setup import Frame, Pulse
+from orchestrator.ssp.load import load
 from orchestrator.view.choice import Choice, axes, plan, poses, variants
+from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
 from orchestrator.view.panels.gauges import GROUPS, figure
-from orchestrator.view.panels.history import BIN, WINDOW, History, extremes
-from orchestrator.view.reading import Reading
+from orchestrator.view.readings import Reading, by_bare_name, watched
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session
-from orchestrator.view.signals import by_bare_name, watched
 from orchestrator.view.stream import AHEAD, LOST, Credit
 
 

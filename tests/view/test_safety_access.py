@@ -11,7 +11,7 @@ from view.standin import LONG, Server, serving, wait
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from orchestrator.view.safety.access import is_loopback, rules
+from orchestrator.view.access import is_loopback, rules
 
 get = partial(httpx.get, timeout=LONG)
 

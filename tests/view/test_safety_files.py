@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.errors import Problem
-from orchestrator.view.safety import files
-from orchestrator.view.safety.files import listed, resolved
+from orchestrator.base.errors import Problem
+from orchestrator.view import access
+from orchestrator.view.access import listed, resolved
 
 
 @pytest.fixture
@@ -93,6 +93,6 @@ def test_never_outside(name: str) -> None:
 
 def test_huge(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file that would fill the memory is refused by its size, before it is read."""
-    monkeypatch.setattr(files, "LARGEST", 3)
+    monkeypatch.setattr(access, "LARGEST", 3)
     with pytest.raises(Problem, match="expected at most"):
         resolved("run.csv", [folder])

@@ -8,17 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.errors import Problem
-from orchestrator.view.controls.patterns import Sticks
-from orchestrator.view.safety.limit import Bucket
-from orchestrator.view.safety.message import Message, parse
+from orchestrator.base.errors import Problem
+from orchestrator.view.driving.pilot import Bucket, Message, parse
+from orchestrator.view.driving.sticks import StickAxes
 
 GOOD = {"n": 3, "sticks": [0, -1, 0.25, 1], "dead_man": True}
 
 
 def test_good() -> None:
     """An honest message is what it says."""
-    assert parse(json.dumps(GOOD)) == Message(3, Sticks(0, -1, 0.25, 1), True)
+    assert parse(json.dumps(GOOD)) == Message(3, StickAxes(0, -1, 0.25, 1), True)
 
 
 WRONG = {

@@ -6,7 +6,7 @@ import pytest
 from view.desk import Desk
 from view.standin import LEVERS, StandIn
 
-from orchestrator.view.safety.pilot import AFRESH, HOLD
+from orchestrator.view.driving.pilot import AFRESH, HOLD
 
 
 @pytest.fixture

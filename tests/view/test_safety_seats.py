@@ -6,8 +6,8 @@ import pytest
 from view.desk import Desk
 from view.standin import CONTROLLER, LEVERS
 
-from orchestrator.errors import Problem
-from orchestrator.view.safety.seat import MOST
+from orchestrator.base.errors import Problem
+from orchestrator.view.driving.pilot import MOST
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from view.standin import ABSENCE, LONG, PATIENCE, Server, serving, wait
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from orchestrator.view.safety.seat import Seat
+from orchestrator.view.driving.pilot import Seat
 
 
 @pytest.fixture(scope="module")

@@ -16,15 +16,13 @@ from properties import examples
 from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
-from orchestrator.errors import Problem
-from orchestrator.system.ssp import load
-from orchestrator.system.system import System
+from orchestrator.base.errors import Problem
+from orchestrator.ssp.load import load
+from orchestrator.ssp.system import System
 from orchestrator.view.choice import Choice, plan
-from orchestrator.view.scene import crane, head, site
-from orchestrator.view.scene.colours import SCALE, UNKNOWN, colour
-from orchestrator.view.scene.geometry import Geometry, geometry
-from orchestrator.view.scene.marks import rings
-from orchestrator.view.scene.pose import NODES, Angles, Place, Pose, pose
+from orchestrator.view.scene import bodies
+from orchestrator.view.scene.canvas import SCALE, UNKNOWN, colour, rings
+from orchestrator.view.scene.pose import NODES, Angles, Geometry, Place, Pose, geometry, pose
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
@@ -126,7 +124,7 @@ def test_geometry_of_a_system(fmu_dir: Path) -> None:
     assert geometry(load(fmu_dir / "harvester.fmu")) == rigid, "the whole machine as one FMU has the same"
     swung = plan(Choice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"}))
     assert swung.geometry == SIZES
-    assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.poses
+    assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.machine.poses
 
 
 def test_no_arm(fmu_dir: Path) -> None:
@@ -139,9 +137,9 @@ def test_no_arm(fmu_dir: Path) -> None:
 
 def test_bodies_hang_on_nodes() -> None:
     """Each body has a node, a kind and a size that the browser knows, and the outlines are no knots."""
-    bodies = [*site.parts(), *crane.parts(SIZES), *head.parts(SIZES)]
-    assert {b.node for b in bodies} == {"site", "column", *NODES}
-    for body in bodies:
+    everything = [*bodies.site_parts(), *bodies.crane_parts(SIZES), *bodies.head_parts(SIZES)]
+    assert {b.node for b in everything} == {"site", "column", *NODES}
+    for body in everything:
         assert body.kind in ("box", "plate", "round", "tube")
         assert min(body.size) > 0
         assert body.kind in ("box", "round") or len(body.path) >= 3

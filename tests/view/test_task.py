@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 from view.cycle import ARC, EXERCISE, HEIGHT, RADIUS, STEP, T_REST, T_RISE, T_SWING, cycle, slow_after, when
 from view.standin import StandIn
 
-from orchestrator.errors import Problem
-from orchestrator.files.trace import Trace
-from orchestrator.view.task.exercise import Exercise, Progress, Target, advance, follow, phase, way
-from orchestrator.view.task.samples import of_trace
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.view.task.exercise import Exercise, Progress, Target, advance, follow, of_trace, phase, way
 from orchestrator.view.task.score import score
-from orchestrator.view.task.training import Training
-from orchestrator.view.task.widget import directions
+from orchestrator.view.task.training import Training, directions
 
 
 def test_cycle() -> None:

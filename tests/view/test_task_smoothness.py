@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from orchestrator.view.task.smoothness import spectral_arc_length
+from orchestrator.view.task.score import spectral_arc_length
 
 TIME = np.arange(0, 10, 0.01)
 

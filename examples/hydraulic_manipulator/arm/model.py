@@ -4,8 +4,8 @@
 
 Link 1 is a uniform rod from the hinge O to the elbow Q, link 2 is massless from Q to the tip R;
 point masses sit at Q and R. The actuator joins a fixed anchor B, level with O, to a pin P on link 1.
-M, V and G follow from the energies below (`fmus.components.rigid_body`), s1 and J from the triangle
-O, B, P (`fmus.components.linkage`).
+M, V and G follow from the energies below (`fmus.components.mechanics`), s1 and J from the triangle
+O, B, P (`fmus.components.mechanics`).
 
 Signs: both angles count counter-clockwise from the horizontal; the force is positive when it
 extends the actuator, which raises link 1. The friction c s1' of the cylinder belongs here, so that
@@ -21,9 +21,8 @@ from typing import Annotated
 
 import casadi as ca
 
-from fmus.components import linkage
-from fmus.components.linkage import Triangle
-from fmus.components.rigid_body import EquationsOfMotion, equations_of_motion
+from fmus.components import mechanics as components_mechanics
+from fmus.components.mechanics import EquationsOfMotion, Triangle, equations_of_motion
 from fmus.contract import Quantity, Scalar, Subsystem, column
 
 
@@ -99,7 +98,7 @@ def mechanics(x: ArmState, p: ArmParameters) -> EquationsOfMotion:
 
 def actuator(x: ArmState, p: ArmParameters) -> Triangle:
     """Length s1 of the actuator and its moment arm J = ds1/dtheta1."""
-    return linkage.triangle(x.theta1, (p.anchor, 0), (p.pin, 0))
+    return components_mechanics.triangle(x.theta1, (p.anchor, 0), (p.pin, 0))
 
 
 def dynamics(x: ArmState, u: ArmInputs, p: ArmParameters) -> ArmState:

@@ -1,4 +1,16 @@
-"""One instance of a model in plain Python: values, inputs over a step, integration, checks.
+"""Everything that the future of an instance depends on, and its bytes: what a saved state holds.
+
+The bytes are a header that names the model, a check sum, and one double per number, so that a restored
+state is the same to the last bit, in another instance, process or on another machine.
+
+What went wrong, in one line, with the place in the user's file.
+
+Inputs inside a step: Taylor polynomials from the values that were set and what carries their derivatives.
+
+Derivatives come from `fmi2SetRealInputDerivatives` if it was called for the step, else from the inputs that
+are rates (docs/design.md, "Inputs inside a step").
+
+One instance of a model in plain Python: values, inputs over a step, integration, checks.
 
 It does what native/core.c, instance.c and step.c do, with the same numbers and the same words. It needs no
 FMU:
@@ -11,21 +23,147 @@ FMU:
 
 from __future__ import annotations
 
+import hashlib
 import math
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from typing import NoReturn
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmus.contract import ModelError, Subsystem
-from fmus.export.codegen import DEFAULT_TOLERANCE
+from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Variable, interface
-from fmus.export.python import inputs
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
-from fmus.export.python.state import State
 from fmus.parameters import Values, values
-from fmus.solver import Array, Unsolved
+from fmus.solver import Array, Motion, Unsolved
+
+_MAGIC = b"FMUstate python 1 "
+
+
+@dataclass
+class State:
+    """Numbers only, as in native/core.h.
+
+    memory      of the solver, see `solver.Pace`
+    x, p, u     states, parameters, inputs at the current time
+    set         inputs as last set: where the next step starts
+    slope       time derivatives of the inputs at the end of the last step
+    given       input derivatives of order 1 to 3 set for the next step, shape (n, 3), and for which inputs
+    was_given   which inputs followed such derivatives in the last step
+    warned      which watched variables are above their limit, by value reference
+    initial     1 until the initialisation is over: states follow from their start values
+    phase       of the state machine, see `instance`
+    """
+
+    x: Array
+    p: Array
+    u: Array
+    set: Array
+    slope: Array
+    given: Array
+    is_given: NDArray[np.bool_]
+    was_given: NDArray[np.bool_]
+    warned: NDArray[np.bool_]
+    time: float = 0.0
+    start_time: float = 0.0
+    stop_time: float = np.inf
+    tolerance: float = 0.0
+    memory: Array = field(default_factory=lambda: np.zeros(3))
+    initial: float = 1.0
+    phase: float = 1.0
+
+    def to_bytes(self, guid: str) -> bytes:
+        """The state of the model with this GUID."""
+        content = b"".join(np.asarray(v, dtype="<f8").tobytes() for v in vars(self).values())
+        return _header(guid) + hashlib.sha256(content).digest() + content
+
+    def from_bytes(self, guid: str, data: bytes) -> State:
+        """The state that `to_bytes` was called with; this one tells how many numbers there are of each."""
+        header, expected = _header(guid), len(self.to_bytes(guid))
+        if not data.startswith(header):
+            raise ModelError(f'the saved state is of another model, expected GUID "{guid}"')
+        if len(data) != expected:
+            raise ModelError(f"the saved state has {len(data)} bytes, expected {expected}")
+        seal, content = data[len(header) : len(header) + 32], data[len(header) + 32 :]
+        if hashlib.sha256(content).digest() != seal:
+            raise ModelError("the saved state is damaged: its check sum differs")
+        return self._filled(np.frombuffer(content, dtype="<f8"))
+
+    def _filled(self, numbers: Array) -> State:
+        found: dict[str, Any] = {}
+        for f in fields(self):
+            like = np.asarray(getattr(self, f.name))
+            part, numbers = numbers[: like.size], numbers[like.size :]
+            found[f.name] = part.reshape(like.shape).astype(like.dtype) if like.shape else float(part[0])
+        return State(**found)
+
+
+def _header(guid: str) -> bytes:
+    return _MAGIC + guid.encode() + b"\0"
+
+
+def told(problem: BaseException, folder: Path) -> str:
+    """The text of a ModelError; of another exception also its kind, file and line.
+
+    The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
+    """
+    text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
+    if isinstance(problem, ModelError):
+        return text
+    kind = type(problem).__name__
+    return f"{place(problem, folder)}{kind}: {text}" if text else f"{place(problem, folder)}{kind}"
+
+
+def place(problem: BaseException, folder: Path) -> str:
+    """File and line of an exception, as "file.py:12: "; empty when it has none."""
+    if isinstance(problem, SyntaxError) and problem.filename:
+        return f"{Path(problem.filename).name}:{problem.lineno}: "
+    frames = traceback.extract_tb(problem.__traceback__)
+    own = [f for f in frames if Path(f.filename).parent == folder]
+    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (own or frames)[-1:])
+
+
+def rates(inputs: Sequence[Variable]) -> list[int]:
+    """Index of the input with the time derivative of each one, or -1."""
+    index = {v.name: i for i, v in enumerate(inputs)}
+    return [index[v.quantity.rate] if v.quantity.rate else -1 for v in inputs]
+
+
+def derivative(s: State, rates: Sequence[int], at: Array, i: int, order: int) -> float:
+    """Derivative of an input where the values `at` hold."""
+    if s.is_given[i]:
+        return float(s.given[i, order - 1])
+    if rates[i] < 0:
+        return 0.0
+    return float(at[rates[i]]) if order == 1 else derivative(s, rates, at, rates[i], order - 1)
+
+
+def motion(s: State, rates: Sequence[int]) -> Motion:
+    """Over the next step."""
+    numbers = range(s.set.size)
+    terms = (
+        [derivative(s, rates, s.set, i, k) / scale for i in numbers] for k, scale in ((1, 1), (2, 2), (3, 6))
+    )
+    return Motion(np.array([s.set, *terms]))
+
+
+def slope(s: State, rates: Sequence[int], i: int) -> float:
+    """Time derivative of an input at the current time."""
+    if s.is_given[i]:
+        return float(s.given[i, 0])
+    return float(s.slope[i] if rates[i] < 0 or s.was_given[i] else s.u[rates[i]])
+
+
+def give(s: State, i: int, order: int, value: float) -> None:
+    """A derivative of an input for the next step; those of other orders are zero unless given, too."""
+    s.given[i] = s.given[i] if s.is_given[i] else 0.0
+    s.is_given[i], s.given[i, order - 1] = True, value
+
 
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
@@ -72,7 +210,7 @@ class Instance:
         self.model, self.guid, self.warn, self.variables = model, guid, warn, model.variables
         self.references = {v.name: v.reference for v in self.variables}
         self.ends = np.cumsum(model.sizes).tolist()
-        self.rates = inputs.rates(self.variables[self.ends[0] : self.ends[1]])
+        self.rates = rates(self.variables[self.ends[0] : self.ends[1]])
         self._watched = [
             v
             for v in self.variables[self.ends[0] :]
@@ -296,13 +434,13 @@ class Instance:
 
     def _advance(self, length: float) -> None:
         s, begin = self.state, self.state.time
-        motion = inputs.motion(s, self.rates)
+        inputs = motion(s, self.rates)
         self._forget()
         try:
-            s.x, s.memory = self.model.advance(s.x, s.p, motion, begin, length, s.tolerance, s.memory)
+            s.x, s.memory = self.model.advance(s.x, s.p, inputs, begin, length, s.tolerance, s.memory)
         except Unsolved as problem:
             refuse(self._failure(problem))
-        s.time, s.u, s.slope = begin + length, motion.value(length), motion.slope(length)
+        s.time, s.u, s.slope = begin + length, inputs.value(length), inputs.slope(length)
         s.was_given, s.is_given = s.is_given, np.zeros_like(s.is_given)
         try:
             self._check()

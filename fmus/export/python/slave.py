@@ -20,11 +20,9 @@ from fmus.contract import ModelError
 from fmus.export.interface import interface
 from fmus.export.model_description import LOG_CATEGORIES, package_version
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
-from fmus.export.python.instance import Instance
-from fmus.export.python.messages import told
-from fmus.export.python.origin import fingerprint, subsystem
-from fmus.export.python.stepwise import Stepwise, face
-from fmus.export.python.user import load
+from fmus.export.python.instance import Instance, told
+from fmus.export.python.user_file import fingerprint, load, subsystem
+from fmus.export.python.user_model import Stepwise, face
 from fmus.parameters import Values
 
 CARD = "model.json"  # in resources/: what the FMU was built from

@@ -1,17 +1,168 @@
-"""The clock of a recording: rate, jitter, drift, missing and repeated samples."""
+"""Sizes that quantities of a machine usually have: what is far off may be in another unit than told.
+
+A uniform clock: its rate, whether a recording has one, resampling to one. Gaps stay gaps.
+
+The clock of a recording: rate, jitter, drift, missing and repeated samples.
+
+A recording on a uniform clock: at its own rate, or at one that a simulation can follow.
+
+Signals that a simulation needs at every sample, such as commands: short gaps are bridged.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.signal
 
-from fmus.identification.recordings.flat import NOISY, at_ends, equal_by_chance, step_and_noise
-from fmus.identification.recordings.plausible import RATES
+from fmus.contract import ModelError
+from fmus.identification.recordings.masks import NOISY, at_ends, equal_by_chance, good, step_and_noise
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
-from fmus.identification.recordings.resampling import MISSED, UNEVEN, period
+
+# SI unit -> what the largest magnitude in a recording lies between
+USUAL: Mapping[str, tuple[float, float]] = {
+    "Pa": (1e4, 1e8),  # a tenth of a bar; what a hose bursts at
+    "m3/s": (0.0, 0.05),  # 3000 L/min; a leakage may be as small as it likes
+    "V": (0.1, 100.0),
+    "rad": (0.0, 4 * math.pi),  # two turns of the column; what was read as rad may be degrees
+    "rad/s": (0.0, 20.0),
+}
+RATES = (10.0, 1e5)  # Hz: of a logger that follows a valve
+
+
+def beyond(largest: float, unit: str) -> tuple[float, float] | None:
+    """What is usual, if the largest magnitude of a signal is not; a signal that is zero tells nothing."""
+    low, high = USUAL.get(unit, (0.0, math.inf))
+    return (low, high) if largest > 0 and not low <= largest <= high else None
+
+
+UNEVEN = 0.05  # of a period: how far a stamp may be off a uniform clock; more is jitter that derivatives see
+MISSED = 1.5  # periods from one sample to the next, from which on one is missing
+CUTOFF = 0.8  # of half the new rate: -6 dB of the filter before going down; -34 dB at half the new rate
+ORDER = 8
+
+
+def period(time: Array) -> float:
+    """The usual interval of a clock [s], whatever is missing."""
+    return float(np.median(np.diff(time)))
+
+
+def uniform_rate(recording: Recording) -> float:
+    """Samples per second [Hz]; refuses a clock that is not uniform, which `resample` makes uniform."""
+    time = recording.time
+    if len(time) < 2:
+        raise ModelError(f"{recording.source}: expected two or more samples, found {len(time)}")
+    off = periods_off(time)
+    worst = int(np.argmax(off))
+    if off[worst] > UNEVEN:
+        raise ModelError(
+            f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off"
+            f" a uniform clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
+        )
+    return float((len(time) - 1) / (time[-1] - time[0]))
+
+
+def periods_off(time: Array) -> Array:
+    """How far each stamp is off a uniform clock, in periods."""
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    return np.asarray(np.abs(time - (time[0] + step * np.arange(len(time)))) / step)
+
+
+def resample(
+    recording: Recording, rate: float, hold: Collection[str] = (), bridge: float | None = None
+) -> Recording:
+    """The recording on a uniform clock of `rate` [Hz] that starts with its first sample.
+
+    Signals are interpolated linearly. When the rate goes down, they pass a zero-phase filter first, and what
+    is not good (clipped, in the dead zone) becomes a gap, which a filtered sample would hide. The standard
+    deviation of the sensor is that of what the filter leaves.
+
+    hold     signals that keep their value from sample to sample, such as commands: not filtered
+    bridge   longest interval to interpolate over [s]; None: a missing sample is a gap
+    """
+    time = recording.time
+    if rate <= 0 or len(time) < 2:
+        found = f"{rate:g} Hz and {len(time)} samples"
+        raise ModelError(
+            f"{recording.source}: expected a rate above 0 and two or more samples, found {found}"
+        )
+    old = 1 / period(time)
+    clock = time[0] + np.arange(1 + int((time[-1] - time[0]) * rate * (1 + 1e-12) + 1e-9)) / rate
+    longest = MISSED / old if bridge is None else bridge
+    down = rate < old * (1 - 1e-6)
+    signals, sensors = {}, dict(recording.sensors)
+    for name, values in recording.signals.items():
+        if name in hold:
+            signals[name] = _held(clock, time, values, longest)
+        elif down:
+            finer = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) * old))
+            kept = np.where(good(recording, name), values, np.nan)
+            filtered = _filtered(_linear(finer, time, kept, longest), rate / old)
+            signals[name] = _linear(clock, finer, filtered, longest)
+            if name in sensors:
+                sensors[name] = _quieter(sensors[name], rate / old)
+        else:
+            signals[name] = _linear(clock, time, values, longest)
+    return replace(recording, time=clock, signals=signals, sensors=sensors)
+
+
+def _linear(clock: Array, time: Array, values: Array, longest: float) -> Array:
+    """Linear interpolation; NaN next to a gap and within an interval longer than `longest`."""
+    # the last new sample may be late by rounding
+    result = np.interp(np.clip(clock, time[0], time[-1]), time, values)
+    return np.where(_missing(clock, time, longest), np.nan, result)
+
+
+def _held(clock: Array, time: Array, values: Array, longest: float) -> Array:
+    """The value of the sample before."""
+    # a stamp that is late by rounding still counts as this sample's
+    before = np.clip(np.searchsorted(time, clock + 1e-6 * period(time), side="right") - 1, 0, len(time) - 1)
+    return np.where(_missing(clock, time, longest), np.nan, values[before])
+
+
+def _missing(clock: Array, time: Array, longest: float) -> Mask:
+    """Where a new sample lies inside an interval longer than `longest` [s]."""
+    after = np.clip(np.searchsorted(time, clock), 1, len(time) - 1)
+    rounding = 1e-6 * period(time)  # of stamps: a new sample that close to an old one has its value
+    inside = (clock > time[after - 1] + rounding) & (clock < time[after] - rounding)
+    return inside & (time[after] - time[after - 1] > longest)
+
+
+def _filtered(values: Array, ratio: float) -> Array:
+    """Each stretch without a gap through a Butterworth filter, forwards and back."""
+    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
+    result = np.full_like(values, np.nan)
+    for part in stretches(np.isfinite(values)):
+        # a line passes the filter as it is; without the one through the ends these are zero and ring little
+        line = np.linspace(values[part.start], values[part.stop - 1], part.stop - part.start)
+        pad = min(int(10 / ratio), len(line) - 1)
+        result[part] = line + scipy.signal.sosfiltfilt(sections, values[part] - line, padlen=pad)
+    return result
+
+
+def stretches(mask: Mask) -> list[slice]:
+    """The runs of True of a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _quieter(sensor: Sensor, ratio: float) -> Sensor:
+    """The sensor behind the filter: white noise keeps the share that passes.
+
+    A converter's error is white only where noise of half a step moves the signal from step to step. An
+    encoder that hardly moves has the same error in all samples that the filter averages, and keeps it.
+    """
+    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
+    _, response = scipy.signal.sosfreqz(sections, worN=4096)
+    # forwards and back is |H|^2, so the power is |H|^4
+    passed = float(np.sqrt(np.mean(np.abs(response) ** 4)))
+    if sensor.noise < sensor.resolution / 2:
+        return replace(sensor, noise=sensor.noise * passed)
+    return replace(sensor, noise=sensor.sd * passed, resolution=0.0)
+
 
 CLOSE = 0.5  # of a period: two stamps closer than this are one sample written twice
 SURE = 5  # standard deviations from which a count or a drift is no chance
@@ -147,3 +298,49 @@ def _chance(values: Array, sensor: Sensor) -> Array:
     live = np.isfinite(values) & ~at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
     result[live] = (equal * np.exp(-((move / sd) ** 2) / 4))[live]
     return result
+
+
+FASTEST = 500.0  # Hz: ten times what oil does in the longest hose; more only takes time to simulate
+
+
+def evenly(recording: Recording) -> Recording:
+    """The recording on a uniform clock at its own rate, itself if it has one; what is missing becomes a gap.
+
+    Commands are interpolated as all else is: a simulation draws straight lines between its samples, and
+    holding the sample before would make half of them a period late.
+    """
+    time = recording.time
+    if len(time) < 2 or np.max(periods_off(time)) <= UNEVEN:
+        return recording
+    return resample(recording, 1 / period(time))
+
+
+def thinned(recording: Recording, fastest: float = FASTEST) -> Recording:
+    """The recording at a rate of at most `fastest` [Hz]; commands are held, all else is filtered before."""
+    if len(recording.time) < 2 or period(recording.time) > 0.99 / fastest:
+        return recording
+    held = [name for name in recording.signals if name.endswith("command")]
+    return resample(recording, fastest, hold=held)
+
+
+LONGEST = 0.1  # s: a hand takes longer from one position of a lever to another
+
+
+def bridged(recording: Recording, name: str, longest: float = LONGEST) -> Array:
+    """A signal with straight lines over its gaps, of which none may be longer than `longest` [s].
+
+    Before its first sample and after its last one it keeps that value.
+    """
+    values, time = recording[name], recording.time
+    there = np.isfinite(values)
+    if not there.any():
+        raise ModelError(f"{recording.source}: {name} has no sample, expected one to simulate with")
+    for gap in stretches(~there):
+        first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
+        if time[last] - time[first] > longest:
+            raise ModelError(
+                f"{recording.source}: {name} has no sample from {time[gap.start]:.6g} s to"
+                f" {time[gap.stop - 1]:.6g} s, expected gaps of at most {longest:g} s:"
+                " leave that part out with start or stop of [time]"
+            )
+    return np.interp(time, time[there], values[there])

@@ -3,20 +3,24 @@
 A polynomial is fitted to the samples of a window by least squares; its value, slope and curvature in the
 middle are the filtered signal and its derivatives. Filter all signals of an equation with the same object,
 then both sides see the same filter. There is no delay: the window lies symmetrically about its sample.
+
+Delay between two signals, and moving a signal in time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+import scipy.interpolate
+import scipy.optimize
 import scipy.signal
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.recording import Array, Recording
-from fmus.identification.recordings.resampling import uniform_rate
+from fmus.identification.recordings.clock import period, stretches, uniform_rate
+from fmus.identification.recordings.recording import Array, Mask, Recording
 
 HIGHEST = 2  # order of derivative
 
@@ -104,3 +108,127 @@ def derivatives(recording: Recording, name: str, window: float, degree: int = 3)
     value, first, second = (used.apply(recording[name], order) for order in range(HIGHEST + 1))
     sd = recording.sensor(name).sd
     return Derivatives(value, first, second, sd * used.gain(0), sd * used.gain(1), sd * used.gain(2))
+
+
+Kind = Literal["cubic", "linear", "previous"]
+NEAR = 3  # samples beside a gap that a spline through it does not tell
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How much later one signal is than another.
+
+    seconds       the delay
+    sd            its standard deviation, if what remains is white
+    correlation   of the two signals with the delay taken out
+    """
+
+    seconds: float
+    sd: float
+    correlation: float
+
+
+def delay(recording: Recording, first: str, second: str, longest: float) -> Delay:
+    """How much later `second` is than `first`, between -longest and longest [s].
+
+    The whole samples come from the cross-correlation, the rest from least squares: second(t) =
+    gain first(t - delay) + offset, with a spline through `first`. Signals of opposite sign: negate one.
+    """
+    rate = uniform_rate(recording)
+    x, y = recording[first], recording[second]
+    most = min(int(np.ceil(longest * rate)), len(x) // 2)
+    if most < 1 or not (np.nanstd(x) > 0 and np.nanstd(y) > 0):
+        raise ModelError(
+            f"{recording.source}: no delay of {second} behind {first}: expected signals that move"
+            f" and a longest delay of one sample or more, found {longest:g} s"
+        )
+    whole = _whole(x, y, most)
+    spline, usable = _spline(x)
+
+    def cost(samples: float) -> float:
+        return _residual(spline, usable, y, samples)[0]
+
+    found = scipy.optimize.minimize_scalar(
+        cost, bounds=(whole - 1, whole + 1), method="bounded", options={"xatol": 1e-6}
+    )
+    variance, slopes, correlation = _residual(spline, usable, y, float(found.x))
+    sd = float(np.sqrt(variance / slopes)) if slopes > 0 else float("inf")
+    return Delay(float(found.x) / rate, sd / rate, correlation)
+
+
+def _whole(x: Array, y: Array, most: int) -> int:
+    """Samples by which y is later, at the peak of the correlation coefficient of what is there of both."""
+    here, there = np.isfinite(x), np.isfinite(y)
+    a, b = np.where(here, x - np.nanmean(x), 0.0), np.where(there, y - np.nanmean(y), 0.0)
+
+    def sums(p: Array, q: Array) -> Array:
+        products: Array = scipy.signal.correlate(q, p, method="fft")
+        return products
+
+    # the energy of each signal where the other one is there, too
+    energy = sums(a**2, there.astype(float)) * sums(here.astype(float), b**2)
+    floor = 1e-9 * float(np.sum(a**2) * np.sum(b**2))
+    coefficient = sums(a, b) / np.sqrt(np.maximum(energy, floor))
+    lags = scipy.signal.correlation_lags(len(y), len(x))
+    near = np.abs(lags) <= most
+    return int(lags[near][np.argmax(coefficient[near])])
+
+
+def _spline(values: Array) -> tuple[scipy.interpolate.CubicSpline, Mask]:
+    """A spline through the samples that are there, and where it can be used: away from gaps."""
+    there = np.isfinite(values)
+    number = np.arange(len(values))
+    usable = np.zeros(len(values), dtype=bool)
+    for part in stretches(there):
+        low = part.start + (NEAR if part.start > 0 else 0)
+        high = part.stop - (NEAR if part.stop < len(values) else 0)
+        usable[low : max(low, high)] = True  # a short stretch at the beginning has none
+    return scipy.interpolate.CubicSpline(number[there], values[there]), usable
+
+
+def _residual(
+    spline: scipy.interpolate.CubicSpline, usable: Mask, y: Array, samples: float
+) -> tuple[float, float, float]:
+    """Variance of what the moved first signal leaves, sum of its squared slopes, correlation."""
+    at = np.arange(len(y)) - samples
+    low, high = np.floor(at).astype(int), np.ceil(at).astype(int)
+    kept = np.isfinite(y) & (low >= 0) & (high < len(usable))
+    kept[kept] = usable[low[kept]] & usable[high[kept]]
+    moved = spline(at[kept])
+    gain, offset = np.polyfit(moved, y[kept], 1)
+    variance = float(np.mean((y[kept] - gain * moved - offset) ** 2))
+    slopes = float(np.sum((gain * spline(at[kept], 1)) ** 2))
+    return variance, slopes, float(np.corrcoef(moved, y[kept])[0, 1])
+
+
+def shift(recording: Recording, name: str, seconds: float, kind: Kind = "cubic") -> Recording:
+    """The recording with one signal earlier by `seconds`, so that its delay is gone.
+
+    kind   how it is read between samples: "cubic", "linear", or "previous" for a command that is held.
+           Samples that come from outside the recording or next to a gap are gaps.
+    """
+    time, values = recording.time, recording[name]
+    at = time + seconds
+    result = np.full_like(values, np.nan)
+    slack = 1e-9 * period(time)
+    for part in stretches(np.isfinite(values)):
+        if part.stop - part.start < 2:
+            continue
+        first, last = time[part.start], time[part.stop - 1]
+        inside = (at >= first - slack) & (at <= last + slack)
+        result[inside] = _between(time[part], values[part], np.clip(at[inside], first, last), kind)
+    return replace(recording, signals={**recording.signals, name: result})
+
+
+def _between(time: Array, values: Array, at: Array, kind: Kind) -> Array:
+    """The values between samples."""
+    result: Array
+    if kind == "previous":
+        # a stamp that is early by rounding still counts as the sample's own
+        late = at + 1e-6 * period(time)
+        result = values[np.searchsorted(time, late, side="right") - 1]
+    elif kind == "linear" or len(time) < 4:
+        result = np.interp(at, time, values)
+    else:
+        result = scipy.interpolate.CubicSpline(time, values)(at)
+    return result

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.refinement.simulator import Piece, Simulator
+from fmus.identification.refinement.simulation import PieceResult, Simulator
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Differences:
 
     def segment(
         self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
-    ) -> Piece | Derived:
+    ) -> PieceResult | Derived:
         """As the model's, over n + 1 simulations."""
         base = self.model.segment(x, p, time, inputs, False)
         if not sensitivities:

@@ -1,4 +1,7 @@
-"""What is to be refined: free parameters in their scales, and the runs they have to explain."""
+"""What is to be refined: free parameters in their scales, and the runs they have to explain.
+
+The harvester's variables as one block, and as recordings and parameter files name them.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fmus.composition import declared, flat_names
 from fmus.contract import ModelError, Subsystem, quantities
-from fmus.parameters import Values, values
+from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
+from fmus.machine.parts import INPUTS, SUBSYSTEMS
+from fmus.parameters import Values, numbers, values
 
 Array = NDArray[np.float64]
 
@@ -146,3 +152,27 @@ def free_parameters(
             )
         found.append(Free(name, value, q.unit, sd, low, high, low >= 0 and value > 0, q.nominal))
     return tuple(found)
+
+
+def _flat() -> dict[str, str]:
+    tables = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
+    return dict(flat_names(SUBSYSTEMS, tables, INPUTS, TOTALS, HIDDEN))
+
+
+def signals() -> dict[str, str]:
+    """Input or output of `HARVESTER` -> the signal of a recording, such as "swing.supply_pressure"."""
+    found = {own: targets[0] for own, targets in INPUTS.items()}
+    flat, outputs = _flat(), quantities(HARVESTER.outputs)
+    for variable in declared(SUBSYSTEMS, "outputs"):
+        if variable in flat and flat[variable] in outputs:
+            found.setdefault(flat[variable], variable)
+    return found
+
+
+def parameters() -> dict[str, str]:
+    """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` where parts differ."""
+    flat, found = _flat(), {}
+    for variable in declared(SUBSYSTEMS, "parameters"):
+        own = variable.partition(".")[2]
+        found[flat[variable]] = own if flat[variable] == own else variable
+    return found

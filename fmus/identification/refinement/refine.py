@@ -14,21 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
-from fmus.identification.refinement.failed import Failed
-from fmus.identification.refinement.guess import input_matrix
-from fmus.identification.refinement.identifiable import unidentified
-from fmus.identification.refinement.loss import Loss
-from fmus.identification.refinement.model import Model
-from fmus.identification.refinement.parallel import parallel
-from fmus.identification.refinement.priors import Priors, priors
+from fmus.identification.refinement.data import input_matrix
+from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options, Progress, Solution, minimise
 from fmus.identification.refinement.problem import Problem
 from fmus.identification.refinement.residuals import simulated, whiteness
 from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.shaken import by_inputs
 from fmus.identification.refinement.shooting import Shooting, cut
-from fmus.identification.refinement.simulator import Simulator
-from fmus.identification.refinement.solver import INTERRUPTED, Options, Progress, Solution, minimise
-from fmus.identification.refinement.statistics import statistics
+from fmus.identification.refinement.simulation import Failed, Model, Simulator, parallel
+from fmus.identification.refinement.statistics import by_inputs, statistics, unidentified
+from fmus.identification.refinement.weights import Loss, Priors, priors
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,9 @@ from scipy.signal import correlate
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
-from fmus.identification.refinement.failed import Failed
-from fmus.identification.refinement.guess import first_state, input_matrix
+from fmus.identification.refinement.data import first_state, input_matrix
 from fmus.identification.refinement.problem import Run
-from fmus.identification.refinement.simulator import Simulator
+from fmus.identification.refinement.simulation import Failed, Simulator
 
 Array = NDArray[np.float64]
 

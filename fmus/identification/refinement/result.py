@@ -1,4 +1,7 @@
-"""What a refinement found."""
+"""What a refinement found.
+
+What has to be said of a refinement: did it end by itself, how far do its intervals hold?
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.finding import Estimate
+from fmus.identification.known import Estimate
+from fmus.identification.refinement.gauss_newton import INTERRUPTED, STUCK, Progress
 from fmus.identification.refinement.problem import Free, Problem
 from fmus.identification.refinement.residuals import Traces, Whiteness
-from fmus.identification.refinement.solver import Progress
 from fmus.identification.refinement.statistics import VAGUE, Statistics
 
 Array = NDArray[np.float64]
@@ -109,3 +112,44 @@ def _interval(
         reach = math.inf
     low, high = max(bounds[0], z - reach), min(bounds[1], z + reach)
     return free.value_of(low), free.value_of(high)
+
+
+FEW = 10  # segments: a standard deviation from so many is known to a quarter, 1 / sqrt(2 (n - 1))
+
+
+def advice(refined: Refined) -> tuple[str, ...]:
+    """Whole sentences, with what to do; none if all is well."""
+    return (*_ended(refined), *_intervals(refined))
+
+
+def _ended(refined: Refined) -> tuple[str, ...]:
+    if refined.converged:
+        return ()
+    told = f"The search did not converge: {refined.reason}"
+    if refined.reason == INTERRUPTED:
+        return (f"{told}. Values and intervals are those of the best point so far.",)
+    if refined.reason == STUCK:
+        return (
+            f"{told}, because a parameter hardly acts or something switches there, such as dry friction or a "
+            "stop. The values are the best so far. Hold what the data cannot tell (--free names the others), "
+            "or begin from other numbers.",
+        )
+    return (
+        f"{told} were not enough. The values are the best so far, the intervals are too narrow. "
+        "Look for a signal with a wrong sign or unit, and free fewer parameters (--free).",
+    )
+
+
+def _intervals(refined: Refined) -> tuple[str, ...]:
+    found = refined.statistics
+    if not refined.robust or found.clusters >= FEW:
+        return ()
+    if found.clusters == 1:
+        return (
+            "There is a single segment, so that nothing tells how far residuals with a memory move values: "
+            "the intervals are a guess, and wide. Longer recordings help.",
+        )
+    return (
+        f"The intervals rest on the scatter between {found.clusters} segments, fewer than {FEW}: "
+        "they are wide, and known roughly. Longer recordings help.",
+    )

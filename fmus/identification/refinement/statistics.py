@@ -2,20 +2,31 @@
 
 Everything is in the search variable z, relative changes for most parameters. The starts of the runs are
 unknown too; their uncertainty is in all numbers.
+
+What the noise of measured inputs does to the parameters.
+
+Smoothing leaves an error that is small but as slow as the window: the parameters follow it, and residuals
+do not show it. So the smoothed noise is drawn anew, and what the parameters would make of it is computed
+from the linearisation at the optimum.
+
+Names of what the data cannot tell: single parameters, and those of which only a combination shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from fmus.identification.refinement.condense import Local, spread
-from fmus.identification.refinement.priors import Priors
-from fmus.identification.refinement.solver import Solution
+from fmus.identification.refinement.data import parabolas
+from fmus.identification.refinement.gauss_newton import LARGEST, Solution, linear
+from fmus.identification.refinement.problem import Free, Run
+from fmus.identification.refinement.shooting import Local, Shooting, spread
+from fmus.identification.refinement.simulation import Failed
+from fmus.identification.refinement.weights import Priors
 
 Array = NDArray[np.float64]
 
@@ -126,3 +137,98 @@ def influences(solution: Solution, priors: Priors) -> list[Array]:
             gradient, own = rows[:, :-1].T @ rows[:, -1], rows[:, :-1].T @ rows[:, :-1]
             found.append((_inverse(whole - own) @ gradient)[nx:])
     return found
+
+
+DRAWS = 24  # standard deviations are then known to 15 %: one over sqrt(2 n)
+
+
+def by_inputs(shooting: Shooting, solution: Solution, priors: Priors, seed: int = 0) -> Array:
+    """Covariance of z, shape (np, np), by the noise of the inputs."""
+    free = len(priors.z)
+    if not any(run.input_noise for run in shooting.problem.training):
+        return np.zeros((free, free))
+    rng = np.random.default_rng(seed)
+    now, unbounded = solution.evaluated, (np.full(free, -np.inf), np.full(free, np.inf))
+    at_rest = solution.linear.step(now.point.z, unbounded, LARGEST).dz
+    changes = []
+    for _ in range(DRAWS):
+        inputs = tuple(
+            u + _noise(run, shooting.simulator.inputs, rng)
+            for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
+        )
+        try:
+            new = replace(shooting, inputs=inputs).evaluate(now.point, solution.scales, False)
+        except Failed:
+            continue
+        step = linear(now, new, priors, shooting.loose).step(now.point.z, unbounded, LARGEST)
+        changes.append(step.dz - at_rest)
+    found = np.array(changes)
+    return np.asarray(found.T @ found / max(1, len(found))) if changes else np.zeros((free, free))
+
+
+def _noise(run: Run, names: tuple[str, ...], rng: np.random.Generator) -> Array:
+    """Smoothed noise of a run's inputs, shape (n, nu)."""
+    noise = np.zeros((len(run.time), len(names)))
+    for j, name in enumerate(names):
+        if name in run.input_noise:
+            sd, window = run.input_noise[name]
+            noise[:, j] = parabolas(sd * rng.standard_normal(len(run.time)), window)
+    return noise
+
+
+LIMIT = 0.5  # of z: a combination with a larger standard deviation is not determined by the data
+_TAKES_PART = 0.05  # share of a parameter in such a combination, and bond between two, that count
+
+
+def unidentified(free: tuple[Free, ...], data: Array, limit: float = LIMIT) -> tuple[str, ...]:
+    """One sentence per group of parameters that the data leave open.
+
+    data   covariance of z by the data alone, shape (np, np)
+    """
+    variances, vectors = np.linalg.eigh(data)
+    open_ = vectors[:, variances > limit**2]
+    bond = open_ @ open_.T  # projector on what is open: its blocks are the groups
+    return tuple(
+        _sentence([free[j] for j in group], bond[np.ix_(group, group)], data[np.ix_(group, group)])
+        for group in _groups(bond)
+    )
+
+
+def _groups(bond: Array) -> list[list[int]]:
+    """Parameters that hang together."""
+    left = [j for j in range(len(bond)) if bond[j, j] > _TAKES_PART]
+    groups = []
+    while left:
+        group, new = [left[0]], [left[0]]
+        while new:
+            j = new.pop()
+            more = [i for i in left if i not in group and abs(bond[i, j]) > _TAKES_PART]
+            group, new = group + more, new + more
+        left = [j for j in left if j not in group]
+        groups.append(sorted(group))
+    return groups
+
+
+def _sentence(group: list[Free], bond: Array, data: Array) -> str:
+    names = [f.name for f in group]
+    dimension = round(float(np.trace(bond)))
+    if len(names) == 1:
+        sd = float(np.sqrt(data[0, 0]))
+        told = "do not show it" if sd > 0.5 * VAGUE else f"leave it open by {100 * sd:.0f} %"
+        if group[0].sd is not None:
+            return (
+                f"{names[0]}: these recordings alone {told}; its interval is that of what was known before, "
+                "such as from the bench"
+            )
+        return f"{names[0]}: the data {told}"
+    listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+    if len(names) == 2 and dimension == 1 and all(f.log for f in group):
+        return f"{listed}: the data show only {_together(names, bond)}, not each"
+    return f"{listed}: the data show {len(names) - dimension} of {len(names)} combinations"
+
+
+def _together(names: list[str], bond: Array) -> str:
+    """What stays the same along the open direction (a, b) of two logarithms: z_1 - a / b z_2."""
+    exponent = float(bond[0, 1] / bond[1, 1])
+    power = "" if abs(abs(exponent) - 1) < 0.05 else f"^{abs(exponent):.2g}"
+    return f"{names[0]} {'/' if exponent > 0 else '*'} {names[1]}{power}"

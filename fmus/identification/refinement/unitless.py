@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from fmus.contract import ModelError, Quantity, Scalar, Subsystem, quantities
-from fmus.identification.recordings.recording import Recording
-from fmus.identification.recordings.signals import add
+from fmus.identification.recordings.recording import Recording, add
 from fmus.identification.refinement.data import Mapped
 from fmus.identification.refinement.problem import Problem, free_parameters
 from fmus.parameters import Number

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fmus.identification.finding import Estimate, Finding
+from fmus.identification.known import Estimate, Finding
 from fmus.identification.report.attribution import Explanation
 
 Array = NDArray[np.float64]

@@ -1,4 +1,6 @@
-"""A finding as a figure: measurement and fit, the residual below, as in the paper's Figs. 5 to 9.
+"""A correlation matrix as a heat map: blue is negative, red positive, numbers where they matter.
+
+A finding as a figure: measurement and fit, the residual below, as in the paper's Figs. 5 to 9.
 
 Panels that follow each other over the same quantity stand in one column and share their x axis; other
 quantities get a column of their own.
@@ -13,17 +15,52 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from fmus.identification.finding import Finding, Panel
+from fmus.identification.known import Array, Finding, Panel
 from fmus.identification.report import panels
-from fmus.identification.report.captions import footer
-from fmus.identification.report.legend import lines
-from fmus.identification.report.panels import is_residual, labelled
-from fmus.identification.report.style import PALETTE, WIDTH, plain_ticks
+from fmus.identification.report.panels import PALETTE, WIDTH, is_residual, labelled, lines, plain_ticks
+from fmus.identification.report.wording import footer
+
+TOLD = 0.3  # magnitude from which a correlation is told as a number
+
+
+def draw_matrix(names: Sequence[str], correlation: Array) -> Figure:
+    """The lower triangle; names of parameters, correlation (n, n)."""
+    count = len(names)
+    size = 2.9 + 0.30 * count
+    figure = Figure(figsize=(min(size + 1.0, 11), min(size, 10.4)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    shown = np.where(np.tri(count, k=-1, dtype=bool), correlation, np.nan)[1:, :-1]
+    cells = np.argwhere(np.isfinite(shown))
+    squares = [Rectangle((float(j), float(i)), 1, 1) for i, j in cells]
+    image = PatchCollection(squares, cmap="RdBu_r", edgecolor=PALETTE.grid, linewidth=0.6)
+    image.set_array(shown[cells[:, 0], cells[:, 1]])
+    image.set_clim(-1, 1)
+    axes.add_collection(image)
+    axes.set(xlim=(0, count - 1), ylim=(count - 1, 0))
+    axes.set_aspect("equal")
+    axes.spines[:].set_visible(False)
+    ticks = np.arange(count - 1) + 0.5
+    axes.set_xticks(ticks, names[:-1], rotation=55, ha="right", rotation_mode="anchor", fontsize=7.5)
+    axes.set_yticks(ticks, names[1:], fontsize=7.5)
+    axes.tick_params(length=0, colors=PALETTE.ink)
+    for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(shown)) >= TOLD), strict=True):
+        value = shown[i, j]
+        colour = "#ffffff" if abs(value) > 0.65 else "#000000"
+        text = f"{value:.1f}".replace("-", "\N{MINUS SIGN}")
+        axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5, color=colour)
+    bar = figure.colorbar(image, ax=axes, shrink=0.5, aspect=25, pad=0.02)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=8, colors=PALETTE.ink, length=2)
+    return figure
+
 
 COLUMNS = 2
 MANY = 3  # panels over one quantity that stand beside each other, not below
@@ -33,7 +70,7 @@ COUNTED = ("group", "recording", "run")  # x axes with whole numbers
 Column = tuple[Panel, ...]
 
 
-def draw(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
+def draw_finding(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
     """The figure of a finding; `kinds` of its recordings, for the line that says where the data are from."""
     rows = _rows(columns(finding.panels))
     room = _room(max(map(len, rows)))
@@ -98,7 +135,7 @@ def _column(figure: Figure, where: Any, column: Column, room: float, first: Axes
     for place, panel in enumerate(column):
         axes = figure.add_subplot(inner[place, 0], sharex=first)
         first = first or axes
-        panels.draw(axes, panel, room)
+        panels.draw_panel(axes, panel, room)
         axes.tick_params(labelbottom=place == len(column) - 1)
         drawn.append(axes)
     if column[-1].x_label in COUNTED:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import ModelError
+from fmus.identification.recordings.clock import bridged
 from fmus.identification.recordings.derivatives import filter_for
-from fmus.identification.recordings.gaps import bridged
 from fmus.identification.recordings.recording import Recording
-from fmus.machine import INPUTS, parts, wiring
+from fmus.machine.parts import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 

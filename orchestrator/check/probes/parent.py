@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.trial.beacon import Beacon, Sighting
+from orchestrator.check.child.beacon import Beacon, Sighting
 
 POLL = 0.01  # s between looks at the child
 MESSAGES = 1 << 20  # bytes that a child may write to stderr before they are thrown away
@@ -115,7 +115,7 @@ def _child(job: Mapping[str, Any]) -> Outcome:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(roots)}
         with (folder / "errors").open("ab") as errors:
             child = subprocess.Popen(
-                [sys.executable, "-m", "orchestrator.trial.child", name],
+                [sys.executable, "-m", "orchestrator.check.child.main", name],
                 cwd=name,
                 env=environment,
                 stdin=subprocess.DEVNULL,

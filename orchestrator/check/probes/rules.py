@@ -6,13 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from orchestrator.check.child.binary import find, folders
+from orchestrator.check.child.description import Declared, read
 from orchestrator.check.finding import Check, Finding, error, note, warning
 from orchestrator.check.probes.parent import Outcome, run, side_by_side
-from orchestrator.check.subject import Subject
-from orchestrator.check.unpack import DESCRIPTION
-from orchestrator.trial.binary import find, folders
-from orchestrator.trial.declared import Declared
-from orchestrator.trial.reading import read
+from orchestrator.check.subject import DESCRIPTION, Subject
 
 SIDES = {"cs": "co-simulation", "me": "model exchange"}
 MAKE = {"error": error, "warning": warning, "note": note}

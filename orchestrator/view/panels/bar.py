@@ -1,20 +1,163 @@
-"""The bar of buttons: play, pause, restart, speed, pose and fidelity, replay, save, views, help."""
+"""What opens over the page: choice of the machine, choice of a file, the map of the keys.
+
+Where a replay stands, and the way to another place of it.
+
+The bar of buttons: play, pause, restart, speed, pose and fidelity, replay, save, views, help.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from nicegui import run, ui
 from nicegui.element import Element
 
-from orchestrator.errors import Problem
-from orchestrator.live.setup import Frame
-from orchestrator.view.panels import dialogs
-from orchestrator.view.panels.seek import Seek
-from orchestrator.view.safety.pilot import Pilot
+from orchestrator.base.errors import Problem
+from orchestrator.realtime.setup import Frame
+from orchestrator.view.choice import USUAL, Choice, poses, variants
+from orchestrator.view.driving.endpoint import KEYS
+from orchestrator.view.driving.pilot import Pilot
 from orchestrator.view.scene.canvas import TIP, VIEWS, Canvas
 from orchestrator.view.session import Session
+
+Do = Callable[..., Awaitable[bool]]
+
+HOW = "Take the controls, hold the dead-man, then move a stick. Let go and the machine rests."
+AS_IS = "as the system is"
+PAGE = (
+    ("P", "play or pause"),
+    ("Home", "from the beginning"),
+)
+MOUSE = (
+    ("drag in the picture", "turn the view"),
+    ("wheel", "nearer, farther"),
+    ("right button, drag", "shift the view"),
+)
+
+
+def machine(session: Session, do: Do) -> None:
+    """Pose and fidelity; the machine starts anew with them."""
+    now = session.plan.choice
+    with _window("Machine") as window:
+        beside = sorted(path.name for path in now.system.parent.glob("*.ssp"))
+        systems = list(dict.fromkeys([now.system.name, *beside]))
+        system = ui.select(systems, value=now.system.name, label="System")
+        names = poses(now.system)
+        pose = None
+        if names:
+            pose = ui.select([AS_IS, *names], value=now.pose or AS_IS, label="Pose")
+            pose.mark("pose")
+        parts: dict[str, ui.select] = {}
+        for part, known in variants(now.system).items():
+            value = now.swap.get(part, USUAL)
+            if known[USUAL] == f"{value} ({USUAL})":
+                value = USUAL
+            options = {value: value, **known}
+            parts[part] = ui.select(options, value=value, label=part.replace("_", " and "))
+
+        async def begin() -> None:
+            swap = {part: str(chosen.value) for part, chosen in parts.items() if chosen.value != USUAL}
+            place = str(pose.value) if pose is not None and pose.value != AS_IS else ""
+            file = now.system.with_name(str(system.value))
+            if await do(session.start, Choice(file, place, swap, now.set)):
+                window.close()
+
+        _buttons(window, "Start", begin)
+
+
+def files(session: Session, do: Do) -> None:
+    """Result files of the open folders."""
+    names = session.files()
+    with _window("Replay a result file") as window:
+        if not names:
+            there = ", ".join(str(folder) for folder in session.folders) or "none"
+            ui.label(f"No .csv or .parquet file with the angles of a machine in {there}")
+            _buttons(window)
+            return
+        chosen = ui.select(names, value=names[0], label="File", with_input=True).mark("file")
+
+        async def begin() -> None:
+            if chosen.value and await do(session.replay, chosen.value):
+                window.close()
+
+        _buttons(window, "Replay", begin)
+
+
+def keys() -> None:
+    """The map of keys and of the mouse."""
+    with _window("Keys, sticks and mouse") as window:
+        with ui.element("dl").classes("keys"):
+            for key, meaning in (*KEYS, *PAGE, *MOUSE):
+                with ui.element("dt"):
+                    ui.label(key)
+                with ui.element("dd"):
+                    ui.label(meaning)
+        ui.label(HOW).classes("hint")
+        _buttons(window)
+
+
+def _window(title: str) -> Any:
+    """An open dialog that is gone when it is closed; use as context."""
+    window = ui.dialog(value=True)
+    window.on("hide", window.delete)
+    with window, ui.card().classes("window"):
+        ui.label(title).classes("heading")
+    return _Inside(window)
+
+
+class _Inside:
+    """The card of a dialog as a context that gives the dialog."""
+
+    def __init__(self, window: ui.dialog) -> None:
+        self._window = window
+        self._card = next(iter(window.default_slot.children))
+
+    def __enter__(self) -> ui.dialog:
+        self._card.__enter__()
+        return self._window
+
+    def __exit__(self, *of: object) -> None:
+        self._card.__exit__(*of)
+
+
+def _buttons(window: ui.dialog, text: str = "", action: Callable[[], Awaitable[None]] | None = None) -> None:
+    with ui.row().classes("buttons"):
+        ui.button("Close", on_click=window.close).props("flat")
+        if text:
+            ui.button(text, on_click=action).mark("confirm")
+
+
+STEP = 0.001  # of the file; a knob that stands nearer than this is not moved
+
+
+class Seek:
+    """A slider over the share of the file that is over; hidden while the machine is live."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._held = session, False
+        self._slider = ui.slider(min=0.0, max=1.0, step=STEP, value=0.0).classes("seek").mark("seek")
+        self._slider.props('dense aria-label="Time of the replay"')
+        self._slider.on("pan", self._pan)
+        self._slider.on("change", self._go)
+
+    def show(self, t: float) -> None:
+        """Follow the replay, unless somebody holds the knob."""
+        span = self._session.span
+        self._slider.set_visibility(span is not None)
+        if span is None or self._held:
+            return
+        share = (t - span[0]) / max(span[1] - span[0], 1e-9)
+        if abs(self._slider.value - share) > STEP:
+            self._slider.value = share
+
+    def _pan(self, event: Any) -> None:
+        self._held = event.args == "start"
+
+    def _go(self, event: Any) -> None:
+        if (span := self._session.span) is not None:
+            self._session.seek(span[0] + float(event.args) * (span[1] - span[0]))
+
 
 SPEEDS: Mapping[float, str] = {f: f"\N{MULTIPLICATION SIGN} {f:g}" for f in (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)}
 
@@ -44,16 +187,14 @@ class Bar:
             self._speed = ui.select(dict(SPEEDS), value=1.0, on_change=lambda e: self._set_speed(e.value))
             self._speed.props('dense borderless options-dense hide-bottom-space aria-label="Speed"')
             self._speed.classes("speed").tooltip("Simulated over real time")
-            button("tune", "Pose and fidelity", lambda: dialogs.machine(session, self.do), "Machine").mark(
-                "machine"
-            )
-            button("folder_open", "Replay a result file", lambda: dialogs.files(session, self.do), "Replay")
+            button("tune", "Pose and fidelity", lambda: machine(session, self.do), "Machine").mark("machine")
+            button("folder_open", "Replay a result file", lambda: files(session, self.do), "Replay")
             self._live = button("sensors", "Back to the live machine", self._back, "Live").mark("live")
             button("save_alt", "Save the session as a result file", self._save, "Save").mark("save")
             with button("videocam", "View", None, "View"), ui.menu():
                 for name in (*VIEWS, TIP):
                     ui.menu_item(name.capitalize(), lambda n=name: canvas.look(n, 0.6))
-            button("keyboard", "Keys, sticks and mouse", dialogs.keys, "Keys").mark("help")
+            button("keyboard", "Keys, sticks and mouse", keys, "Keys").mark("help")
             Shortcuts({"KeyP": self._toggle, "Home": self._again})
 
     def extra(self, icon: str, text: str, action: Callable[..., Any], name: str) -> None:

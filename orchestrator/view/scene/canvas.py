@@ -1,17 +1,61 @@
-"""The machine in a browser: one `ui.scene` with one object in it, which `rig.js` builds and moves."""
+"""The colour of a pressure: one scale for cylinders, hoses, gauges and the legend.
+
+Plasma of matplotlib (Smith and van der Walt 2015): even steps of lightness, so it can be read without any
+sense of colour, and with red-green or blue-yellow blindness. Its palest end is left out: on light ground it
+is lost.
+
+The targets of a task as rings in space: what is next is strong, what is done is gone.
+
+The machine in a browser: one `ui.scene` with one object in it, which `rig.js` builds and moves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from orchestrator.view.scene import crane, head, site
-from orchestrator.view.scene.geometry import GROUND, Geometry
-from orchestrator.view.scene.pose import NODES, Pose
+from orchestrator.view.scene import bodies
+from orchestrator.view.scene.pose import GROUND, NODES, Geometry, Pose
+
+STEPS = 33  # colours that are told apart: a browser is sent one only when it changes
+UNKNOWN = "#8b9196"
+
+SCALE: Sequence[str] = tuple(to_hex(colormaps["plasma"](0.04 + 0.88 * k / (STEPS - 1))) for k in range(STEPS))
+
+
+def colour(pressure: float, full: float) -> str:
+    """The colour of a pressure [Pa] between zero and `full`; grey for what is not known."""
+    if not math.isfinite(pressure) or full <= 0:
+        return UNKNOWN
+    share = min(1.0, max(0.0, pressure / full))
+    return SCALE[round(share * (STEPS - 1))]
+
+
+def gradient() -> str:
+    """The scale as a gradient of a style sheet, low to high from left to right."""
+    return f"linear-gradient(to right, {', '.join(SCALE[::4])})"
+
+
+NEXT, LATER = "#d55e00", "#0072b2"  # Okabe and Ito: told apart with every kind of colour blindness
+
+Point3 = tuple[float, float, float]
+
+
+def rings(targets: Sequence[Point3], radius: float, done: int) -> list[dict[str, Any]]:
+    """For the browser: the targets that are left, in their order; `done` are not shown any more."""
+    left = list(targets)[done:]
+    return [
+        {"at": list(at), "radius": radius, "colour": LATER if k else NEXT, "strong": k == 0}
+        for k, at in enumerate(left)
+    ]
+
 
 SKY, FLOOR, SHADE, GRID, AXIS = "#dfe6e8", "#c9cfc4", "#aab2a6", "#b7beb3", "#98a094"
 SUN = (4.0, -6.0, 12.0)  # towards it
@@ -112,12 +156,12 @@ class Canvas:
 
 def machine(geometry: Geometry) -> dict[str, Any]:
     """All that `rig.js` needs."""
-    bodies = [*site.parts(), *crane.parts(geometry), *head.parts(geometry)]
-    parts = [part.data() for part in bodies]
+    everything = [*bodies.site_parts(), *bodies.crane_parts(geometry), *bodies.head_parts(geometry)]
+    parts = [part.data() for part in everything]
     return {"parts": parts, "nodes": list(NODES), "ground": GROUND, "sun": SUN, "shade": SHADE}
 
 
 def surroundings() -> dict[str, Any]:
     """All that `ground.js` needs."""
     colours = {"sky": SKY, "floor": FLOOR, "grid": GRID, "axis": AXIS}
-    return {"trees": site.trees(), "ground": GROUND, "sun": SUN, **colours}
+    return {"trees": bodies.trees(), "ground": GROUND, "sun": SUN, **colours}

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.identification.procedures.balance.motion import ALL_PRESSURES, ANGLES
+from fmus.identification.procedures.momentum_balance import ALL_PRESSURES, ANGLES
 from fmus.identification.recordings.recording import Recording, Sensor
-from fmus.machine import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.parameters import numbers
 

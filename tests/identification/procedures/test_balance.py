@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from identification.procedures.lumped_machine import KNOWN, recording
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.procedures.balance.modulation import filters
-from fmus.identification.procedures.balance.motion import PARAMETERS, motion
-from fmus.identification.procedures.balance.samples import numbers, samples
-from fmus.identification.procedures.balance.solution import solve
+from fmus.identification.procedures.momentum_balance import PARAMETERS, filters, motion, numbers, samples
+from fmus.identification.procedures.momentum_fit import solve
 from fmus.identification.recordings.recording import Sensor
 from fmus.manipulator import MANIPULATOR
 

@@ -10,11 +10,9 @@ import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
 
 from fmus.contract import ModelError
-from fmus.identification.procedures.balance.samples import numbers, samples
-from fmus.identification.procedures.balance.solution import solve
-from fmus.identification.procedures.damping.as_printed import least_squares
-from fmus.identification.procedures.damping.joint import CONTACTS
-from fmus.identification.procedures.damping.procedure import identify
+from fmus.identification.procedures.damping import CONTACTS, identify, least_squares
+from fmus.identification.procedures.momentum_balance import numbers, samples
+from fmus.identification.procedures.momentum_fit import solve
 from fmus.identification.recordings.recording import Sensor
 
 JOINTS = tuple(CONTACTS)

@@ -8,8 +8,8 @@ from identification.procedures import bench
 
 from fmus.contract import ModelError
 from fmus.identification.procedures import hose_dynamics
-from fmus.identification.procedures.hose_dynamics import equations as hose_equations
-from fmus.identification.procedures.hose_dynamics.fits import fits, inertance_start
+from fmus.identification.procedures import hose_dynamics as hose_equations
+from fmus.identification.procedures.hose_dynamics import fits, inertance_start
 
 SEEDS = 24
 

@@ -8,7 +8,7 @@ from identification.procedures import bench
 
 from fmus.contract import ModelError
 from fmus.identification.procedures import hose_resistance
-from fmus.identification.procedures.hose_resistance.laws import scaled
+from fmus.identification.procedures.hose_resistance import scaled
 
 SEEDS = 30
 

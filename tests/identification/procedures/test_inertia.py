@@ -9,10 +9,8 @@ import pytest
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, recording
 
 from fmus.contract import ModelError
-from fmus.identification.procedures.balance.motion import PARAMETERS
-from fmus.identification.procedures.balance.samples import numbers
-from fmus.identification.procedures.inertia.base_parameters import STANDARD, grouping, regressor, standard
-from fmus.identification.procedures.inertia.procedure import FREE, identify
+from fmus.identification.procedures.inertia import FREE, STANDARD, grouping, identify, regressor, standard
+from fmus.identification.procedures.momentum_balance import PARAMETERS, numbers
 
 P = numbers(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}

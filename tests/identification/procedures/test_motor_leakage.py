@@ -10,7 +10,7 @@ import pytest
 from identification.procedures.lumped_machine import KNOWN, measured
 
 from fmus.contract import ModelError
-from fmus.identification.procedures.motor_leakage.procedure import identify
+from fmus.identification.procedures.motor_leakage import identify
 from fmus.identification.recordings.recording import Recording, Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3

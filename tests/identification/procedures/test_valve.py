@@ -10,7 +10,7 @@ from identification.procedures import bench
 
 from fmus.contract import ModelError
 from fmus.identification.procedures import valve
-from fmus.identification.procedures.valve.law import Constants, Law, resistance
+from fmus.identification.procedures.valve_law import Constants, Law, resistance
 from fmus.parameters import Number
 
 SEEDS = 30

@@ -6,7 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.signals import add, delay, shift
+from fmus.identification.recordings.derivatives import delay, shift
+from fmus.identification.recordings.recording import add
 
 
 def motion(t):

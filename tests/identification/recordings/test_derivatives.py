@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.contract import ModelError
+from fmus.identification.recordings.derivatives import SavitzkyGolay, derivatives, filter_for
 from fmus.identification.recordings.recording import Sensor
-from fmus.identification.recordings.signals import SavitzkyGolay, derivatives, filter_for
 
 
 @given(

@@ -3,12 +3,12 @@
 import re
 from pathlib import Path
 
-from fmus.identification.expected import CONDITIONS, OF_MACHINE
-from fmus.identification.procedures.balance import motion
-from fmus.identification.recordings import meta, signals
+from fmus.identification import recordings
+from fmus.identification.pipeline import CONDITIONS, OF_MACHINE, PROCEDURES
+from fmus.identification.procedures import momentum_balance
+from fmus.identification.recordings import description
 from fmus.identification.recordings.reading import read
-from fmus.identification.refinement.names import signals as names
-from fmus.identification.steps import PROCEDURES
+from fmus.identification.refinement.problem import signals as names
 
 TEXT = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
 
@@ -25,9 +25,9 @@ def test_the_example_of_the_docs_is_read(tmp_path):
 
 def test_every_procedure_and_function_of_the_docs_exists():
     """Procedures, keys of a signal and functions that the text names are those of the code."""
-    assert all(f"`{name}`" in TEXT for name in meta.PROCEDURES)
+    assert all(f"`{name}`" in TEXT for name in description.PROCEDURES)
     for cells in re.findall(r"^\| (`[a-z_A-Z`, ]+) \| ", TEXT[TEXT.index("## Signals") :], re.MULTILINE):
-        assert all(hasattr(signals, name) for name in re.findall(r"`(\w+)`", cells))
+        assert all(hasattr(recordings, name) for name in re.findall(r"`(\w+)`", cells))
 
 
 def test_the_table_of_experiments_is_that_of_the_code():
@@ -41,4 +41,4 @@ def test_the_table_of_experiments_is_that_of_the_code():
             assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].SIGNALS)
     told = set(re.findall(r"`((?:swing|boom_stick|manipulator)\.\w+)`", TEXT)) - {"manipulator.boom_angel"}
     assert told <= set(names().values())
-    assert set(motion.SIGNALS) <= told
+    assert set(momentum_balance.SIGNALS) <= told

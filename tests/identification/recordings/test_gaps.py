@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.recording import Sensor
-from fmus.identification.recordings.signals import bridged, evenly, take, thinned, uniform_rate
+from fmus.identification.recordings.clock import bridged, evenly, thinned, uniform_rate
+from fmus.identification.recordings.recording import Sensor, take
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):

@@ -9,19 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.contract import ModelError
-from fmus.identification.recordings.recording import Sensor
-from fmus.identification.recordings.signals import (
-    add,
-    averages,
-    blank,
-    good,
-    good_all,
-    split,
-    standard_error,
-    steady,
-    take,
-    window,
-)
+from fmus.identification.recordings.masks import averages, good, good_all, standard_error, steady
+from fmus.identification.recordings.recording import Sensor, add, blank, split, take, window
 
 
 def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.flat import clipped, stuck
-from fmus.identification.recordings.noise import noise, step
+from fmus.identification.recordings.masks import clipped, noise, step, stuck
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.recording import Sensor
 

@@ -9,7 +9,7 @@ import pytest
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.recording import Recording, Sensor
-from fmus.identification.refinement.usable import usable_samples
+from fmus.identification.refinement.data import usable_samples
 
 SIZE = 4000
 T = np.arange(SIZE) / 200

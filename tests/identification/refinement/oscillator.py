@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fmus.contract import Quantity, Scalar, Subsystem
 from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.model import Model
 from fmus.identification.refinement.problem import Problem, Run, free_parameters
+from fmus.identification.refinement.simulation import Model
 from fmus.parameters import Values
 
 Array = NDArray[np.float64]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmus.identification.refinement.condense import Local, condense
-from fmus.identification.refinement.factor import factors
+from fmus.identification.refinement.shooting import Local, condense, factors
 
 NX, FREE, SEGMENTS, ROWS = 3, 2, 4, 40
 

@@ -10,10 +10,10 @@ import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 
 from fmus.contract import ModelError
+from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.differences import BlackBox, Differences
-from fmus.identification.refinement.guess import input_matrix
+from fmus.identification.refinement.gauss_newton import Options, Progress
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.solver import Options, Progress
 
 SENSOR_ONLY = Options(model_error=False)
 

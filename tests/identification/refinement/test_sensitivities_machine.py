@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.contract import quantities, symbolic
-from fmus.harvester import HARVESTER
-from fmus.identification.refinement.model import Model, Piece
+from fmus.identification.refinement.simulation import Model, Piece
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.scenarios import COMMANDS, Move, sample
 from fmus.monolith import breakpoints
 from fmus.parameters import values
-from fmus.scenarios import COMMANDS, Move, sample
 
 OUTPUTS = (
     *("swing_pressure_a", "boom_head_pressure", "stick_rod_pressure", "boom_head_flow"),

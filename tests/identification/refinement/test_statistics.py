@@ -10,14 +10,13 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fmus.identification.refinement.identifiable import unidentified
-from fmus.identification.refinement.loss import Loss, weights
+from fmus.identification.refinement.data import smoothed
 from fmus.identification.refinement.problem import Free
+from fmus.identification.refinement.random_starts import from_random_starts
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import Traces, whiteness
-from fmus.identification.refinement.scales import correlation_time
-from fmus.identification.refinement.smoothing import smoothed
-from fmus.identification.refinement.starts import from_random_starts
+from fmus.identification.refinement.statistics import unidentified
+from fmus.identification.refinement.weights import Loss, correlation_time, weights
 
 
 def test_intervals_cover_the_truth() -> None:

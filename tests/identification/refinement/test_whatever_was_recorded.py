@@ -12,9 +12,8 @@ from identification.refinement.oscillator import TRUTH, problem, recording, run
 from fmus.contract import ModelError
 from fmus.identification import machine
 from fmus.identification.known import nominal
-from fmus.identification.recordings.recording import Recording, Sensor
-from fmus.identification.recordings.signals import window
-from fmus.identification.refinement.names import signals
+from fmus.identification.recordings.recording import Recording, Sensor, window
+from fmus.identification.refinement.problem import signals
 from fmus.identification.refinement.refine import refine
 
 COMMANDS = ("swing_command", "boom_command", "stick_command")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmus.identification.finding import Curve, Estimate, Finding, Panel
+from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.report.attribution import Explanation, Share
 from fmus.identification.report.content import (
     Channel,

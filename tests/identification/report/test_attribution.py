@@ -8,11 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from fmus.identification.report.attribution import LEAST, explain
-from fmus.identification.report.effects import EFFECTS, changes, slopes
+from fmus.identification.report.attribution import (
+    EFFECTS,
+    LEAST,
+    changes,
+    explain,
+    explained,
+    shapley,
+    slopes,
+    without,
+)
 from fmus.identification.report.prediction import COMMANDS, Drive
-from fmus.identification.report.shares import explained, shapley, without
-from fmus.scenarios import Move
+from fmus.machine.scenarios import Move
 
 STEP = 0.01  # s
 # every joint moves and stops again: each effect shows in a few seconds

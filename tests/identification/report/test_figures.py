@@ -13,16 +13,18 @@ from hypothesis.extra.numpy import arrays
 from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
-from fmus.identification.finding import Curve, Panel
-from fmus.identification.report import captions, embedding, figures, matrix, style, trace_rows, traces
-from fmus.identification.report.trace_rows import Line, Row
+from fmus.identification.known import Curve, Panel
+from fmus.identification.report import figures, panels, traces, wording
+from fmus.identification.report import figures as report_figures
+from fmus.identification.report import traces as report_traces
+from fmus.identification.report.traces import Line, Row
 
 TIME = np.arange(0.0, 5.0, 0.005)
 
 
 def drawn(*panels, **more):
     """The axes of a figure with these panels, residuals among them."""
-    return figures.draw(finding(panels=panels, **more), ["simulation"])
+    return figures.draw_finding(finding(panels=panels, **more), ["simulation"])
 
 
 def test_a_residual_lies_below_its_panel_over_the_same_axis():
@@ -101,20 +103,20 @@ def test_a_large_cloud_keeps_the_page_small():
     """Fifty thousand points are a picture inside the SVG."""
     many = np.random.default_rng(0).standard_normal((2, 50_000))
     cloud = Panel("x", "y", (Curve("measured", *many),))
-    assert len(embedding.svg(drawn(cloud))) < embedding.SVG_LIMIT
+    assert len(panels.svg(drawn(cloud))) < panels.SVG_LIMIT
 
 
 def test_figures_are_reproducible_and_crisp():
     """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
-    one, other = (embedding.svg(figures.draw(finding())) for _ in range(2))
+    one, other = (panels.svg(figures.draw_finding(finding())) for _ in range(2))
     assert one == other
-    assert imread(io.BytesIO(embedding.png(figures.draw(finding())))).shape[1] > 1000
+    assert imread(io.BytesIO(panels.png(figures.draw_finding(finding())))).shape[1] > 1000
 
 
 def test_nothing_is_cut_off():
     """All labels lie inside the figure."""
     figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
-    embedding.png(figure)
+    panels.png(figure)
     renderer = figure.canvas.get_renderer()
     for axes in figure.axes:
         box = axes.get_tightbbox(renderer).transformed(figure.transFigure.inverted())
@@ -126,8 +128,8 @@ def test_nothing_is_cut_off():
 
 def test_a_picture_of_simulated_data_says_so():
     """Inside the picture and in its caption, with the paper's figure."""
-    assert "not FERIC data" in embedding.svg(drawn(panel()))
-    told = captions.caption(finding(), ["simulation", "simulation"])
+    assert "not FERIC data" in panels.svg(drawn(panel()))
+    told = wording.caption(finding(), ["simulation", "simulation"])
     assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
     assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
     assert "Fig. 6 of the paper" in told
@@ -135,7 +137,7 @@ def test_a_picture_of_simulated_data_says_so():
 
 def test_a_picture_of_measured_data_says_so():
     """Measured data are not called simulated."""
-    told = captions.caption(finding(figure=0), ["measurement"])
+    told = wording.caption(finding(figure=0), ["measurement"])
     assert "imulated" not in told
     assert "Fig." not in told
     assert "Measured data." in told
@@ -145,7 +147,7 @@ def test_a_picture_of_measured_data_says_so():
 def test_no_peak_is_lost(values):
     """Thinning keeps the largest and the smallest sample, the ends, and the order."""
     time = np.arange(values.size, dtype=float)
-    x, y = style.decimate(time, values, 100)
+    x, y = panels.decimate(time, values, 100)
     assert len(x) <= 202
     assert (np.diff(x) > 0).all()
     assert (x[0], x[-1]) == (time[0], time[-1])
@@ -159,12 +161,12 @@ def test_no_peak_is_lost(values):
 )
 def test_units_are_printed(unit, shown):
     """Powers are raised; a power that is not a whole number stays."""
-    assert style.pretty(unit) == shown
+    assert panels.pretty(unit) == shown
 
 
 def test_numbers_in_sentences_are_printed():
     """A remark of a procedure has no notation of a program; other words stay."""
-    told = style.prose("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
+    told = panels.prose("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
     assert told == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
 
 
@@ -193,7 +195,7 @@ def test_traces_have_their_residual_below():
     assert error[0] == pytest.approx(-0.2)
     measured, predicted = pressure.lines
     assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
-    assert "cf. Fig. 10" in embedding.svg(figure)
+    assert "cf. Fig. 10" in panels.svg(figure)
 
 
 @pytest.mark.filterwarnings("error")
@@ -214,16 +216,18 @@ def test_the_error_is_over_the_range():
 
 def test_rows_show_what_was_measured():
     """A joint without a flow meter has no row for flow."""
-    names = [n for signals in trace_rows.SIGNALS["stick"].values() for n in signals]
+    names = [n for signals in report_traces.SIGNALS["stick"].values() for n in signals]
     measured = {n: TIME for n in names if "flow" not in n}
-    found = trace_rows.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
+    found = report_traces.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
     assert [row.label for row in found] == ["command", "angle", "speed", "pressure"]
 
 
 def test_correlations_stand_below_the_diagonal():
     """Each pair is told once, with its number if it is large."""
     names = ["a", "b", "c"]
-    figure = matrix.draw(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
+    figure = report_figures.draw_matrix(
+        names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])
+    )
     axes = figure.axes[0]
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from identification.report.samples import AREA, finding, page
 from lxml import html
 
-from fmus.identification.finding import Estimate
-from fmus.identification.report import words
+from fmus.identification.known import Estimate
+from fmus.identification.report import wording
 from fmus.identification.report.content import Picture
-from fmus.identification.report.figures import draw
+from fmus.identification.report.figures import draw_finding
 from fmus.identification.report.page import render, write_page
 
 
 @pytest.fixture(scope="module")
 def text():
     """A page with everything on it."""
-    return render(page(pictures=(Picture("Swing", draw(finding()), "A caption."),)))
+    return render(page(pictures=(Picture("Swing", draw_finding(finding()), "A caption."),)))
 
 
 def test_the_page_needs_no_network(text):
@@ -142,7 +142,7 @@ def test_what_is_not_finite_is_null(tmp_path):
 )
 def test_numbers_have_few_digits(value, digits, shown):
     """Significant digits, no exponent of a program."""
-    assert words.number(value, digits) == shown
+    assert wording.number(value, digits) == shown
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-6, 0.3))
@@ -150,7 +150,7 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
     """Value and interval are rounded by less than a tenth of the interval."""
     half = value * share
     estimate = Estimate("a", value, "1", half / 2, value - half, value + half, "")
-    told = words.value(estimate).replace("·10", "e")
+    told = wording.value(estimate).replace("·10", "e")
     told = told.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     # the last of two digits of the half width, and at most seven digits at all
     assert abs(float(told) - value) <= max(0.1 * half, 1e-6 * value)
@@ -158,12 +158,12 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
 
 def test_units_of_parameters_are_shown_as_readers_know_them():
     """Values in SI become those of the display unit, with the unit in print."""
-    assert words.value(AREA) == "40.10"
-    assert words.unit("m2") == "mm²"
-    assert words.unit("1") == ""
-    assert words.spread(AREA) == "± 0.50 %"
+    assert wording.value(AREA) == "40.10"
+    assert wording.unit("m2") == "mm²"
+    assert wording.unit("1") == ""
+    assert wording.spread(AREA) == "± 0.50 %"
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
-    assert words.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
-    assert words.change(1.1, 1.0) == "+10 %"
-    assert words.change(1.1, None) == words.NONE
-    assert words.chance(1e-9) == "< 0.001"
+    assert wording.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
+    assert wording.change(1.1, 1.0) == "+10 %"
+    assert wording.change(1.1, None) == wording.NONE
+    assert wording.chance(1e-9) == "< 0.001"

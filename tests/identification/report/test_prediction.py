@@ -14,10 +14,10 @@ from properties import examples
 
 from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.report.effects import shown, slopes
+from fmus.identification.report.attribution import shown, slopes
 from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
-from fmus.poses import NOMINAL, POSES
-from fmus.scenarios import Move
+from fmus.machine.poses import NOMINAL, POSES
+from fmus.machine.scenarios import Move
 
 ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}

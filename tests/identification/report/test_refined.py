@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.harvester import HARVESTER
 from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.problem import Free, Problem, Run
+from fmus.identification.refinement.random_starts import Start, Starts
 from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.starts import Start, Starts
 from fmus.identification.refinement.statistics import Statistics
-from fmus.identification.report.compared import compare
+from fmus.identification.report.comparison import compare
 from fmus.identification.report.content import Channel, Quality
-from fmus.identification.report.data import quality, told
-from fmus.identification.report.refined import refinement
+from fmus.identification.report.page import quality, refinement, told
+from fmus.machine.one_block import HARVESTER
 
 TIME = np.arange(0.0, 2.0, 0.005)
 NAMES = {"valve_area": "valve_area", "hose": "boom_stick.hose"}

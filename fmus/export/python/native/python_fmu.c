@@ -1,7 +1,7 @@
 /* FMI 2.0 for co-simulation: hands each call to Python and brings back its status, messages and value.
 
    All that crosses the border is bytes: arrays as they are in memory. What the calls do is in the package fmus
-   (fmus/export/python/door.py); start.h holds the lines that find it. */
+   (fmus/export/python/calls.py); start.h holds the lines that find it. */
 
 #include "interpreter.c"
 

@@ -1,0 +1,453 @@
+"""CasADi expressions as C99 statements.
+
+CasADi's own generator tests every argument for null and hides the names of the variables; here the
+operations of a CasADi function are written one per line, inputs by name, results as they are used.
+
+The equations of a model as the C functions of native/model.h: values, and derivatives both ways.
+
+The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and one that includes all.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import casadi as ca
+
+from fmus.contract import ModelError, Symbolic
+from fmus.export.elimination import Elimination, eliminate
+from fmus.export.interface import Interface, Variable
+
+_BINARY = {
+    ca.OP_ADD: "{} + {}",
+    ca.OP_SUB: "{} - {}",
+    ca.OP_MUL: "{} * {}",
+    ca.OP_DIV: "{} / {}",
+    ca.OP_POW: "pow({}, {})",
+    ca.OP_CONSTPOW: "pow({}, {})",
+    ca.OP_LT: "{} < {}",
+    ca.OP_LE: "{} <= {}",
+    ca.OP_EQ: "{} == {}",
+    ca.OP_NE: "{} != {}",
+    ca.OP_AND: "{} != 0.0 && {} != 0.0",
+    ca.OP_OR: "{} != 0.0 || {} != 0.0",
+    ca.OP_FMIN: "fmin({}, {})",
+    ca.OP_FMAX: "fmax({}, {})",
+    ca.OP_FMOD: "fmod({}, {})",
+    ca.OP_REMAINDER: "remainder({}, {})",
+    ca.OP_COPYSIGN: "copysign({}, {})",
+    ca.OP_ATAN2: "atan2({}, {})",
+    ca.OP_HYPOT: "hypot({}, {})",
+    ca.OP_IF_ELSE_ZERO: "{} != 0.0 ? {} : 0.0",
+}
+_UNARY = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2.0 * {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_NOT: "{0} == 0.0",
+    ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
+} | {
+    getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}})"
+    for name in (
+        *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
+        *("asinh", "acosh", "atanh", "floor", "ceil", "fabs", "erf", "log1p", "expm1"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Routine:
+    """A C function: named input vectors to named output vectors.
+
+    wide   inputs and outputs whose entries are not numbers but of the C type `Columns`, as are all between
+    """
+
+    name: str
+    inputs: Mapping[str, ca.SX]
+    outputs: Mapping[str, ca.SX]
+    wide: frozenset[str] = frozenset()
+
+
+def routine(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
+    """The C text of a routine; `names` gives what the entries of an input vector are called."""
+    function = ca.Function("f", list(r.inputs.values()), list(r.outputs.values()), {"cse": True})
+    kinds = {name: "Columns" if name in r.wide else "double" for name in (*r.inputs, *r.outputs)}
+    arguments = [f"const {kinds[name]} *{name}" for name in r.inputs]
+    arguments += [f"{kinds[name]} *{name}" for name in r.outputs]
+    used = {function.instruction_input(k)[0] for k in _of(function, ca.OP_INPUT)}
+    unused = [f"(void){name};" for i, name in enumerate(r.inputs) if i not in used]
+    unused += [f"(void){name};" for name, value in r.outputs.items() if value.numel() == 0]
+    body = [*unused, *_statements(function, list(r.inputs), list(r.outputs), names)]
+    if r.wide:
+        body = [line.replace("const double v", "const Columns v", 1) for line in body]
+    text = "".join(f"    {line}\n" for line in body)
+    return f"LOCAL void {r.name}({', '.join(arguments)}) {{\n{text}}}\n"
+
+
+def _of(function: ca.Function, operation: int) -> list[int]:
+    return [k for k in range(function.n_instructions()) if function.instruction_id(k) == operation]
+
+
+def _statements(
+    function: ca.Function, inputs: list[str], outputs: list[str], names: Mapping[str, Sequence[str]]
+) -> Iterator[str]:
+    place: dict[int, str] = {}  # work index of CasADi -> the C expression it holds now
+    written: set[tuple[int, int]] = set()
+    for k in range(function.n_instructions()):
+        operation, o, i = (
+            function.instruction_id(k),
+            function.instruction_output(k),
+            function.instruction_input(k),
+        )
+        if operation == ca.OP_OUTPUT:
+            written.add((o[0], o[1]))
+            yield f"{outputs[o[0]]}[{o[1]}] = {place[i[0]]};"
+        elif operation == ca.OP_CONST:
+            place[o[0]] = number(function.instruction_constant(k))
+        else:
+            named = operation == ca.OP_INPUT and inputs[i[0]] in names
+            meaning = f" /* {names[inputs[i[0]]][i[1]]} */" if named else ""
+            yield f"const double v{k} = {_expression(operation, i, inputs, place)};{meaning}"
+            place[o[0]] = f"v{k}"
+    for n, name in enumerate(outputs):
+        for j in range(function.numel_out(n)):
+            if (n, j) not in written:
+                yield f"{name}[{j}] = 0.0;"
+
+
+def _expression(operation: int, i: Sequence[int], inputs: list[str], place: Mapping[int, str]) -> str:
+    if operation == ca.OP_INPUT:
+        return f"{inputs[i[0]]}[{i[1]}]"
+    if operation in _UNARY:
+        return str(_UNARY[operation].format(place[i[0]]))
+    if operation in _BINARY:
+        return str(_BINARY[operation].format(place[i[0]], place[i[1]]))
+    raise ModelError(f"operation {operation} of CasADi has no C here, expected elementary functions")
+
+
+def number(value: float) -> str:
+    """A C literal that reads back as the same double; negative ones in parentheses."""
+    if value != value or value in (float("inf"), float("-inf")):
+        return {"nan": "NAN", "inf": "INFINITY", "-inf": "(-INFINITY)"}[str(float(value))]
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
+
+
+@dataclass(frozen=True)
+class Equations:
+    """C functions, those for adjoint derivatives apart, and the lengths of the vectors between them."""
+
+    routines: Sequence[Routine]
+    adjoint: Sequence[Routine]
+    lengths: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class _Directions:
+    """Symbols: directions v of states, inputs and parameters, slopes of inputs, weights w of results."""
+
+    vx: ca.SX
+    vu: ca.SX
+    vp: ca.SX
+    du: ca.SX
+    wx0: ca.SX
+    wdx: ca.SX
+    wy: ca.SX
+
+
+def write_out(face: Interface) -> Equations:
+    """All functions of native/model.h for a model."""
+    sym = face.equations
+    system = eliminate(ca.jacobian(sym.dx, sym.x))
+    along = _directions(sym, face.y)
+    values = _values(sym, face.y, system, along) | _forward(sym, face.y, along) | _reverse(sym, face.y, along)
+    values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
+    model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
+    lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
+
+    def give(name: str, *outputs: str, **more: ca.SX) -> Routine:
+        return Routine(name, {**model, **more}, {o: values[o] for o in outputs})
+
+    prepare = Routine("model_prepare", {"p": sym.p}, {"c": prepared})
+    routines = [prepare, *_elimination(system), *_routines(give, along)]
+    return Equations(routines, _adjoint(give, along), lengths)
+
+
+# ---- expressions -----------------------------------------------------------------------------------
+
+
+def _directions(sym: Symbolic, y: ca.SX) -> _Directions:
+    sizes = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x, "wy": y}
+    return _Directions(**{name: ca.SX.sym(name, like.numel()) for name, like in sizes.items()})
+
+
+def _values(sym: Symbolic, y: ca.SX, system: Elimination, d: _Directions) -> dict[str, ca.SX]:
+    return {
+        "x0": sym.start,
+        "dx": sym.dx,
+        "jac": system.entries,
+        "ft": ca.jtimes(sym.dx, sym.u, d.du),
+        "y": y,
+        "require": sym.require,
+        "wait": sym.corner,
+    }
+
+
+def _forward(sym: Symbolic, y: ca.SX, d: _Directions) -> dict[str, ca.SX]:
+    """Directional derivatives while the model runs, and at the start through the start equations."""
+    running, starting = (sym.x, sym.u), (sym.x, sym.u, sym.p)
+    vx0 = _along(sym.start, starting, (d.vx, d.vu, d.vp))
+    return {
+        "vdx": _along(sym.dx, running, (d.vx, d.vu)),
+        "vy": _along(y, running, (d.vx, d.vu)),
+        "vx0": vx0,
+        "vdx0": _along(sym.dx, starting, (vx0, d.vu, d.vp)),
+        "vy0": _along(y, starting, (vx0, d.vu, d.vp)),
+    }
+
+
+def _reverse(sym: Symbolic, y: ca.SX, d: _Directions) -> dict[str, ca.SX]:
+    """Adjoint derivatives, likewise."""
+    starting = (sym.x, sym.u, sym.p)
+    wx, wu = _against((sym.dx, y), (sym.x, sym.u), (d.wdx, d.wy))
+    on_x, on_u, on_p = _against((sym.dx, y), starting, (d.wdx, d.wy))
+    start_x, start_u, start_p = _against((sym.start,), starting, (d.wx0 + on_x,))
+    return {
+        "wx": wx,
+        "wu": wu,
+        "wx_start": start_x,
+        "wu_start": on_u + start_u,
+        "wp_start": on_p + start_p,
+    }
+
+
+def _against(values: Sequence[ca.SX], known: Sequence[ca.SX], weights: Sequence[ca.SX]) -> list[ca.SX]:
+    """The weighted sum of `values`, differentiated by each of `known`."""
+    total = ca.jtimes(ca.vertcat(*values), ca.vertcat(*known), ca.vertcat(*weights), True)
+    ends = [0]
+    for group in known:
+        ends.append(ends[-1] + group.numel())
+    return list(ca.vertsplit(ca.densify(total), ends))
+
+
+def _along(value: ca.SX, known: Sequence[ca.SX], direction: Sequence[ca.SX]) -> ca.SX:
+    """Directional derivative of `value` with respect to `known`."""
+    return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
+
+
+def hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
+    """Replaces what depends on the parameters alone by symbols c; also returns c and what it stands for.
+
+    wanted   dense columns
+    """
+    everything = ca.cse(ca.vertcat(*wanted.values()))
+    reduced, symbols, meanings = ca.extract_parametric(everything, p)
+    c = ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
+    prepared = ca.vertcat(*meanings) if meanings else ca.SX(0, 1)
+    ends = [0]
+    for value in wanted.values():
+        ends.append(ends[-1] + value.numel())
+    parts = ca.vertsplit(ca.densify(reduced), ends)
+    return dict(zip(wanted, parts, strict=True)), c, prepared
+
+
+# ---- functions -------------------------------------------------------------------------------------
+
+
+def _elimination(system: Elimination) -> list[Routine]:
+    matrix = {"diagonal": system.diagonal, "jac": system.jac}
+    return [
+        Routine("model_factorise", matrix, {"lu": system.factors, "trust": system.trust}),
+        Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
+    ]
+
+
+def _routines(give: Callable[..., Routine], d: _Directions) -> list[Routine]:
+    return [
+        give("model_start", "x0"),
+        give("model_dynamics", "dx"),
+        give("model_jacobian", "dx", "jac", "ft", du=d.du),
+        give("model_observe", "y", "require"),
+        give("model_corner", "wait"),
+        give("model_forward", "vdx", "vy", vx=d.vx, vu=d.vu),
+        give("model_start_forward", "vx0", "vdx0", "vy0", vx=d.vx, vu=d.vu, vp=d.vp),
+    ]
+
+
+def _adjoint(give: Callable[..., Routine], d: _Directions) -> list[Routine]:
+    return [
+        give("model_reverse", "wx", "wu", wdx=d.wdx, wy=d.wy),
+        give("model_start_reverse", "wx_start", "wu_start", "wp_start", wx0=d.wx0, wdx=d.wdx, wy=d.wy),
+    ]
+
+
+DEFAULT_TOLERANCE = 1e-6
+
+
+_ORDER = (  # the others follow
+    *("model", "adjoint", "motion", "rosenbrock", "kutta", "solver"),
+    *("core", "snapshot", "instance"),
+)
+
+
+def native_sources(fmi: int) -> dict[str, str]:
+    """The hand-written C files by name: what both FMI versions share, and what is of this one."""
+    folder = files("fmus.export") / "native"
+    other = f"fmi{5 - fmi}"
+    return {
+        f.name: f.read_text(encoding="utf-8")
+        for f in folder.iterdir()
+        if f.name.endswith((".c", ".h")) and not f.name.startswith(other)
+    }
+
+
+def sources(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+    """File name -> text of all C files of an FMU; only that of `main_source` is to be compiled."""
+    code = native_sources(fmi) | generated(face, guid, fmi)
+    names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
+    names += sorted(name for name in code if name.endswith(".c") and name not in names)
+    return code | {main_source(face.name): _all(face, names, fmi)}
+
+
+def main_source(model: str) -> str:
+    """The file to compile: named after the model, so that the objects of several FMUs differ by name."""
+    return f"{model}_fmu.c"
+
+
+def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
+    return "\n".join(
+        [
+            f"/* {face.name}: the one file to compile. Generated.",
+            f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={face.name}_ */",
+            "",
+            *(f'#include "{name}"' for name in names),
+            "",
+        ]
+    )
+
+
+def generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+    """The generated files by name: sizes.h, model.c, and adjoint.c for FMI 3."""
+    equations = write_out(face)
+    names = {
+        "x": [v.name for v in face.states],
+        "u": [v.name for v in face.inputs],
+        "p": [v.name for v in face.parameters],
+    }
+    model = "\n".join(routine(r, names) for r in equations.routines)
+    code = {"sizes.h": _sizes(face, equations.lengths, guid), "model.c": f"{_table(face)}\n{model}"}
+    if fmi == 3:
+        head = f"/* {face.name}: derivatives in reverse. Generated. */"
+        includes = '#include <math.h>\n\n#include "model.h"\n'
+        code["adjoint.c"] = "\n".join([head, "", includes, *(routine(r, names) for r in equations.adjoint)])
+    return code
+
+
+def _sizes(face: Interface, lengths: Mapping[str, int], guid: str) -> str:
+    sizes = {
+        "NP": (len(face.parameters), "parameters"),
+        "NU": (len(face.inputs), "inputs"),
+        "NX": (len(face.states), "states"),
+        "NY": (len(face.outputs), "outputs that are not states"),
+        "NC": (lengths["NC"], "quantities that depend on parameters alone"),
+        "NJ": (lengths["NJ"], "entries of df/dx that are not constant"),
+        "NLU": (lengths["NLU"], "entries of the factors that are not constant"),
+        "NREQUIRE": (len(face.equations.statements), "requirements"),
+        "EXPLICIT_FIRST": (int(not face.stiff), "1: the explicit method is tried first"),
+        "NWATCHED": (len(_watched(face)), "inputs and outputs with a limit that is watched"),
+    }
+    lines = [
+        f"/* {face.name}: {_comment(face.text)}. Generated. */",
+        "",
+        "#ifndef SIZES_H",
+        "#define SIZES_H",
+        "",
+        f"#define MODEL_GUID {json.dumps(guid)}",
+        f"#define DEFAULT_TOLERANCE {DEFAULT_TOLERANCE!r}",
+        "",
+        "enum {",
+        *(f"    {name} = {n}, /* {text} */" for name, (n, text) in sizes.items()),
+        "};",
+        "",
+        "/* Value references. */",
+        "enum {",
+        *(f"    VR_{v.name} = {v.reference}, /* {_meaning(v)} */" for v in face.variables),
+        "};" if face.variables else "    NO_VARIABLES\n};",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _comment(text: str) -> str:
+    return text.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _meaning(v: Variable) -> str:
+    return f"[{v.quantity.unit}] {_comment(v.quantity.text)}"
+
+
+def _table(face: Interface) -> str:
+    """The table of variables and the texts of the requirements."""
+    inputs = [v.name for v in face.inputs]
+    rows = [_row(v, inputs) for v in face.variables] or ["    {0},"]
+    watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(face)] or ["    0,"]
+    statements = [f"    {string(text)}," for text in face.equations.statements] or ["    0,"]
+    return "\n".join(
+        [
+            f"/* {face.name}: {_comment(face.text)}. Generated. */",
+            "",
+            "#include <math.h>",
+            "",
+            '#include "model.h"',
+            "",
+            "/* name, unit, kind, start, minimum, maximum, nominal, absolute, warn_above, rate */",
+            "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
+            *rows,
+            "};",
+            "",
+            "static const int model_watched[ROOM(NWATCHED)] = {",
+            *watched,
+            "};",
+            "",
+            "static const char *const model_statements[ROOM(NREQUIRE)] = {",
+            *statements,
+            "};",
+            "",
+        ]
+    )
+
+
+def _watched(face: Interface) -> list[Variable]:
+    return [v for v in face.variables if _limit(v) < math.inf]
+
+
+def _limit(v: Variable) -> float:
+    """Magnitude above which an input or output is warned of."""
+    above = v.quantity.warn_above
+    return math.inf if above is None or not (v.output or v.kind == "INPUT") else above
+
+
+def _row(v: Variable, inputs: Sequence[str]) -> str:
+    q = v.quantity
+    rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
+    low = -math.inf if q.minimum is None else q.minimum
+    high = math.inf if q.maximum is None else q.maximum
+    sizes = (v.start or 0.0, low, high, q.nominal, q.absolute_scale, _limit(v))
+    numbers = ", ".join(number(n) for n in sizes)
+    return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
+
+
+def string(text: str) -> str:
+    """A C string literal; characters beyond ASCII as UTF-8 bytes in octal."""
+    escaped = "".join(
+        chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode("utf-8")
+    )
+    return f'"{escaped}"'

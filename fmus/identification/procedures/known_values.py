@@ -1,0 +1,196 @@
+"""What a procedure is given: its recordings, and the numbers that are known before it.
+
+Where signals stand still, found by their slopes.
+
+Means of drop and flow over the steps of a test, with standard errors, and which of them are measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
+
+from fmus.contract import ModelError
+from fmus.identification.recordings.clock import evenly, stretches
+from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.masks import averages, dead, good, noise
+from fmus.identification.recordings.reading import require
+from fmus.identification.recordings.recording import Recording
+from fmus.parameters import Number
+
+Array = NDArray[np.float64]
+ALIKE = 1e-3  # relative difference of two tape measures of one hose
+
+
+def training(
+    recordings: Sequence[Recording], procedure: str, signals: Mapping[str, str]
+) -> tuple[Recording, ...]:
+    """The recordings of one procedure that are not held out, at least one, with these signals in SI units."""
+    own = tuple(r for r in recordings if r.procedure == procedure and r.use == "train")
+    if not own:
+        there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
+        raise ModelError(
+            f"{procedure}: expected a recording with this procedure to train with, found {there}"
+        )
+    for recording in own:
+        require(recording, signals)
+    return tuple(map(evenly, own))
+
+
+def filled(row: Array) -> Array:
+    """A signal with straight lines over its gaps, zero if there is nothing else."""
+    there = np.isfinite(row)
+    if not there.any():
+        return np.zeros_like(row)
+    index = np.arange(row.size)
+    return np.interp(index, index[there], row[there])
+
+
+def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Length and inside diameter [m] of the hose that was tested; the same in all recordings."""
+    first = recordings[0]
+    for name in ("length", "diameter"):
+        size = first.number(name)
+        for other in recordings[1:]:
+            if abs(other.number(name) / size - 1) > ALIKE:
+                raise ModelError(
+                    f"{other.source}: [experiment] {name} is {other.number(name):g} m, expected {size:g} m "
+                    f"as in {first.source.name}: identify one hose at a time"
+                )
+    return first.number("length"), first.number("diameter")
+
+
+def denser(recordings: Sequence[Recording], known: Mapping[str, Number]) -> float:
+    """Density of the machine's oil over that of the test's oil; 1 where the test does not tell it."""
+    tested = recordings[0]
+    return (
+        value(known, "boom_stick.density") / tested.number("density") if "density" in tested.conditions else 1
+    )
+
+
+def number(known: Mapping[str, Number], name: str) -> Number:
+    """A number that is known."""
+    if name not in known:
+        raise ModelError(f"{name} is needed to identify, expected among the known parameters, found nothing")
+    return known[name]
+
+
+def value(known: Mapping[str, Number], name: str) -> float:
+    """Its value, in SI units."""
+    return number(known, name).value
+
+
+def tank_pressure(recording: Recording) -> float:
+    """Gauge pressure of the tank [Pa], 0 if it is not told."""
+    return recording.number("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
+
+
+def noise_of(recording: Recording, name: str) -> float:
+    """Standard deviation of one sample: as told, else as seen."""
+    sensor = recording.sensor(name)
+    seen = sensor.sd or noise(recording[name], sensor)
+    return seen if math.isfinite(seen) else 0.0
+
+
+WINDOW = 0.25  # s over which a slope is seen
+STANDS = 4.0  # standard deviations of the slope below which a signal stands
+MARGIN, SHORTEST_STAND = 0.25, 0.25  # s left out of a stretch at both ends, and what must remain
+NEEDED = 2 * MARGIN + SHORTEST_STAND
+
+
+def standing(recording: Recording, names: Sequence[str]) -> list[slice]:
+    """Stretches in which none of the signals has a slope that noise or ripple does not explain.
+
+    Ripple of a pump is no white noise: the slope scatters by it, most of the time about zero. Gaps are
+    bridged here; means leave them out.
+    """
+    used = filter_for(recording, WINDOW, 2)
+    margin, least = (round(x * used.rate) for x in (MARGIN, SHORTEST_STAND))
+    stands = np.ones(recording.time.size, dtype=bool)
+    for name in names:
+        slope = used.apply(filled(recording[name]), 1)
+        ripple = float(median_abs_deviation(slope, scale="normal", nan_policy="omit"))
+        stands &= np.abs(slope) < STANDS * max(used.gain(1) * noise_of(recording, name), ripple)  # not if NaN
+    inner = [slice(s.start + margin, s.stop - margin) for s in stretches(stands)]
+    return [s for s in inner if s.stop - s.start >= least]
+
+
+Mask = NDArray[np.bool_]
+
+SETTLE = 0.5  # s, left out at the beginning of each step
+SHORTEST = 0.3  # s that must remain of it
+FINEST = 1e-6  # of a mean: no instrument is better, whatever a noise-free signal says
+NAMES = ("pressure_in", "pressure_out", "flow")
+
+
+@dataclass(frozen=True)
+class StepMeans:
+    """One entry per step; arrays of shape (n,).
+
+    drop, flow   means [Pa], [m3/s] and their standard errors
+    dead         the flow meter is in its dead zone, if only at times: a mean of what it shows would be wrong
+    clipped      an instrument is at an end of its range, if only at times
+    good         measured: not dead, not clipped, half of the samples there
+    """
+
+    drop: Array
+    drop_error: Array
+    flow: Array
+    flow_error: Array
+    dead: Mask
+    clipped: Mask
+    good: Mask
+
+    def where(self, mask: Mask) -> StepMeans:
+        """The steps of a mask."""
+        return StepMeans(**{name: array[mask] for name, array in vars(self).items()})
+
+    @property
+    def measured(self) -> StepMeans:
+        """The steps that are measured."""
+        return self.where(self.good)
+
+
+def step_means(recording: Recording, parts: Sequence[slice]) -> StepMeans:
+    """Means of pressure_in - pressure_out and of flow over stretches."""
+    if not parts:
+        raise ModelError(
+            f"{recording.source}: expected steps that stand for {SETTLE + SHORTEST:g} s or longer, found none"
+        )
+    found = averages(recording, NAMES, parts)
+    asleep = dead(recording, "flow")
+    # a gap takes nothing but its sample; what is read, but wrong, bends the mean
+    wrong = np.logical_or.reduce([np.isfinite(recording[n]) & ~good(recording, n) for n in NAMES]) & ~asleep
+    error = {n: np.maximum(found.error[n], FINEST * np.abs(found.mean[n])) for n in NAMES}
+    drop = found.mean["pressure_in"] - found.mean["pressure_out"]
+    in_dead, clipped = (np.array([bool(mask[part].any()) for part in parts]) for mask in (asleep, wrong))
+    return StepMeans(
+        drop=drop,
+        drop_error=np.hypot(error["pressure_in"], error["pressure_out"]),
+        flow=np.array([_mean(recording["flow"][part]) for part in parts]),  # also where it is masked: shown
+        flow_error=error["flow"],
+        dead=in_dead,
+        clipped=clipped & ~in_dead,
+        good=~in_dead & ~clipped & np.isfinite(drop + found.mean["flow"]),
+    )
+
+
+def _mean(values: Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if there.size else float("nan")
+
+
+def left_out(dead: Mask, clipped: Mask, good: Mask) -> str:
+    """How many steps are not measured and why, in words; empty if all are."""
+    rest = ~(dead | clipped | good)
+    counts = (
+        (dead, "in the dead zone of the flow meter"),
+        (clipped, "with an instrument at an end of its range"),
+        (rest, "without enough samples or without flow"),
+    )
+    return ", ".join(f"{np.count_nonzero(mask)} {words}" for mask, words in counts if mask.any())

@@ -1,0 +1,375 @@
+"""Steps of the valve test: command, mean drop and mean flow of each, and which of them are measured.
+
+Flow through one metering edge as a function of command and pressure drop, with exact derivatives.
+
+    (Q - L) sqrt(Q^2 + Q_t^2) = K^2 dp        L = G dp - G (dp_s - dp)
+    K = C_d a(V) A sqrt(2/rho)                C_R = 1/K^2, eqs. (1), (2)
+
+with the leakage G of the open edge, less that of the closed edge of the same port, which has the rest of the
+drop dp_s from supply to tank. The opening a(V) and the inverse of the turbulent law are those of
+`fmus.components.spool_valve`, so what is fitted is what the machine simulates. a(V) rises with V for any
+positive area: the fitted C_R is positive and falls with the command, whatever the data.
+
+Validity: the leakage is a small part of the flow (below a tenth).
+
+Fit of the opening law to the steps of the valve test, weighted, with the rounding if the data tell it.
+
+The paper's way to describe C_R(V): a polynomial by plain least squares, for comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import statsmodels.api as sm
+from numpy.polynomial import Polynomial as Power
+from numpy.typing import NDArray
+from scipy import stats
+
+from fmus.components import spool_valve
+from fmus.contract import ModelError, Scalar
+from fmus.identification.procedures.known_values import SETTLE, SHORTEST, filled, left_out, step_means, value
+from fmus.identification.procedures.regression import UNLIKELY, Guess, Regression, fit
+from fmus.identification.recordings.masks import steady
+from fmus.identification.recordings.recording import Recording
+from fmus.parameters import Number
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OPENS = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # sign of the command, correction E7 in docs/equations.md
+STEP_VOLTAGES = 3  # that must be measured
+SURE = 5.0  # standard errors from which on the sign of a mean is no chance
+
+
+@dataclass(frozen=True)
+class Points:
+    """One entry per step; arrays of shape (n,).
+
+    command      magnitude [V]
+    drop, flow   means [Pa], [m3/s] with their standard errors; both positive where the edge is open
+    whole        drop from supply to tank [Pa]: the largest one over the edge, when it is nearly closed
+    dead         the flow meter reads nothing useful
+    clipped      an instrument is at an end of its range
+    good         measured: neither dead nor clipped, samples there, flow along the drop
+    edge         "P-A", ... of each
+    """
+
+    command: Array
+    drop: Array
+    drop_error: Array
+    flow: Array
+    flow_error: Array
+    whole: Array
+    dead: Mask
+    clipped: Mask
+    good: Mask
+    edge: NDArray[np.str_]
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """The edges, in the order of the recordings."""
+        return tuple(dict.fromkeys(map(str, self.edge)))
+
+    def where(self, mask: Mask) -> Points:
+        """The steps of a mask."""
+        return Points(**{name: array[mask] for name, array in vars(self).items()})
+
+    def of(self, edge: str) -> Points:
+        """The steps of one edge."""
+        return self.where(self.edge == edge)
+
+    @property
+    def measured(self) -> Points:
+        """The steps that are measured."""
+        return self.where(self.good)
+
+    def enough(self) -> Points:
+        """The measured steps of each edge, which must be at three voltages or more."""
+        for edge in self.edges:
+            own = self.of(edge)
+            voltages = np.unique(own.measured.command).size
+            if voltages < STEP_VOLTAGES:
+                raise ModelError(
+                    f"valve {edge}: flow is measured at {voltages} voltages, expected at least {STEP_VOLTAGES}; "
+                    f"left out of {own.command.size} steps: {own.left_out or 'none'}"
+                )
+        return self.measured
+
+    @property
+    def left_out(self) -> str:
+        """How many steps are not measured and why; empty if all are."""
+        return left_out(self.dead, self.clipped, self.good)
+
+    @property
+    def resistance(self) -> Array:
+        """C_R [Pa.s2/m6] of each step, eq. (1)."""
+        return self.drop / (self.flow * np.abs(self.flow))
+
+    @property
+    def resistance_error(self) -> Array:
+        """Standard error of C_R: of the drop, and twice that of the flow."""
+        relative = np.hypot(self.drop_error / self.drop, 2 * self.flow_error / self.flow)
+        return np.abs(self.resistance) * relative
+
+
+def points(recordings: Sequence[Recording]) -> Points:
+    """The steps of all edges; only those with a command that opens the edge."""
+    each = [_of_one(recording) for recording in recordings]
+    return Points(**{name: np.concatenate([vars(one)[name] for one in each]) for name in vars(each[0])})
+
+
+def _of_one(recording: Recording) -> Points:
+    command, opens = filled(recording["command"]), _opens(recording)  # a command holds over a lost sample
+    whole = replace(recording, signals={**recording.signals, "command": command})
+    parts = [one for one in steady(whole, "command", SETTLE, SHORTEST) if command[one.start] * opens > 0]
+    found = step_means(recording, parts)
+    sign = np.where(found.drop < 0, -1.0, 1.0)
+    along = sign * found.flow
+    _check_direction(recording, (along + SURE * found.flow_error)[found.good])
+    return Points(
+        command=np.abs([command[one].mean() for one in parts]),
+        drop=sign * found.drop,
+        drop_error=found.drop_error,
+        flow=along,
+        flow_error=found.flow_error,
+        whole=np.full(len(parts), np.max(np.abs(found.drop), initial=0.0, where=np.isfinite(found.drop))),
+        dead=found.dead,
+        clipped=found.clipped,
+        good=found.good & (along > 0),
+        edge=np.full(len(parts), recording.word("edge")),
+    )
+
+
+def _opens(recording: Recording) -> int:
+    """Sign of the commands that open the edge."""
+    edge, command = recording.word("edge"), recording["command"]
+    if edge not in OPENS:
+        raise ModelError(f"{recording.source}: [experiment] edge is {edge!r}, expected {', '.join(OPENS)}")
+    if not (command * OPENS[edge] > 0).any():
+        expected = "positive" if OPENS[edge] > 0 else "negative"
+        raise ModelError(f"{recording.source}: expected {expected} commands, which open {edge}, found none")
+    return OPENS[edge]
+
+
+def _check_direction(recording: Recording, most: Array) -> None:
+    """Refuse a meter that counts against the drop; `most`: the largest flow along it that noise allows."""
+    against = int(np.count_nonzero(most < 0))
+    if against > most.size / 2:
+        raise ModelError(
+            f"{recording.source}: flow is against the drop pressure_in - pressure_out in {against} of "
+            f"{most.size} steps, expected along it: turn the sign of the flow or the order of the pressures"
+        )
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What is known of the valve and its oil."""
+
+    discharge_coefficient: float
+    full_command: float
+    leakage: float
+    transition_flow: float
+    density: float
+
+    @staticmethod
+    def of(known: Mapping[str, Number]) -> Constants:
+        """From the parameters of the machine; the three valves are identical (section 4(a))."""
+        names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
+        rest = {name: value(known, f"boom_stick.valve_{name}") for name in names}
+        return Constants(**rest, density=value(known, "boom_stick.density"))
+
+    def all(self) -> tuple[float, ...]:
+        """In the order of the fields."""
+        return (
+            self.discharge_coefficient,
+            self.full_command,
+            self.leakage,
+            self.transition_flow,
+            self.density,
+        )
+
+
+@dataclass(frozen=True)
+class Law:
+    """What is fitted: area [m2] at full command, dead band [V] and rounding [V] of the opening."""
+
+    area: float
+    dead_band: float
+    rounding: float
+
+
+@cache
+def _functions() -> tuple[ca.Function, ca.Function]:
+    names = "command drop whole area dead_band rounding c_d full leakage transition density"
+    given = [ca.SX.sym(name) for name in names.split()]
+    command, drop, whole, area, dead_band, rounding, c_d, full, leakage, transition, density = given
+    share = spool_valve.opening(command, dead_band, full, rounding)
+    square = (spool_valve.flow_gain(area, c_d, density) * share) ** 2
+    y = square * drop
+    turbulent, leak = y * spool_valve.turbulent_factor(y, transition), leakage * (2 * drop - whole)
+    flow = _with_leakage(turbulent, leak, y, transition)
+    slope = ca.gradient(flow, drop)
+    return ca.Function("flow", given, [flow, slope]), ca.Function("square_gain", given, [square])
+
+
+def _with_leakage(turbulent: Scalar, leak: Scalar, y: Scalar, transition: Scalar) -> Scalar:
+    """Q of (Q - leak) sqrt(Q^2 + Q_t^2) = y: one Newton step, which leaves leak^3/Q^2."""
+    flow = turbulent + leak / 2
+    speed = ca.sqrt(flow**2 + transition**2)
+    return flow - ((flow - leak) * speed - y) / (speed + (flow - leak) * flow / speed)
+
+
+def flow(command: Array, drop: Array, whole: Array, law: Law, constants: Constants) -> tuple[Array, Array]:
+    """Flow [m3/s] out of the port and its derivative by the drop [m3/(s.Pa)].
+
+    command      > 0 [V]
+    drop, whole  over the edge, and from supply to tank [Pa]
+    """
+    rest = (law.area, law.dead_band, law.rounding, *constants.all())
+    found = _functions()[0](command[None, :], drop[None, :], whole[None, :], *rest)
+    return found[0].full()[0], found[1].full()[0]
+
+
+def resistance(command: Array, law: Law, constants: Constants) -> Array:
+    """C_R [Pa.s2/m6] at commands [V] by eq. (2); infinite where the edge is closed."""
+    rest = (law.area, law.dead_band, law.rounding, *constants.all())
+    square: Array = _functions()[1](command[None, :], 0.0, 0.0, *rest).full()[0]
+    return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)
+
+
+WELL_TOLD = 0.25  # largest relative standard deviation of a rounding that the data tell
+ROUNDINGS = (1e-3, 2.0)  # V, within which it is searched
+# of the mean drop: standard deviation of what two transducers may differ by, 0.25 % of their range each
+ZERO = 0.007
+
+
+@dataclass(frozen=True)
+class ValveFit:
+    """A fit of `points`.
+
+    rounded   the data told the rounding of the foot
+    zeroed    what the two pressures differ by without flow is found along
+    """
+
+    points: Points
+    regression: Regression
+    constants: Constants
+    rounding: float
+    rounded: bool = False
+    zeroed: bool = False
+
+    @property
+    def zero(self) -> float:
+        """Difference of the pressures without flow [Pa], as far as the data tell it."""
+        return self.regression["zero"] if self.zeroed else 0.0
+
+    def law(self, values: Mapping[str, float] | None = None) -> Law:
+        """The law of these values, by default of the fitted ones."""
+        v = self.regression.as_dict() if values is None else values
+        return Law(v["area"], v["dead_band"], v.get("rounding", self.rounding))
+
+
+def fitted(given: Points, constants: Constants, rounding: Number, zero: bool = True) -> ValveFit:
+    """Weighted fit of the flow; the rounding is fitted only if the data tell it, else taken as known.
+
+    Where no step falls on the rounded foot, dead band and rounding w show in the sum V_db + w/2 alone.
+
+    zero   find along what the pressures differ by without flow
+    """
+    fixed = ValveFit(
+        given, _fit(given, constants, rounding, zero=zero), constants, rounding.value, zeroed=zero
+    )
+    law = fixed.law()
+    if np.count_nonzero(given.command < law.dead_band + law.rounding) < 2:
+        return fixed
+    free = _fit(given, constants, rounding, zero=zero, free=True)
+    low, high = ROUNDINGS
+    if free.sd("rounding") > WELL_TOLD * free["rounding"] or not 1.01 * low < free["rounding"] < 0.99 * high:
+        return fixed
+    return replace(fixed, regression=free, rounded=True)
+
+
+def _fit(
+    given: Points, constants: Constants, rounding: Number, *, zero: bool, free: bool = False
+) -> Regression:
+    """The fit with a rounding that is free, or held by its standard deviation [V], or fixed."""
+    start, held = _guess(given, constants, rounding.value), dict[str, tuple[float, float]]()
+    if free or rounding.sd:
+        start["rounding"] = Guess(rounding.value, low=ROUNDINGS[0], high=ROUNDINGS[1])
+    if rounding.sd and not free:
+        held["rounding"] = (rounding.value, rounding.sd)
+    if zero:
+        sd = ZERO * float(given.drop.mean())
+        start["zero"], held["zero"] = Guess(0.0, scale=sd), (0.0, sd)
+
+    def residual(v: Mapping[str, float]) -> Array:
+        law = Law(v["area"], v["dead_band"], v.get("rounding", rounding.value))
+        modelled, slope = flow(given.command, given.drop - v.get("zero", 0.0), given.whole, law, constants)
+        weighted: Array = (given.flow - modelled) / np.hypot(given.flow_error, slope * given.drop_error)
+        return np.append(weighted, [(v[n] - value) / sd for n, (value, sd) in held.items()])
+
+    return fit(residual, start, f"valve ({', '.join(given.edges)})")
+
+
+def _guess(given: Points, constants: Constants, rounding: float) -> dict[str, Guess]:
+    """From the straight line of K = Q/sqrt(dp) over the command."""
+    slope, offset = np.polyfit(given.command, given.flow / np.sqrt(given.drop), 1)
+    foot = float(np.clip(-offset / slope, 0.0, given.command.min()))
+    gain = slope * (constants.full_command - foot)
+    area = gain / (constants.discharge_coefficient * np.sqrt(2 / constants.density))
+    return {
+        "area": Guess(float(area), low=0.0),
+        "dead_band": Guess(max(foot - rounding / 2, 0.05), scale=1.0),
+    }
+
+
+def asymmetry(given: Points, constants: Constants, rounding: Number) -> tuple[float, dict[str, float]]:
+    """Probability of the edges' differences if they are equal, and the area [m2] of each.
+
+    Chi-square of the common fit less those of each edge, without a zero of the pressures: all edges have the
+    same, and it would take a difference of theirs for its own.
+    """
+    common = _fit(given, constants, rounding, zero=False)
+    own = {edge: _fit(given.of(edge), constants, rounding, zero=False) for edge in given.edges}
+    alone = sum(one.chi_square for one in own.values())
+    freedom = sum(one.freedom for one in own.values())
+    scale = alone / freedom if stats.chi2.sf(alone, freedom) < UNLIKELY else 1.0
+    gained = (common.chi_square - alone) / scale
+    areas = {edge: one["area"] for edge, one in own.items()}
+    return (float(stats.chi2.sf(gained, common.freedom - freedom)) if len(own) > 1 else 1.0), areas
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A polynomial in V, scaled to the range of its points."""
+
+    power: Power
+
+    @property
+    def degree(self) -> int:
+        """Its degree."""
+        return int(self.power.degree())
+
+    def __call__(self, x: Array) -> Array:
+        y: Array = self.power(x)
+        return y
+
+    def wrong(self, x: Array) -> Mask:
+        """Where it cannot be a resistance over the command: negative, or rising."""
+        mask: Mask = (self(x) < 0) | (self.power.deriv()(x) > 0)
+        return mask
+
+
+def polynomial(x: Array, y: Array, highest: int = 8) -> Polynomial:
+    """Plain least squares; the degree, up to `highest`, has the lowest AIC (residuals of unknown size)."""
+    domain = (float(x.min()), float(x.max()))
+    scaled = (2 * x - sum(domain)) / (domain[1] - domain[0])
+    top = min(highest, np.unique(x).size - 2)
+    fits = [sm.OLS(y, np.vander(scaled, n + 1, increasing=True)).fit() for n in range(1, max(top, 1) + 1)]
+    best = min(fits, key=lambda fit: fit.aic)
+    return Polynomial(Power(best.params, domain=domain, window=(-1.0, 1.0)))

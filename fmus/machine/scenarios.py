@@ -1,0 +1,116 @@
+"""Operator commands built from one primitive: a trapezoid with linear ramps.
+
+An electronic joystick amplifier ramps its valve current linearly; `Move` is one such stroke of a
+joystick axis. A scenario is a list of moves, sampled at 200 Hz (the paper's rate). All corners lie on the
+sampling grid, so linear interpolation between the samples gives the moves back exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import ModelError, quantities
+from fmus.operator.model import AXES, LEVERS, STROKES, WORDS, stroke_name
+from fmus.parameters import Number
+
+RATE = 200.0  # samples per second, section 4 of the paper
+COMMANDS = ("swing_command", "boom_command", "stick_command")
+
+
+@dataclass(frozen=True)
+class Move:
+    """One stroke of a joystick axis: from `start` [s] ramp to `command` [V], hold, ramp back to zero.
+
+    rise, hold, fall [s]; a swing needs a long fall, because the valve brakes the arm's inertia.
+    """
+
+    axis: str
+    start: float
+    command: float
+    rise: float
+    hold: float
+    fall: float
+
+    def sample(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Command [V] at `time` [s], shape (n,)."""
+        corners = np.cumsum([self.start, self.rise, self.hold, self.fall])
+        return np.interp(time, corners, [0.0, self.command, self.command, 0.0])
+
+
+# Two trees: slew out and reach, place the head, grip and cut, lift and fold, slew back, set down.
+# The motion of the arm only: the mass at its end does not change, no stem hangs there.
+WORK_CYCLE: tuple[Move, ...] = (
+    Move("boom", 1.0, 3.2, 0.30, 0.70, 0.50),  # lift the head off the ground
+    Move("swing", 1.5, 3.6, 0.50, 1.50, 1.50),  # slew out to the left ...
+    Move("stick", 2.0, -3.4, 0.40, 1.30, 0.50),  # ... while reaching out
+    Move("boom", 4.2, -2.6, 0.40, 1.10, 0.60),  # lower beside the tree
+    Move("stick", 5.4, -2.2, 0.30, 0.50, 0.40),  # last bit of reach
+    Move("swing", 6.6, 1.8, 0.40, 0.40, 0.80),  # close in sideways: grip and cut until 10 s
+    Move("boom", 10.0, 4.2, 0.40, 1.30, 0.60),  # lift the stem
+    Move("stick", 10.6, 3.4, 0.40, 1.60, 0.50),  # fold in
+    Move("swing", 11.2, -3.8, 0.60, 1.60, 1.60),  # slew back
+    Move("boom", 14.0, -2.6, 0.40, 1.40, 0.60),  # set down
+    Move("swing", 15.2, -2.0, 0.40, 0.50, 0.90),  # aim: feed and buck until 20 s
+    Move("stick", 17.2, 1.8, 0.30, 0.40, 0.30),
+    Move("boom", 20.0, 3.6, 0.30, 0.90, 0.50),  # second tree, to the right, farther out
+    Move("swing", 20.4, -3.4, 0.60, 1.70, 1.70),
+    Move("stick", 20.9, -4.0, 0.50, 1.90, 0.60),
+    Move("boom", 23.4, -2.4, 0.40, 1.20, 0.60),
+    Move("swing", 25.2, -1.6, 0.40, 0.50, 0.80),
+    Move("boom", 26.4, 1.5, 0.30, 0.40, 0.50),  # correct upwards: grip and cut until 30 s
+    Move("boom", 30.0, 4.0, 0.50, 1.00, 1.20),
+    Move("stick", 30.4, 4.0, 0.50, 1.90, 0.60),
+    Move("swing", 31.0, 3.8, 0.70, 1.90, 1.80),
+    Move("boom", 34.2, -2.8, 0.40, 1.20, 0.60),
+    Move("swing", 35.6, 2.0, 0.40, 0.60, 0.90),
+    Move("stick", 37.4, -1.8, 0.30, 0.50, 0.30),
+)
+WORK_CYCLE_STOP = 42.0  # s
+
+# programs of the levers by name; boom_up is also data/scenarios/boom_up.csv
+DEFAULT = "work_cycle"
+PROGRAMS: Mapping[str, tuple[Move, ...]] = {
+    DEFAULT: WORK_CYCLE,
+    "boom_up": (Move("boom", 1.0, 5.0, 0.3, 1.0, 0.5),),
+    "still": (),
+}
+
+
+def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time (n,) [s] at 200 Hz and commands (n, 3) [V] in the order of COMMANDS; moves of one axis add up."""
+    time = np.arange(round(stop * RATE) + 1) / RATE
+    columns = [
+        sum((m.sample(time) for m in moves if f"{m.axis}_command" == name), np.zeros(time.size))
+        for name in COMMANDS
+    ]
+    return time, np.column_stack(columns)
+
+
+def program(moves: Sequence[Move]) -> dict[str, float]:
+    """The same moves as parameters of the levers; strokes that are not used are all zero."""
+    values = {stroke_name(lever, n, word): 0.0 for lever in AXES for n in STROKES for word in WORDS}
+    for lever in AXES:
+        mine = [move for move in moves if move.axis == lever]
+        if len(mine) > len(STROKES):
+            raise ModelError(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
+        for n, move in zip(STROKES, mine, strict=False):
+            values |= {stroke_name(lever, n, word): getattr(move, word) for word in WORDS}
+    return values
+
+
+def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+    """The content of the levers' parameters.toml."""
+    units = {name: q.unit for name, q in quantities(LEVERS.parameters).items()}
+    values = program(moves)
+    used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
+    notes = {True: "work cycle, fmus/machine/scenarios.py", False: "stroke not used"}
+    return {
+        "parameters": {
+            name: Number(value, units[name], "assumed", notes[name.rsplit("_", 1)[0] in used])
+            for name, value in values.items()
+        }
+    }

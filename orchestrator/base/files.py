@@ -1,0 +1,126 @@
+"""Files that may lie inside zip archives: an FMU inside an SSP, a parameter file inside the FMU."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote, urlsplit
+
+from orchestrator.base.errors import Problem
+
+
+@dataclass(frozen=True)
+class Location:
+    """A file on disk, or a member of a (nested) archive: `inside` lists the member names, outermost first."""
+
+    path: Path
+    inside: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return "/".join([str(self.path), *self.inside])
+
+    def read(self) -> bytes:
+        """The bytes of the file."""
+        if not self.inside:
+            if not self.path.is_file():
+                raise Problem(f"{self.path}: no such file")
+            return self.path.read_bytes()
+        with self.parent.zip() as archive:
+            try:
+                return archive.read(self.inside[-1])
+            except KeyError:
+                there = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
+                raise Problem(
+                    f"{self.parent}: {self.inside[-1]} is missing; the archive holds {there}"
+                ) from None
+
+    @property
+    def parent(self) -> Location:
+        """The archive that holds this member."""
+        return Location(self.path, self.inside[:-1])
+
+    def zip(self) -> zipfile.ZipFile:
+        """This file opened as an archive."""
+        try:
+            return zipfile.ZipFile(self.path if not self.inside else io.BytesIO(self.read()))
+        except FileNotFoundError:
+            raise Problem(f"{self.path}: no such file") from None
+        except zipfile.BadZipFile:
+            raise Problem(f"{self}: expected a zip archive, got something else") from None
+
+    def member(self, name: str) -> Location:
+        """A file of this archive, or of this folder."""
+        return Location(self.path / name) if self.is_folder else Location(self.path, (*self.inside, name))
+
+    @property
+    def is_folder(self) -> bool:
+        """True for an unpacked archive."""
+        return not self.inside and self.path.is_dir()
+
+    def names(self) -> list[str]:
+        """The files of this archive or folder, with forward slashes."""
+        if self.is_folder:
+            return [p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if p.is_file()]
+        with self.zip() as archive:
+            return [n for n in archive.namelist() if not n.endswith("/")]
+
+    def beside(self, uri: str) -> Location:
+        """The file that a relative (or file:) URI found in this file names."""
+        try:
+            parts = urlsplit(uri)
+        except ValueError as error:
+            raise Problem(f"{self}: source {uri!r} is no address: {error}") from None
+        if parts.scheme == "file":
+            return Location(Path(unquote(parts.path)))
+        if len(parts.scheme) > 1:
+            raise Problem(f"{self}: source {uri!r} cannot be opened, expected a relative path")
+        if not self.inside:
+            return Location(self.path.parent / unquote(parts.path))
+        joined = PurePosixPath(self.inside[-1]).parent / unquote(parts.path)
+        return Location(self.path, (*self.inside[:-1], _normal(joined)))
+
+    def extract(self, folder: Path) -> None:
+        """Unpack this archive, or copy this folder; members that point outside of the archive are refused."""
+        if self.is_folder:
+            shutil.copytree(self.path, folder)
+            return
+        with self.zip() as archive:
+            for name in archive.namelist():
+                if ".." in PurePosixPath(name).parts or name.startswith("/") or ":" in name or "\\" in name:
+                    raise Problem(f"{self}: member {name!r} points outside of the archive")
+            archive.extractall(folder)
+
+
+def _normal(path: PurePosixPath) -> str:
+    """A member name without `.` and `..`."""
+    kept: list[str] = []
+    for part in path.parts:
+        if part == ".." and kept:
+            kept.pop()
+        elif part != ".":
+            kept.append(part)
+    return "/".join(kept)
+
+
+BUILT, MAKE = Path("build/harvester.ssp"), "harvester build"
+
+
+def there(system: Path) -> Path:
+    """The system, if there is such a file."""
+    if not system.exists():
+        raise Problem(f"{system}: no such file" + (f"; make it with: {MAKE}" if system == BUILT else ""))
+    return system
+
+
+def folder(path: Path) -> None:
+    """Make a folder for files to come, before work is spent on them."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Problem(f"{path}: expected a folder, and none can be made: {error.strerror}") from None
+    if not os.access(path, os.W_OK):
+        raise Problem(f"{path}: expected a folder to write to, got no permission")

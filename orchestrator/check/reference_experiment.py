@@ -1,0 +1,296 @@
+"""Runs one experiment in a child process and compares it with the result file.
+
+The experiment that an FMU ships (FMI-LS-REF): run it and compare.
+
+error of a signal = root mean square of its deviation, over the range of the reference (NRMSE)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.check.child.description import NUMBERS, Declared, Variable
+from orchestrator.check.finding import Finding, Rule, error, note, warning
+from orchestrator.check.probes.parent import run
+from orchestrator.check.probes.rules import life
+from orchestrator.check.reference_files import (
+    MANIFEST,
+    Case,
+    Related,
+    Table,
+    experiments,
+    manifest,
+    parameter_set,
+    shown,
+    table,
+)
+from orchestrator.check.subject import Subject
+
+WORDS = {"true": 1.0, "false": 0.0}
+SETTABLE = ("parameter", "structuralParameter", "input")
+
+
+@dataclass
+class Comparison:
+    """errors   signal -> NRMSE over range
+    problems   what could not be compared or set
+    end        why the run did not come to its end; empty when it did
+    late       its time was over
+    """
+
+    errors: dict[str, float] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    end: str = ""
+    late: bool = False
+
+
+def compare(subject: Subject, case: Case) -> Comparison:
+    """Run and compare; raises Problem when a file cannot be read."""
+    found = life(subject)
+    declared, sides = found.declared, found.sides
+    assert declared is not None
+    side = "cs" if "cs" in sides else sides[0]
+    reference, result = table(case.reference), Comparison()
+    signals = _signals(declared, reference, result)
+    job = _job(declared, case, reference, signals, result)
+    if not signals:
+        result.problems.append(f"{case.reference.name} has no column that is a number of the model")
+        return result
+    outcome = run(subject.folder, side, "reference:experiment", payload=job)
+    result.late = outcome.late
+    result.end = outcome.end or next((text for severity, text in outcome.said if severity == "error"), "")
+    if not result.end:
+        result.errors = _errors(declared, reference, signals, outcome.result)
+    return result
+
+
+def _signals(declared: Declared, reference: Table, result: Comparison) -> list[str]:
+    """Columns that are numeric variables; the others are told, but texts."""
+    known = declared.variables
+    strange = [n for n in reference.columns if n not in known]
+    if strange:
+        result.problems.append(f"the result has columns {', '.join(strange[:5])}, the model does not")
+    return [n for n in reference.columns if n in known and known[n].kind in NUMBERS]
+
+
+# ---- what the child gets
+
+
+def _job(
+    declared: Declared, case: Case, reference: Table, signals: Sequence[str], result: Comparison
+) -> dict[str, Any]:
+    default = declared.experiment
+    start = case.start if case.start is not None else default.get("startTime", 0.0)
+    stop = case.stop if case.stop is not None else reference.time[-1]
+    job: dict[str, Any] = {
+        "start": start,
+        "stop": stop,
+        "step": case.step or _step(declared, reference),
+        "tolerance": case.tolerance or default.get("tolerance"),
+        "signals": list(signals),
+        "times": [t for t in reference.time if start <= t <= stop * (1 + 1e-12)],
+        "parameters": _parameters(declared, case, result),
+    }
+    return job | _stimuli(declared, case, result)
+
+
+def _step(declared: Declared, reference: Table) -> float:
+    """As declared; what an FMU says nothing about is taken from the rows of the result."""
+    gaps = [b - a for a, b in pairwise(reference.time) if b > a]
+    return declared.experiment.get("stepSize") or declared.inner_step or min(gaps, default=declared.step)
+
+
+def _parameters(declared: Declared, case: Case, result: Comparison) -> dict[str, Any]:
+    if case.parameters is None:
+        return {}
+    values: dict[str, Any] = {}
+    for name, text in parameter_set(case.parameters).items():
+        v = declared.variables.get(name)
+        if v is None or not _settable(v):
+            why = "which cannot be set" if v else "which the model does not have"
+            result.problems.append(f"{case.parameters.name} sets {name}, {why}")
+        else:
+            values[name] = text if v.kind == "String" else _numbers(text, v, case.parameters.name)
+    return values
+
+
+def _settable(v: Variable) -> bool:
+    usual = v.variability != "constant" and (v.causality in SETTABLE or v.initial in ("exact", "approx"))
+    return usual and v.kind in (*NUMBERS, "String")
+
+
+def _numbers(text: str, v: Variable, file: str) -> list[float]:
+    try:
+        values = [WORDS[w] if w in WORDS else float(w) for w in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != v.size:
+        raise Problem(f"{file}: {v.name} is {text!r}, expected {v.size} numbers")
+    return values
+
+
+def _stimuli(declared: Declared, case: Case, result: Comparison) -> dict[str, Any]:
+    if case.stimuli is None:
+        return {"inputs": [], "input_times": [], "input_rows": []}
+    given = table(case.stimuli)
+    names = [n for n in given.columns if n in declared.variables and declared.variables[n].kind in NUMBERS]
+    strange = [n for n in given.columns if n not in declared.variables]
+    if strange:
+        result.problems.append(
+            f"{case.stimuli.name} has columns {', '.join(strange[:5])}, the model does not"
+        )
+    columns = [_column(declared.variables[n], given.columns[n], case.stimuli.name) for n in names]
+    rows = np.hstack(columns).tolist() if columns else [[] for _ in given.time]
+    return {"inputs": names, "input_times": given.time, "input_rows": rows}
+
+
+def _column(v: Variable, texts: Sequence[str], file: str) -> NDArray[np.float64]:
+    """Values of one variable over time, shape (n, size)."""
+    return np.array([_numbers(text, v, file) for text in texts])
+
+
+# ---- the comparison
+
+
+def _errors(
+    declared: Declared, reference: Table, signals: Sequence[str], found: Mapping[str, Any]
+) -> dict[str, float]:
+    """NRMSE of each signal; of rows before and after the inputs were set those that fit better."""
+    variables = [declared.variables[n] for n in signals]
+    truth = np.hstack([_column(v, reference.columns[v.name], "result") for v in variables])
+    places = np.array([int(np.argmin(np.abs(np.array(reference.time) - t))) for t in found["times"]])
+    owners = [v for v in variables for _ in range(v.size)]
+    expected = truth[places]
+    errors: dict[str, float] = {}
+    tries = [np.array(found[which]) for which in ("before", "after") if found[which]]
+    for i, v in enumerate(owners):
+        scale = _scale(expected[:, i], v)
+        values = [float(np.sqrt(np.mean((rows[:, i] - expected[:, i]) ** 2))) / scale for rows in tries]
+        best = min((x for x in values if not math.isnan(x)), default=math.inf)
+        errors[v.name] = max(best, errors.get(v.name, 0.0))
+    return errors
+
+
+def _scale(column: NDArray[np.float64], v: Variable) -> float:
+    """Range; of a signal that rests its magnitude."""
+    size, spread = float(np.max(np.abs(column))), float(np.ptp(column))
+    return spread if spread > 1e-9 * size else max(size, v.nominal)
+
+
+WRONG, POOR = 1e-2, 1e-3  # errors from which they are worth an error, a warning
+LISTED = 6  # signals in a text
+
+
+def _experiment(subject: Subject) -> Iterable[Finding]:
+    folder = subject.folder.resolve()
+    if not (folder / MANIFEST).is_file():
+        return
+    try:
+        related = manifest(folder)
+    except Problem as problem:
+        yield warning(_inside(folder, problem))
+        return
+    yield from _missing(related)
+    found, texts = cases(folder, related)
+    for text in texts:
+        yield warning(text)
+    for case in found:
+        yield from _judged(subject, case)
+
+
+def _inside(folder: Path, problem: Problem) -> str:
+    """The text without the folder for the time of the check."""
+    return str(problem).replace(f"{folder}/", "")
+
+
+def _missing(related: list[Related]) -> Iterator[Finding]:
+    for r in related:
+        if r.path is None:
+            yield note(f'{MANIFEST}: "{r.source}" lies outside of the FMU and was not looked at')
+        elif not r.path.is_file():
+            yield warning(f'{MANIFEST}: "{r.source}" (role {r.role}) is missing in the FMU')
+
+
+# ---- which experiments there are
+
+
+def cases(folder: Path, related: list[Related]) -> tuple[list[Case], list[str]]:
+    """Experiments of the files with this role, then results without experiment; and what is left out."""
+    there = [r for r in related if r.path is not None and r.path.is_file()]
+    found: list[Case] = []
+    texts: list[str] = []
+    for r in there:
+        if r.path is None or r.role.partition("/")[0] != "experiment":
+            continue
+        try:
+            for case in experiments(folder, r.path):
+                if isinstance(case, Case):
+                    found.append(case)
+                else:
+                    texts.append(f"{shown(folder, r.path)}: {case}")
+        except Problem as problem:
+            texts.append(_inside(folder, problem))
+    used = {case.reference for case in found}
+    sets = [r.path for r in there if r.role == "parameter" and str(r.path).endswith(".ssv")]
+    for r in there:
+        if r.path is None or r.role != "result" or r.path in used or r.path.suffix.lower() != ".csv":
+            continue
+        one = sets[0] if len(sets) == 1 else None  # several are variants: none of them is the default
+        found.append(Case(r.path.stem, r.path, one, _beside(r.path)))
+    return found, texts
+
+
+def _beside(result: Path) -> Path | None:
+    """The inputs that belong to a result by their name: model_in.csv beside model_out.csv."""
+    stem = result.stem
+    for ending in ("_out", "_result", "_ref"):
+        stem = stem.removesuffix(ending)
+    names = (result.with_name(f"{stem}{ending}.csv") for ending in ("_in", "_input"))
+    return next((p for p in names if p.is_file()), None)
+
+
+# ---- how well they are met
+
+
+def _judged(subject: Subject, case: Case) -> Iterator[Finding]:
+    found = life(subject)
+    if found.problem:
+        yield note(f'experiment "{case.name}" was not run: {found.problem}')
+        return
+    try:
+        result = compare(subject, case)
+    except Problem as problem:
+        yield warning(f'experiment "{case.name}": {_inside(subject.folder.resolve(), problem)}')
+        return
+    for text in result.problems:
+        yield warning(f'experiment "{case.name}": {text}')
+    if result.end:
+        say = note if result.late else error
+        yield say(f'experiment "{case.name}" does not come to its end: {result.end}')
+    elif result.errors:
+        yield _summary(case, result)
+
+
+def _summary(case: Case, result: Comparison) -> Finding:
+    """The signals, worst first."""
+    ranked = sorted(result.errors.items(), key=lambda item: -item[1])
+    worst = ranked[0][1]
+    texts = [f"{name} {value:.2g}" for name, value in ranked[:LISTED]]
+    more = f" and {len(ranked) - LISTED} more" if len(ranked) > LISTED else ""
+    word = "differs from" if worst > POOR else "agrees with"
+    text = f'experiment "{case.name}" {word} {case.reference.name}: NRMSE over range {", ".join(texts)}{more}'
+    return (error if worst > WRONG else warning if worst > POOR else note)(text)
+
+
+EXPERIMENT = Rule(
+    "reference.result", "The experiment that the FMU ships gives the result it ships", _experiment
+)

@@ -1,0 +1,448 @@
+"""What the libraries export: every function of the version, on every platform.
+
+What a library needs from the machine it will run on.
+
+Platforms: folders with the names of the version, with a library of the right name and machine inside.
+
+FMUs that need an interpreter on the target machine: Python above all.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+
+from orchestrator.check.binary import SUFFIXES, Binary, required
+from orchestrator.check.finding import Finding, Table, error, note, some, warning
+from orchestrator.check.subject import Subject
+
+EXPORTS = Table()
+
+
+def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
+    """The libraries that bear a model identifier, with the kinds that they serve."""
+    for b in subject.binaries:
+        kinds = [k for k, e in subject.model.interfaces.items() if e.get("modelIdentifier") == b.stem]
+        if b.format and kinds:
+            yield b, kinds
+
+
+@EXPORTS.rule(
+    "binary.functions",
+    "Every library exports all functions of its FMI version and kinds, whatever the FMU can do",
+    "FMPy#545 FMPy#642 FMPy#552 FMPy#700 fmi-standard#1868",
+)
+def functions(subject: Subject) -> Iterator[Finding]:
+    for b, kinds in models(subject):
+        missing = [f for f in required(subject.major, kinds) if f not in b.exports]
+        if not missing:
+            continue
+        prefixed = f"{b.stem}_{missing[0]}"
+        hint = f"; it exports {prefixed}, which is for static linking" if prefixed in b.exports else ""
+        yield error(f"{_at(b)}: does not export {some(missing)}{hint}")
+
+
+def _at(b: Binary) -> str:
+    return f"{b} ({b.machine})" if b.format == "Mach-O" else str(b)
+
+
+@EXPORTS.rule("binary.version", "The libraries export functions of their FMI version only")
+def version(subject: Subject) -> Iterator[Finding]:
+    own = f"fmi{subject.major}"
+    for b, _ in models(subject):
+        foreign = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(own))
+        if foreign:
+            yield note(f"{_at(b)}: exports functions of another FMI version: {some(foreign, 2)}")
+
+
+@EXPORTS.rule(
+    "binary.symbols",
+    "All that a library needs is in the libraries that it names",
+    "PythonFMU#192 PythonFMU#110",
+)
+def symbols(subject: Subject) -> Iterator[Finding]:
+    for b, _ in models(subject):
+        if b.unsupplied:
+            yield error(
+                f"{b}: needs {some(b.unsupplied, 3)}, which none of {', '.join(b.libraries)} has;"
+                " it loads only inside a program that brings them"
+            )
+
+
+@EXPORTS.rule("binary.private", "A library keeps its own names to itself")
+def private(subject: Subject) -> Iterator[Finding]:
+    for b, _ in models(subject):
+        own = [
+            e
+            for e in b.exports
+            if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
+        ]
+        if len(own) > 20:
+            yield note(f"{_at(b)}: exports more than the functions of FMI: {some(sorted(own), 2)}")
+
+
+@EXPORTS.rule("binary.debug", "Libraries carry no debug information")
+def debug(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        if b.debug:
+            yield note(
+                f"{b}: {b.debug / 1e3:.0f} kB of debug information, with paths and names of the sources"
+            )
+
+
+@EXPORTS.rule(
+    "binary.traits",
+    "Libraries have no code that can be written and no stack that can be executed",
+    "melonDS#217",
+)
+def traits(subject: Subject) -> Iterator[Finding]:
+    why = {
+        "executable stack": "Linux with glibc 2.41 and newer does not load it",
+        "writable code": "hardened systems do not load it",
+        "text relocations": "hardened systems do not load it",
+        "unsigned": "Macs with Apple processors do not run unsigned code",
+    }
+    for b in subject.binaries:
+        for trait in b.traits:
+            yield warning(f"{b}: {trait}; {why[trait]}")
+
+
+LIBRARIES = Table()
+SYSTEM = {  # what every machine of the system has
+    "ELF": r"lib(c|m|dl|pthread|rt|util)\.so\.\d|ld-linux.*\.so\.\d|linux-vdso\.so\.1",
+    "PE": r"(?i)(kernel32|user32|advapi32|gdi32|shell32|ole32|oleaut32|ws2_32|wsock32|msvcrt|ucrtbase|ntdll"
+    r"|shlwapi|version|winmm|psapi|dbghelp|secur32|crypt32|bcrypt|bcryptprimitives|iphlpapi|userenv|rpcrt4"
+    r"|api-ms-win-[a-z0-9-]+|ext-ms-win-[a-z0-9-]+)\.dll",
+    "Mach-O": r"/usr/lib/lib(System|c\+\+|c\+\+abi|objc|iconv|z|resolv)\b.*|/System/Library/.*",
+}
+COMMON = {  # libraries that are often there, and what to say
+    r"libgcc_s\.so\.\d": "on all usual Linux systems, missing in small containers",
+    r"libstdc\+\+\.so\.\d+": "on most Linux systems; the newest symbols need a new one",
+}
+KNOWN = {  # others that were seen, and what the user has to install
+    r"(?i)(vcruntime|msvcp|concrt)\d+(_\d)?\.dll|msvcr\d+\.dll": "the Visual C++ runtime; link with /MT",
+    r"(?i)(vcruntime\d+|msvcp\d+|ucrtbase|msvcr\d+)d\.dll": "the debug runtime, which must not be passed on",
+    r"(?i)lib(gcc_s|winpthread|stdc\+\+|gomp).*\.dll": "the MinGW runtime; link it statically",
+    r"(?i)libgfortran.*|libquadmath.*|libifcore.*": "the Fortran runtime",
+    r"(?i)lib(blas|lapack|openblas|mkl).*": "a linear algebra library",
+    r"(?i)libgomp.*|libomp.*|libiomp.*": "the OpenMP runtime",
+    r"(?i)libmw.*": "the MATLAB runtime",
+    r"(?i)(lib)?jvm\..*|libjvm.*": "Java",
+    r"(?i)lib(sundials).*": "SUNDIALS",
+}
+PYTHON_LIBRARY = re.compile(r"(?i)(lib)?python\d?.*\.(so|dll|dylib).*|.*/Python\.framework/.*")
+# newest version that Linux distributions still in use have, and one that lacks it
+GLIBC = ((2, 34), "RHEL 8 and Ubuntu 20.04 lack it", (2, 28), "RHEL 8 has 2.28, CentOS 7 has 2.17")
+GLIBCXX = (3, 4, 28)  # Ubuntu 20.04
+MACOS = (13,)
+
+
+def _beside(b: Binary, library: str, subject: Subject) -> bool:
+    """True when the library lies beside this one in the archive."""
+    return f"binaries/{b.platform}/{library.rpartition('/')[2]}" in subject.files
+
+
+@LIBRARIES.rule(
+    "binary.libraries",
+    "Libraries need only what every machine of the platform has, or what lies beside them",
+    "OpenModelica#11856 OpenModelica#7895 fmi-cross-check#57",
+)
+def libraries(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        needs: dict[tuple[str, bool], list[str]] = {}
+        for library in b.libraries:
+            if not (
+                re.fullmatch(SYSTEM[b.format], library)
+                or PYTHON_LIBRARY.fullmatch(library)
+                or _beside(b, library, subject)
+            ):
+                needs.setdefault(_known(b, library), []).append(library)
+        for (what, usual), names in needs.items():
+            say = note if usual else warning
+            yield say(f"{b}: needs {', '.join(names)} on the target machine: {what}")
+
+
+def _known(b: Binary, library: str) -> tuple[str, bool]:
+    """What a library is, and whether most machines have it."""
+    common = next((t for p, t in COMMON.items() if re.fullmatch(p, library)), "")
+    if common and b.format == "ELF":
+        return common, True
+    return next((t for p, t in KNOWN.items() if re.fullmatch(p, library)), "another library"), False
+
+
+@LIBRARIES.rule("binary.loader", "Libraries find the libraries beside them", "OpenModelica#11856")
+def loader(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        beside = [n for n in b.libraries if b.format == "ELF" and _beside(b, n, subject)]
+        if beside and not any("$ORIGIN" in p for p in b.rpaths):
+            yield warning(
+                f"{b}: needs {beside[0]} beside it, but its rpath lacks $ORIGIN; the loader will not find it"
+            )
+
+
+@LIBRARIES.rule("binary.path", "Libraries do not look into folders of the machine they were built on")
+def path(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        for found in b.rpaths:
+            if not found.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
+                yield warning(f"{b}: looks for libraries in {found}, expected $ORIGIN or none")
+        for library in b.libraries:
+            if library.startswith("/") and not re.fullmatch(SYSTEM[b.format], library):
+                yield warning(f"{b}: needs {library} at this absolute path")
+
+
+@LIBRARIES.rule(
+    "binary.glibc", "Libraries for Linux run with the C library of older distributions", "FMIZoo.jl#3"
+)
+def glibc(subject: Subject) -> Iterator[Finding]:
+    new, lacking, old, still = GLIBC
+    for b in subject.binaries:
+        found = b.versions.get("GLIBC", ())
+        if found >= new:
+            yield warning(f"{b}: needs glibc {_dotted(found)}, expected at most {_dotted(old)}; {lacking}")
+        elif found > old:
+            yield note(f"{b}: needs glibc {_dotted(found)}; {still}")
+        plus = b.versions.get("GLIBCXX", ())
+        if plus > GLIBCXX:
+            yield warning(
+                f"{b}: needs GLIBCXX {_dotted(plus)} of libstdc++, expected at most {_dotted(GLIBCXX)};"
+                " Ubuntu 20.04 lacks it, and MATLAB brings its own"
+            )
+
+
+def _dotted(version: tuple[int, ...]) -> str:
+    return ".".join(map(str, version))
+
+
+@LIBRARIES.rule("binary.macos", "Libraries for macOS run on versions in use")
+def macos(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        if b.minimum[:1] > MACOS:
+            yield warning(f"{b}: needs macOS {_dotted(b.minimum)}, expected at most {_dotted(MACOS)}")
+
+
+@LIBRARIES.rule("binary.documented", "What the FMU needs from outside is documented in externalDependencies")
+def documented(subject: Subject) -> Iterator[Finding]:
+    foreign = [f.text for f in libraries(subject) if f.severity == "warning"]
+    told = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
+    if foreign and not told:
+        say = error if subject.major == 3 else note
+        yield say(
+            "documentation/externalDependencies.txt or .html is missing, though the FMU needs other libraries"
+        )
+
+
+PLATFORMS = Table()
+TUPLES = {  # FMI 2 name -> FMI 3 tuple
+    "win32": "x86-windows",
+    "win64": "x86_64-windows",
+    "linux32": "x86-linux",
+    "linux64": "x86_64-linux",
+    "darwin32": "x86-darwin",
+    "darwin64": "x86_64-darwin",
+}
+NAMES = {tuple_: name for name, tuple_ in TUPLES.items()}
+TUPLE = re.compile(
+    r"(aarch32|aarch64|riscv32|riscv64|x86|x86_64|ppc32|ppc64)-(darwin|linux|windows)(-[a-z][a-z0-9_]*)?"
+)
+FORMATS = {"linux": "ELF", "windows": "PE", "darwin": "Mach-O"}
+THREADS = "PyFMI#61 PythonFMU#106 FMPy#51 FMPy#322 FMPy#576 FMI.jl#47"
+
+
+def folders(subject: Subject) -> list[str]:
+    """The folders below binaries/ that hold files."""
+    return sorted({n.split("/")[1] for n in subject.files if n.startswith("binaries/") and n.count("/") > 1})
+
+
+def as_tuple(folder: str) -> tuple[str, str]:
+    """Machine and system of a folder of either version; empty when it is not standard."""
+    machine, _, rest = TUPLES.get(folder, folder).partition("-")
+    return (machine, rest.partition("-")[0]) if TUPLE.fullmatch(TUPLES.get(folder, folder)) else ("", "")
+
+
+def _legal(folder: str, major: int) -> bool:
+    if major == 2:
+        return folder in TUPLES or (bool(TUPLE.fullmatch(folder)) and folder not in NAMES)
+    return bool(TUPLE.fullmatch(folder))
+
+
+@PLATFORMS.rule("platform.some", "The FMU has a binary for some platform", THREADS)
+def any_platform(subject: Subject) -> Iterator[Finding]:
+    if not subject.model.interfaces or any(_legal(b.platform, subject.major) for b in subject.binaries):
+        return
+    where = folders(subject)
+    found = f"found folders {', '.join(where)}" if where else "found no binaries"
+    if any(f.startswith("sources/") for f in subject.files):
+        yield warning(f"{found}, only sources: few tools compile them")
+    else:
+        yield error(
+            f"{found}, expected binaries/{'linux64' if subject.major == 2 else 'x86_64-linux'} or another"
+        )
+
+
+def _lacks(subject: Subject, system: str) -> bool:
+    offered = {as_tuple(b.platform) for b in subject.binaries}
+    return bool(offered) and ("x86_64", system) not in offered
+
+
+@PLATFORMS.rule("platform.windows", "The FMU runs on 64-bit Windows", THREADS)
+def windows(subject: Subject) -> Iterator[Finding]:
+    if _lacks(subject, "windows"):
+        name = "win64" if subject.major == 2 else "x86_64-windows"
+        yield note(f"no binaries/{name}: no tool on Windows can run it")
+
+
+@PLATFORMS.rule("platform.linux", "The FMU runs on 64-bit Linux", THREADS)
+def linux(subject: Subject) -> Iterator[Finding]:
+    if _lacks(subject, "linux"):
+        name = "linux64" if subject.major == 2 else "x86_64-linux"
+        yield note(f"no binaries/{name}: no tool on Linux can run it")
+
+
+@PLATFORMS.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines")
+def macos_folder(subject: Subject) -> Iterator[Finding]:
+    machines = {b.machine for b in subject.binaries if as_tuple(b.platform)[1] == "darwin"}
+    if subject.binaries and not machines:
+        yield note("no binary for macOS")
+    elif machines and "aarch64" not in machines:
+        yield note("no binary for Macs with Apple processors; a universal one or aarch64-darwin")
+
+
+@PLATFORMS.rule("platform.folder", "Platform folders have the names of the FMI version", "FMPy#671")
+def folder(subject: Subject) -> Iterator[Finding]:
+    for name in folders(subject) if subject.major else ():
+        if _legal(name, subject.major):
+            continue
+        other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
+        if other:
+            yield warning(f"binaries/{name} is the name of the other FMI version, expected binaries/{other}")
+        else:
+            yield note(f"binaries/{name} is no platform of the standard; tools pass it over")
+
+
+@PLATFORMS.rule("platform.format", "Each library is of the format, machine and kind that its folder says")
+def format_(subject: Subject) -> Iterator[Finding]:
+    for b in subject.binaries:
+        machine, system = as_tuple(b.platform)
+        if not b.format:
+            what = b.damage or "something else"
+            what = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else what
+            yield error(f"{b}: expected a shared library, got {what if b.size else 'an empty file'}")
+        elif system and FORMATS[system] != b.format:
+            yield error(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")
+        elif not b.is_library:
+            yield error(f"{b}: expected a shared library, got an executable")
+        elif machine and not _right(b, machine, subject):
+            yield error(f"{b}: expected code for {machine}, got {b.machine}")
+
+
+def _right(b: Binary, machine: str, subject: Subject) -> bool:
+    """True for the right machine; a universal library needs it in one of its parts."""
+    return any(o.machine == machine for o in subject.binaries if o.file == b.file)
+
+
+@PLATFORMS.rule("platform.name", "Each platform has a library with the name of the model identifier")
+def name(subject: Subject) -> Iterator[Finding]:
+    for folder_ in (f for f in folders(subject) if _legal(f, subject.major)):
+        system = as_tuple(folder_)[1]
+        for kind, element in subject.model.interfaces.items():
+            expected = f"{element.get('modelIdentifier', '')}{SUFFIXES[FORMATS[system]]}"
+            if f"binaries/{folder_}/{expected}" in subject.files:
+                continue
+            static = [
+                f
+                for f in subject.files
+                if f.startswith(f"binaries/{folder_}/") and f.endswith((".a", ".lib"))
+            ]
+            there = sorted(b.name for b in subject.binaries if b.platform == folder_)
+            if not (static and not there):
+                found = ", ".join(there[:4]) or "no library"
+                yield error(f"binaries/{folder_}: expected {expected} for {kind}, found {found}")
+
+
+PYTHON = Table()
+SCRIPTS = "resources/"
+FMU_PACKAGES = ("pythonfmu", "pythonfmu3", "unifmu_fmi2", "unifmu")
+
+
+def _scripts(subject: Subject) -> list[str]:
+    return sorted(f for f in subject.files if f.startswith(SCRIPTS) and f.endswith(".py"))
+
+
+def _evidence(subject: Subject) -> Iterator[str]:
+    """Why Python is needed."""
+    for b in subject.binaries:
+        named = [n for n in b.libraries if PYTHON_LIBRARY.fullmatch(n)]
+        calls = sorted(i for i in b.imports if re.match(r"_?Py_?[A-Z]", i))
+        if named:
+            yield f"{b} needs {named[0]}"
+        elif len(calls) > 2:
+            yield f"{b} calls {calls[0]} and {len(calls) - 1} more of Python, and names no libpython"
+    maker = "resources/slavemodule.txt" in subject.files or (
+        subject.root is not None and "pythonfmu" in str(subject.root.get("generationTool", "")).lower()
+    )
+    if maker:
+        yield "PythonFMU made it"
+    launcher = "resources/launch.toml"
+    if launcher in subject.files and "python" in (subject.folder / launcher).read_text("utf-8", "replace"):
+        yield f"{launcher} starts Python"
+
+
+@PYTHON.rule(
+    "python.needed",
+    "The FMU runs without Python on the target machine",
+    "PythonFMU#110 PythonFMU#192 PythonFMU#202 PythonFMU#222 FMPy#348 Hopsan#2187",
+)
+def needed(subject: Subject) -> Iterator[Finding]:
+    why = list(_evidence(subject))
+    if why:
+        yield warning(
+            f"needs Python on the target: {'; '.join(why[:2])}; the target machine needs the same Python"
+            " on its path, with all packages"
+        )
+
+
+@PYTHON.rule("python.packages", "Scripts need no package beside the standard library", "PythonFMU#152")
+def packages(subject: Subject) -> Iterator[Finding]:
+    if not any(_evidence(subject)):
+        return
+    scripts = _scripts(subject)
+    own = {s.removeprefix(SCRIPTS).partition("/")[0].removesuffix(".py") for s in scripts} | set(FMU_PACKAGES)
+    found: dict[str, str] = {}
+    for script in scripts:
+        for name in _imports((subject.folder / script).read_text("utf-8", "replace")):
+            if name not in sys.stdlib_module_names and name not in own:
+                found.setdefault(name, script)
+    for name, script in found.items():
+        yield warning(f"{script}: imports {name}, which the target's Python must have")
+
+
+def _imports(text: str) -> set[str]:
+    """The top packages that a script imports; none when it cannot be read."""
+    try:
+        nodes = list(ast.walk(ast.parse(text)))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return set()
+    plain = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
+    given = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and not n.level}
+    return {name.partition(".")[0] for name in plain | given}
+
+
+@PYTHON.rule("python.syntax", "Scripts can be read by the target's Python")
+def syntax(subject: Subject) -> Iterator[Finding]:
+    for script in _scripts(subject):
+        try:
+            ast.parse((subject.folder / script).read_text("utf-8", "replace"))
+        except (SyntaxError, ValueError) as problem:
+            yield error(f"{script}: this Python cannot read it: {problem}")
+        except (RecursionError, MemoryError):
+            yield note(f"{script}: is nested too deep to be read")
+
+
+@PYTHON.rule("runtime.java", "The FMU runs without a Java machine on the target")
+def java(subject: Subject) -> Iterator[Finding]:
+    jars = sorted(f for f in subject.files if f.endswith(".jar"))
+    if jars:
+        yield warning(f"{some(jars)}: Java; the target machine may need a Java machine")

@@ -1,0 +1,406 @@
+"""Variables: unique, of a legal kind, with a start value where one is needed.
+
+Names of variables that every tool can show, find and use.
+
+Start values and ranges: numbers that can be true.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+
+from orchestrator.base.xml import children
+from orchestrator.check.description import NATURAL, WHOLE, Variable, listed
+from orchestrator.check.finding import Finding, Table, error, note, warning
+from orchestrator.check.subject import Subject
+
+VARIABLES = Table()
+CALCULATED, FREE = ("calculated", "approx"), ("calculated", "exact", "approx")
+LEGAL = {  # (causality, variability) -> what `initial` may be, in FMI 2; () means: must not be given
+    ("parameter", "fixed"): ("exact",),
+    ("parameter", "tunable"): ("exact",),
+    ("calculatedParameter", "fixed"): CALCULATED,
+    ("calculatedParameter", "tunable"): CALCULATED,
+    ("input", "discrete"): (),
+    ("input", "continuous"): (),
+    ("output", "constant"): ("exact",),
+    ("output", "discrete"): FREE,
+    ("output", "continuous"): FREE,
+    ("local", "constant"): ("exact",),
+    ("local", "fixed"): CALCULATED,
+    ("local", "tunable"): CALCULATED,
+    ("local", "discrete"): FREE,
+    ("local", "continuous"): FREE,
+    ("independent", "continuous"): (),
+}
+LEGAL_3 = LEGAL | {
+    ("input", "discrete"): ("exact",),
+    ("input", "continuous"): ("exact",),
+    ("structuralParameter", "fixed"): ("exact",),
+    ("structuralParameter", "tunable"): ("exact",),
+}
+
+
+@VARIABLES.rule("variable.duplicate", "Each variable has a name, and no other has the same", "Simulix#28")
+def duplicate(subject: Subject) -> Iterator[Finding]:
+    seen: dict[str, int] = {}
+    for v in subject.model.variables:
+        for name in (v.name, *v.aliases):
+            if not name:
+                yield error(f"{v}: the name is empty")
+            elif name in seen:
+                yield error(f"{v}: the name {name} is also in line {seen[name]}, expected unique names")
+            else:
+                seen[name] = v.line
+
+
+@VARIABLES.rule(
+    "variable.combination",
+    "Causality, variability and initial fit together by the table of the standard",
+    "FMPy#189 FMPy#108 FMPy#579",
+)
+def combination(subject: Subject) -> Iterator[Finding]:
+    legal = LEGAL_3 if subject.major == 3 else LEGAL
+    for v in subject.model.variables:
+        allowed = legal.get((v.causality, v.variability))
+        if allowed is None:
+            yield error(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
+        elif v.said.get("initial") and v.initial not in allowed:
+            expected = f"expected {' or '.join(allowed)}" if allowed else "expected none"
+            yield error(f"{v}: initial {v.initial} of a {v.variability} {v.causality}, {expected}")
+        elif v.variability == "continuous" and not v.is_float:
+            yield error(f"{v}: a {v.type} cannot be continuous, expected discrete")
+
+
+@VARIABLES.rule("variable.variability", "Variables that are not Real say their variability")
+def variability(subject: Subject) -> Iterator[Finding]:
+    if subject.major != 2:
+        return
+    for v in subject.model.variables:
+        if not v.is_float and not v.declared_variability:
+            yield warning(
+                f"{v}: a {v.type} without variability is continuous by default, which no {v.type} may be"
+            )
+
+
+@VARIABLES.rule("variable.start", "Start values are there where needed, and only there", "FMIKit#151")
+def start(subject: Subject) -> Iterator[Finding]:
+    for v in subject.model.variables:
+        if v.type == "Clock":
+            continue
+        needed = v.initial in ("exact", "approx") or v.causality in (
+            "input",
+            "parameter",
+            "structuralParameter",
+        )
+        if needed and v.starts is None:
+            why = v.causality if v.causality in ("input", "parameter") else f"initial {v.initial}"
+            yield error(f"{v}: has no start value, expected one ({why})")
+        elif v.starts is not None and (v.initial == "calculated" or v.causality == "independent"):
+            why = "initial calculated" if v.initial == "calculated" else "the independent variable"
+            yield error(f"{v}: has the start value {' '.join(v.starts)[:40]}, expected none ({why})")
+
+
+@VARIABLES.rule("variable.reference", "Value references are whole numbers; in FMI 3 each is there once")
+def reference(subject: Subject) -> Iterator[Finding]:
+    seen: dict[int, Variable] = {}
+    for v in subject.model.variables:
+        if v.reference is None or not 0 <= v.reference < 2**32:
+            yield error(
+                f"{v}: valueReference {v.said.get('valueReference')!r}, expected a whole number below 2^32"
+            )
+        elif subject.major == 3 and v.reference in seen:
+            yield error(f"{v}: valueReference {v.reference} is also that of {seen[v.reference].name}")
+        else:
+            seen[v.reference] = v
+
+
+@VARIABLES.rule("variable.alias", "Variables that share a value reference agree (FMI 2)")
+def alias(subject: Subject) -> Iterator[Finding]:
+    if subject.major != 2:
+        return
+    sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
+    for v in subject.model.variables:
+        if v.reference is not None:
+            sets[_base(v.type), v.reference].append(v)
+    for same in (s for s in sets.values() if len(s) > 1):
+        yield from _alias(same)
+
+
+def _base(type_: str) -> str:
+    return "Integer" if type_ == "Enumeration" else type_
+
+
+def _alias(same: list[Variable]) -> Iterator[Finding]:
+    first, names = same[0], ", ".join(v.name for v in same[:4])
+    settable = [v for v in same if v.causality in ("input", "parameter")]
+    if len(settable) > 1:
+        yield error(
+            f"{settable[1]}: shares valueReference {first.reference} with {settable[0].name}; both can be set"
+        )
+        return
+    if len([v for v in same if v.starts is not None and v.variability != "constant"]) > 1:
+        yield error(f"{first}: {names} share a valueReference, and more than one has a start value")
+    if len({v.unit for v in same}) > 1:
+        yield error(f"{first}: {names} share a valueReference, but not the unit")
+    if len({v.variability == "constant" for v in same}) > 1:
+        yield error(f"{first}: {names} share a valueReference, but only some are constant")
+
+
+@VARIABLES.rule(
+    "variable.independent",
+    "There is one independent variable: at most in FMI 2, exactly in FMI 3",
+    "casadi#4030",
+)
+def independent(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    found = model.of("independent")
+    if len(found) > 1:
+        yield error(f"{found[1]}: is a second independent variable beside {found[0].name}, expected one")
+    if model.major == 3 and model.variables and not found:
+        yield error("modelDescription.xml: no independent variable, expected one such as time")
+    for v in found:
+        if not v.is_float:
+            yield error(f"{v}: the independent variable is {v.type}, expected a real number")
+
+
+@VARIABLES.rule("variable.type", "Declared types exist and have the type of the variable")
+def type_(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    for v in model.variables:
+        name = v.said.get("declaredType")
+        if name is not None and name not in model.types:
+            yield error(f"{v}: declaredType {name!r} is not defined")
+        elif name is not None:
+            tag = str(model.types[name].tag).rpartition("}")[2].removesuffix("Type")
+            if tag != v.type:
+                yield error(f"{v}: declaredType {name} is for {tag}, the variable is {v.type}")
+        elif v.type == "Enumeration":
+            yield error(f"{v}: an enumeration without declaredType has no items")
+
+
+@VARIABLES.rule("variable.string", "Inputs and outputs are numbers", "FMPy#696")
+def string(subject: Subject) -> Iterator[Finding]:
+    odd = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
+    if odd:
+        yield note(f"{listed(odd)}: {odd[0].type}; many tools cannot connect them")
+
+
+@VARIABLES.rule("variable.array", "Variables are scalars")
+def array(subject: Subject) -> Iterator[Finding]:
+    root = subject.root
+    if subject.major == 3 and root is not None:
+        arrays = [e.getparent() for e in root.iter("Dimension")]
+        if arrays:
+            yield note(
+                f"modelDescription.xml line {arrays[0].sourceline}: {arrays[0].get('name')} is an array;"
+                " tools that grew up with FMI 2 may not take arrays"
+            )
+
+
+@VARIABLES.rule("variable.text", "Inputs, outputs and parameters have a description")
+def text(subject: Subject) -> Iterator[Finding]:
+    silent = [
+        v
+        for v in subject.model.of("input", "output", "parameter")
+        if not v.said.get("description", "").strip()
+    ]
+    if silent:
+        yield note(f"{listed(silent)}: no description")
+
+
+NAMES = Table()
+LONGEST = 63  # namelengthmax of MATLAB
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
+PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"
+PATH = rf"{PART}(?:\.{PART})*"
+STRUCTURED = re.compile(rf"{PATH}|der\({PATH}(?:,[0-9]+)?\)")
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+MODELICA = _words(
+    """algorithm and annotation assert block break class connect connector constant constrainedby der
+    discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external false
+    final flow for function if import impure in initial inner input loop model not operator or outer output
+    package parameter partial protected public pure record redeclare replaceable return stream then time true
+    type when while within"""
+)
+C = _words(
+    """auto break case char const continue default do double else enum extern float for goto if inline int
+    long register restrict return short signed sizeof static struct switch typedef union unsigned void
+    volatile while"""
+)
+CPP = _words(
+    """and asm bool catch class delete explicit export false friend mutable namespace new not operator or
+    private protected public template this throw true try typename using virtual xor"""
+)
+
+
+def _named(subject: Subject) -> Iterator[tuple[Variable, str]]:
+    for v in subject.model.variables:
+        for name in (v.name, *v.aliases):
+            yield v, name
+
+
+def _structured(subject: Subject) -> bool:
+    return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
+
+
+@NAMES.rule(
+    "name.grammar",
+    "Names keep the naming convention that the FMU claims",
+    "casadi#4030 fmi-cross-check#74 OpenModelica#11265",
+)
+def grammar(subject: Subject) -> Iterator[Finding]:
+    for v, name in _named(subject):
+        if re.search(r"[\r\n\t]", name):
+            yield error(f"{v}: the name {name!r} has a line break or tab")
+        elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
+            yield error(f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured")
+
+
+@NAMES.rule("name.structured", "Inputs and outputs have flat names", "Hopsan#2266 Hopsan#2280 OSMP#70")
+def structured(subject: Subject) -> Iterator[Finding]:
+    ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
+    if _structured(subject) and ports:
+        yield note(f"{listed(ports)}: structured names of inputs or outputs, expected flat names")
+
+
+@NAMES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
+def characters(subject: Subject) -> Iterator[Finding]:
+    if _structured(subject):
+        return  # the rule on the grammar speaks of these
+    odd = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
+    if odd:
+        yield note(f"{listed(odd)}: no identifiers; tools rename or quote them")
+
+
+@NAMES.rule(
+    "name.mangled", "Names stay different when a tool replaces what is no letter or digit", "Modelica-FMI#22"
+)
+def mangled(subject: Subject) -> Iterator[Finding]:
+    groups: dict[str, list[Variable]] = defaultdict(list)
+    for v in subject.model.variables:
+        groups[re.sub(r"\W", "_", v.name)].append(v)
+    for name, same in groups.items():
+        if len({v.name for v in same}) > 1:
+            yield note(f"{same[1]}: becomes {name} where {same[0].name} does too")
+
+
+@NAMES.rule("name.case", "Names differ by more than case")
+def case(subject: Subject) -> Iterator[Finding]:
+    seen: dict[str, Variable] = {}
+    for v in subject.model.variables:
+        other = seen.setdefault(v.name.casefold(), v)
+        if other.name != v.name:
+            yield note(f"{v}: differs from {other.name} only by case")
+
+
+@NAMES.rule("name.keyword", "No name is a keyword of Modelica or C", "OpenModelica#3596 OpenModelica#5706")
+def keyword(subject: Subject) -> Iterator[Finding]:
+    for v in subject.model.variables:
+        if v.causality == "independent":
+            continue
+        languages = [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]
+        if languages:
+            yield warning(f"{v}: is a keyword of {' and '.join(languages)}")
+
+
+@NAMES.rule("name.length", f"Names have at most {LONGEST} characters", "FMIKit#341")
+def length(subject: Subject) -> Iterator[Finding]:
+    long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > LONGEST]
+    if long:
+        yield note(f"{listed(long)}: {len(long[0].name)} characters, expected at most {LONGEST}")
+
+
+VALUES = Table()
+
+
+def number(v: Variable, text: str | None) -> float | None:
+    """An attribute of a numeric variable; None when there is none or it is no number of its type."""
+    if text is None:
+        return None
+    try:
+        if v.is_float:
+            return float(text)
+        return int(text) if v.type in WHOLE or v.type in NATURAL or v.type == "Enumeration" else None
+    except ValueError:
+        return None
+
+
+def _fits(v: Variable, text: str) -> bool:
+    """True when a start value is a value of the type."""
+    value = number(v, text)
+    if v.is_float:
+        return value is not None
+    if v.type in WHOLE:
+        return value is not None and -(2 ** (WHOLE[v.type] - 1)) <= value < 2 ** (WHOLE[v.type] - 1)
+    if v.type in NATURAL:
+        return value is not None and 0 <= value < 2 ** NATURAL[v.type]
+    if v.type == "Boolean":
+        return text in ("true", "false", "1", "0")
+    return True
+
+
+@VALUES.rule("value.start", "Start values are finite values of their type")
+def start_in_range(subject: Subject) -> Iterator[Finding]:
+    for v in subject.model.variables:
+        for text in v.starts or ():
+            if not _fits(v, text):
+                yield error(f"{v}: start value {text!r} is no {v.type}")
+            elif v.is_float and not math.isfinite(float(text)):
+                yield warning(f"{v}: start value is {text}, expected a finite number")
+
+
+@VALUES.rule("value.range", "Start values lie within min and max, and min below max")
+def range_(subject: Subject) -> Iterator[Finding]:
+    for v in subject.model.variables:
+        low, high = number(v, v.said.get("min")), number(v, v.said.get("max"))
+        if low is not None and high is not None and low > high:
+            yield error(f"{v}: min {low:g} is above max {high:g}")
+            continue
+        for value in (number(v, s) for s in v.starts or ()):
+            if value is not None and not (low if low is not None else value) <= value <= (
+                high if high is not None else value
+            ):
+                yield error(f"{v}: start value {value:g} lies outside of {_interval(low, high)}")
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
+
+
+@VALUES.rule("value.nominal", "Nominal values are positive; solvers scale tolerances with them")
+def nominal(subject: Subject) -> Iterator[Finding]:
+    for v in subject.model.variables:
+        value = number(v, v.said.get("nominal"))
+        if value is not None and not (math.isfinite(value) and value > 0):
+            yield warning(f"{v}: nominal {value:g}, expected a positive number")
+
+
+@VALUES.rule("value.enumeration", "Enumerations have distinct items, and start at one of them")
+def enumeration(subject: Subject) -> Iterator[Finding]:
+    model = subject.model
+    for name, element in model.types.items():
+        values = [i.get("value") for i in children(element, "Item")]
+        if len(set(values)) < len(values):
+            yield error(
+                f"modelDescription.xml line {element.sourceline}: type {name} has two items with one value"
+            )
+    for v in model.variables:
+        declared = model.types.get(v.said.get("declaredType", ""))
+        if v.type != "Enumeration" or declared is None:
+            continue
+        items = [i.get("value") for i in children(declared, "Item")]
+        wrong = [s for s in v.starts or () if s not in items]
+        if wrong:
+            yield error(
+                f"{v}: start value {wrong[0]} is no item, expected one of {', '.join(map(str, items[:8]))}"
+            )

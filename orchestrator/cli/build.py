@@ -1,0 +1,77 @@
+"""`harvester build`: the FMUs of the machine, or one whose code is Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.base.errors import Problem
+from orchestrator.cli.options import (
+    BUILD,
+    app,
+)
+
+
+@app.command()
+def build(
+    model: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="MODEL",
+            help="For an FMU whose code is Python: a file with a model of your own, such as my_actuator.py,"
+            " or a subsystem, such as fmus.boom_stick:VARIANTS.lumped.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Where the files go; those of FMI 3.0 to fmi3/ in it, those in Python to python/.",
+        ),
+    ] = BUILD,
+    fmi: Annotated[
+        str, typer.Option(metavar="VERSION", help="2, 3 or both; of a model in Python 2.")
+    ] = "both",
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="host (the default), all, or one such as x86_64-windows or aarch64-linux; repeatable.",
+        ),
+    ] = None,
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Numbers in place of those of the parts (.toml), such as harvester identify writes.",
+        ),
+    ] = None,
+) -> None:
+    """Build the FMUs of the machine, or one of a model in Python.
+
+    Of the machine: the parts in all variants, the whole, the controller, and the systems that connect them.
+    """
+    from fmus.export.compile import select
+
+    versions = {"2": (2,), "3": (3,), "both": (2, 3)}
+    if fmi not in versions:
+        raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
+    platforms = select(platform or ["host"])
+    from orchestrator.base.files import folder
+
+    folder(out)
+    if model is not None:
+        from fmus.export.python.build import build_model
+
+        if 2 not in versions[fmi]:
+            raise Problem(f"--fmi {fmi}: expected 2, an FMU whose code is Python is one of FMI 2.0")
+        if parameters is not None:
+            raise Problem(f"--parameters {parameters}: a model of your own has its own numbers")
+        print(build_model(model, out, platforms))
+        return
+    from fmus.machine.build import build_machine
+
+    for path in build_machine(out, versions[fmi], platforms, parameters):
+        print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

@@ -1,0 +1,316 @@
+"""The application, and what several commands share: groups of options, and how the texts of options are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import typer
+
+from orchestrator.base.errors import Problem
+
+BUILD = Path("build")
+SYSTEM = BUILD / "harvester.ssp"
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def _group() -> None:
+    """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the fields of its groups, which are dataclasses, as parameters of their own."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters: dict[str, Parameter] = {}
+    for name, parameter in signature(command).parameters.items():
+        if name in groups:
+            types = get_type_hints(groups[name], include_extras=True)
+            for f in fields(groups[name]):
+                parameters[f.name] = _parameter(f.name, f.default, types[f.name])
+        else:
+            parameters[name] = _parameter(name, parameter.default, hints[name])
+
+    @wraps(command)
+    def told(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
+        command(**values)
+
+    told.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    told.__annotations__ = {name: p.annotation for name, p in parameters.items()}
+    return told
+
+
+def _parameter(name: str, default: Any, kind: Any) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+T = TypeVar("T")
+
+
+def seconds(text: str) -> float:
+    """A time [s] from the text of an option."""
+    return _read(text, float, "a number of seconds")
+
+
+def number(text: str) -> float:
+    """A number from the text of an option."""
+    return _read(text, float, "a number")
+
+
+def whole(text: str) -> int:
+    """A whole number from the text of an option."""
+    return _read(text, int, "a whole number")
+
+
+def positive(text: str) -> int:
+    """A whole number above zero from the text of an option."""
+    found = _read(text, int, "a whole number above 0")
+    if found < 1:
+        raise typer.BadParameter(f"expected a whole number above 0, got {text!r}")
+    return found
+
+
+def _read(text: str, kind: Callable[[str], T], expected: str) -> T:
+    try:
+        return kind(text)
+    except ValueError:
+        raise typer.BadParameter(f"expected {expected}, got {text!r}") from None
+
+
+def swaps(texts: Iterable[str]) -> dict[str, str]:
+    """{component: variant or path} from the texts 'component=variant'."""
+    return assignments(texts, "--swap", "component=variant or component=file.fmu")
+
+
+def factors(texts: Iterable[str]) -> dict[str, int]:
+    """{component: steps} from the texts 'component=steps'."""
+    expected = "component=N, N steps of it in each communication step"
+    found = assignments(texts, "--factor", expected)
+    for name, text in found.items():
+        if not text.isdecimal():
+            raise Problem(f"--factor {name}={text}: expected {expected}")
+    return {name: int(text) for name, text in found.items()}
+
+
+def assignments(
+    texts: Iterable[str], option: str = "--set", expected: str = "component.variable=value or input=value"
+) -> dict[str, str]:
+    """{name: value} from the texts 'name=value' of an option."""
+    values = dict[str, str]()
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name:
+            raise Problem(f"{option} {text}: expected {expected}")
+        if values.setdefault(name, value) != value:
+            raise Problem(f"{option} {text}: {name} is {values[name]} already, expected one value")
+    return values
+
+
+System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
+Start = Annotated[float | None, typer.Option(metavar="T", help="Start time [s].", parser=seconds)]
+Stop = Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].", parser=seconds)]
+Swap = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="COMPONENT=FMU",
+        help="Another FMU in the place of a component: the name of a variant, such as boom_stick=detailed,"
+        " or a path, boom_stick=FILE.fmu; repeatable.",
+    ),
+]
+
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--parameters",
+        "--pose",
+        metavar="SET",
+        help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Start value of a COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs of a"
+        " name (supply_pressure sets both drives); repeatable.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is run."""
+
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Inputs over time (.csv, .parquet); default: what the system plays by itself,"
+            " for the harvester the work cycle.",
+        ),
+    ] = None
+    start: Start = None
+    stop: Stop = None
+    swap: Swap = None
+    parameters: Parameters = None
+    set_: Set = None
+    cut: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TARGET",
+            help="Leave out the connections to these inputs, such as '*_rate'; repeatable.",
+        ),
+    ] = None
+
+    def options(self) -> dict[str, Any]:
+        """As the functions of the commands take them, but the scenario."""
+        return {
+            "start": self.start,
+            "stop": self.stop,
+            "swap": swaps(self.swap or []),
+            "parameters": self.parameters or (),
+            "set": assignments(self.set_ or []),
+            "cut": self.cut or (),
+        }
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How long the steps are, and what is recorded of them."""
+
+    step: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="Communication step [s], with --adaptive the first to try; default: what the system or its"
+            " FMUs suggest, 1e-3 for the harvester.",
+            parser=seconds,
+        ),
+    ] = None
+    record_step: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="Time between recorded points [s], a multiple of the step; default: 0.005, at least a step."
+            " With --adaptive any time; default: every step (validate: 0.005).",
+            parser=seconds,
+        ),
+    ] = None
+
+    def options(self) -> dict[str, Any]:
+        """As the functions of the commands take them."""
+        return {"step": self.step, "record_step": self.record_step}
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """How the components are coupled: the choices of `Coupling`."""
+
+    master: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="jacobi, gauss-seidel, hermite or interface-jacobian; default: what the system suggests,"
+            " else gauss-seidel.",
+        ),
+    ] = None
+    order: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Order at which outputs are extrapolated over a step: 0 (held), 1, 2 or 3; default: 0 for"
+            " jacobi and gauss-seidel, else 3.",
+            parser=whole,
+        ),
+    ] = None
+    passes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="hermite: compute a step at most so many times; default: 8.",
+            parser=whole,
+        ),
+    ] = None
+    coupling_tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TOL",
+            help="hermite: compute a step again while a signal is off by more than TOL of its magnitude;"
+            " default: 1e-5, with --adaptive 0.3 of its TOL.",
+            parser=number,
+        ),
+    ] = None
+    correct: Annotated[
+        bool,
+        typer.Option("--correct", help="Give inputs back what extrapolation lost over the step before."),
+    ] = False
+    lag: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="interface-jacobian: linearise the components every N steps; default: 1.",
+            parser=whole,
+        ),
+    ] = None
+    factor: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COMPONENT=N",
+            help="The component takes N steps in each communication step; repeatable.",
+        ),
+    ] = None
+    adaptive: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TOL",
+            help="Let the steps be as long as their error allows, TOL of the magnitude of each signal,"
+            " such as 1e-3.",
+            parser=number,
+        ),
+    ] = None
+    control: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHAT",
+            help="With --adaptive: what TOL is of: error of the signals (default), or energy of power bonds.",
+        ),
+    ] = None
+    guard: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TOL",
+            help="Equal steps: divide one whose estimated error is above TOL, where the components can go"
+            " back; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
+            parser=number,
+        ),
+    ] = None
+    smallest: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="With --adaptive: shortest step [s]; default: 1e-7.", parser=seconds),
+    ] = None
+    largest: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="With --adaptive: longest step [s]; default: 0.1.", parser=seconds),
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """What the user says, named like the fields of `Coupling`."""
+        found = {f.name: getattr(self, f.name) for f in fields(self)}
+        found["tolerance"] = found.pop("coupling_tolerance")
+        found["factors"] = factors(found.pop("factor") or []) or None
+        found["correct"] = self.correct or None
+        return {name: value for name, value in found.items() if value is not None}

@@ -1,0 +1,47 @@
+"""`harvester run`: co-simulate and record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    Case,
+    Coupled,
+    Steps,
+    System,
+    app,
+    spread,
+)
+
+
+@app.command()
+@spread
+def run(
+    *,
+    system: System = SYSTEM,
+    case: Case,
+    steps: Steps,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")
+    ] = BUILD / "trace.csv",
+    error_estimate: Annotated[
+        bool,
+        typer.Option(
+            "--error-estimate",
+            help="Run again at half and at twice the step, or at a tenth of the tolerance of --adaptive;"
+            " tell change and order.",
+        ),
+    ] = False,
+    coupled: Coupled,
+) -> None:
+    """Co-simulate a system and record its signals."""
+
+    from orchestrator.engine.run import run_to_file
+
+    options = case.options() | steps.options() | {"error_estimate": error_estimate}
+    run_to_file(system, case.scenario, out, coupling=coupled.given(), **options)

@@ -1,0 +1,59 @@
+"""`harvester validate`: co-simulate and compare with a reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    Case,
+    Coupled,
+    Steps,
+    System,
+    app,
+    spread,
+)
+
+
+@app.command()
+@spread
+def validate(
+    *,
+    system: System = SYSTEM,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Reference or measurement, .csv with .toml; default: the work cycle."
+        ),
+    ] = None,
+    layout: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
+    ] = None,
+    play: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Signals of the reference that go into the run beside its commands, such as"
+            " '*.supply_pressure'; repeatable.",
+        ),
+    ] = None,
+    case: Case,
+    steps: Steps,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
+    coupled: Coupled,
+) -> None:
+    """Co-simulate and compare with a reference.
+
+    Writes a report; exit status 1 if a limit is missed.
+    """
+    from fmus.machine.build import data
+    from orchestrator.results.validate import validate as judged
+
+    usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
+    options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
+    if not judged(system, case.scenario, reference, layout, out, usual=usual, **options):
+        raise typer.Exit(1)

@@ -1,0 +1,134 @@
+"""Initialisation: start values, then consistent outputs and inputs in initialisation mode.
+
+What the components of a run cannot do of what its master would do with them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Problem
+from orchestrator.engine.input_signal import DRIVEN, NO_SLOPE
+from orchestrator.engine.masters import Plan
+from orchestrator.engine.network import Network
+from orchestrator.engine.wiring import Loop
+from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.description import Interface, Value
+from orchestrator.ssp.dependencies import Feedthrough, Knot, components
+from orchestrator.ssp.system import Connection, Port, System
+
+
+def initialise(
+    system: System,
+    slaves: Mapping[str, Slave],
+    driven: Mapping[Port, Value],
+    span: tuple[float, float],
+    tolerance: float | None = None,
+) -> None:
+    """Bring all slaves from instantiated to ready for the first step.
+
+    driven   input -> value at the start time, for inputs that a scenario drives
+    span     start and stop time [s]
+    """
+    for name, slave in slaves.items():
+        slave.setup(span[0], _end(slave.interface, span[1]), tolerance)
+        for variable, value in system.components[name].start.items():
+            slave.set(variable, value)
+    _set(slaves, driven)  # for FMUs that compute their start when they enter initialisation
+    for slave in slaves.values():
+        slave.enter()
+    _set(slaves, driven)
+    propagate(system, slaves)
+    for slave in slaves.values():
+        slave.exit()
+
+
+def _end(interface: Interface, stop: float) -> float:
+    """The stop time to announce [s]: the sum of equal steps may be past the true one by its rounding."""
+    return stop if interface.varies else stop + 4.0 * math.ulp(stop)
+
+
+def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
+    for port, value in values.items():
+        slaves[port.component].set(port.variable, value)
+
+
+def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
+    """Carry outputs to the inputs they feed, in the order of the dependencies in initialisation mode.
+
+    Algebraic loops are solved as in the run, see `Loop`.
+    """
+    flow = Feedthrough(system, initially=True)
+    fed: dict[Port, list[Connection]] = {}
+    for c in system.connections:
+        fed.setdefault(c.source, []).append(c)
+    for group in components(flow.graph):
+        known, knot = [y for y in group if y in fed], flow.knot(group)
+        if knot:
+            _untie(slaves, knot, {y: [c for c in fed[y] if c not in knot.connections] for y in known})
+        else:
+            for y in known:
+                _carry(slaves, y, fed[y])
+
+
+def _untie(slaves: Mapping[str, Slave], knot: Knot, fed: Mapping[Port, list[Connection]]) -> None:
+    """Solve for the Real signals of a knot; where it has others, again and again until nothing changes."""
+    loop = Loop(slaves, knot) if knot.connections else None
+    previous: dict[Port, Value] = {}
+    for _ in range(1 if knot.rounds == 1 else len(fed) + 1):
+        if loop:
+            loop()
+        current = {y: _carry(slaves, y, connections) for y, connections in fed.items()}
+        if previous and all(_same(previous[y], value) for y, value in current.items()):
+            return
+        previous = current
+    if knot.rounds > 1 and knot.declared:
+        raise Problem(f"initialisation does not settle: {knot.text}")
+
+
+def _same(old: Value, new: Value) -> bool:
+    """Equal up to the rounding of an FMU that iterates inside."""
+    return old == new or (isinstance(new, float) and math.isclose(old, new, rel_tol=1e-10))  # type: ignore[arg-type]
+
+
+def _carry(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:
+    """Read one output and set the inputs it feeds; returns the output's value."""
+    value = slaves[source.component].get(source.variable)
+    if isinstance(value, str) or math.isnan(value):
+        raise Problem(f"{source}: expected a number in initialisation mode, got {value!r}")
+    for c in connections:
+        slaves[c.target.component].set(c.target.variable, type(value)(c.map(value)))
+    return value
+
+
+SHOWN = 4  # names in a list
+
+
+def remarks(network: Network, plan: Plan, coupling: Coupling) -> tuple[str, ...]:
+    """One line for each way in which the master had to do without something."""
+    notes = plan.notes
+    stuck = _listed(name for name, slave in network.slaves.items() if not slave.interface.rollback)
+    if coupling.adaptive is not None and stuck:
+        notes += (f"adaptive steps with too large an error stand: {stuck} cannot go back to a saved state",)
+    if not plan.sloped:
+        return notes
+    names = {place: str(port) for port, place in network.real.index.items()}
+    wired = [s for s in network.signals if s.maker != DRIVEN and s.wanted]
+    asked = [plan.asks(name) for name in network.slaves]
+    silent = _listed(names[s.source] for s in wired if s.slope == NO_SLOPE and asked[s.maker])
+    still = _listed(names[s.target] for s in wired if s.degree == 0)
+    straight = _listed(names[s.target] for s in wired if 0 < s.degree < s.wanted)
+    told = {
+        "slopes from differences of values, because the FMUs tell none": silent,
+        "inputs held at their mean over a step, because the FMUs take no slopes": still,
+        "inputs moved at straight lines, because the FMUs take no curves": straight,
+    }
+    return (*notes, *(f"{what}: {which}" for what, which in told.items() if which))
+
+
+def _listed(names: Iterable[str]) -> str:
+    found = list(dict.fromkeys(names))
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return f"{', '.join(found[:SHOWN])}{more}"

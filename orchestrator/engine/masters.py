@@ -1,0 +1,255 @@
+"""What a master decides before a run; `sweep.py` carries it out at every step.
+
+Jacobi: every component takes the same step with what is known at its start.
+
+Gauss-Seidel: components step one after the other, later ones with the new outputs of earlier ones.
+
+Hermite: the step is repeated until every input is the cubic between the ends of its source.
+
+Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
+sources are continued as Gauss-Seidel does it; each further pass starts again from the saved states, with the
+cubics to where the pass before it ended. When passes change nothing any more the input of every component is
+its source up to h^4, so the order of convergence is 4; docs/coupling.md has the measurements.
+
+A component that only hears from ones that have stepped before it is right in the first pass already. When all
+others can go back to a saved state the step is repeated, else it is computed once.
+
+Interface-Jacobian: the components' own linearisations, joined, say what all inputs will do in the step.
+
+Directional derivatives of the FMUs make one linear system of all components, see `foresight.py`. Its solution
+over the step gives every input as a cubic; one pass, no rollback. Components whose future does not depend on
+others step first, and are followed as they went. docs/coupling.md has the equations and the measurements.
+
+Masters: how the components take a communication step together. Each makes a `Plan` of a system.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.fmi.description import Interface
+from orchestrator.ssp.dependencies import sequence
+from orchestrator.ssp.system import Connection, Port, System
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What `foresight.py` works with.
+
+    leads   so many components step first: their future depends on no other component
+    open    components that declare to tell how their states and outputs change
+    all     there are no others, but for those that lead
+    heard   inputs that a state depends on, or an output that feeds another component
+    lag     steps for which a linearisation is kept
+    """
+
+    leads: int
+    open: frozenset[str]
+    all: bool
+    heard: frozenset[Port]
+    lag: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One way to take all components over a step.
+
+    turns        the components, by number, in the order in which they step
+    moved        the connections whose inputs move inside the step; the others are held
+    order        degree at which a source is continued that has not stepped yet
+    degree       degree at which both ends of a source are connected that has
+    sequential   the inputs of a component know what the sources before it in the order have done
+    passes       how often the step is computed at most; more than once needs rollback
+    tolerance    a further pass is made while the last one changed a signal by more, as a share of its
+                 magnitude
+    corrected    continued sources get back what they lost, see `Signal.give_back`
+    watches      the inputs that do not move are watched too, for the estimate of the error
+    repeated     the components, by number, that further passes compute again
+    notes        what to tell the user
+    outlook      inputs are foretold from linearisations
+    """
+
+    turns: Sequence[int]
+    moved: Sequence[Connection]
+    order: int
+    degree: int
+    sequential: bool = False
+    passes: int = 1
+    tolerance: float = 0.0
+    corrected: bool = False
+    watches: bool = False
+    repeated: frozenset[int] = frozenset()
+    notes: tuple[str, ...] = ()
+    outlook: Outlook | None = None
+
+    @property
+    def sloped(self) -> bool:
+        """Are the slopes of sources wanted?"""
+        return self.order > 0 or self.degree > 1 or self.corrected or self.watches
+
+    def asks(self, component: str) -> bool:
+        """Are the slopes of the outputs of this component wanted?"""
+        known = self.outlook is not None and self.outlook.all and component in self.outlook.open
+        return self.sloped and not known
+
+
+def turns(system: System) -> list[int]:
+    """The order, by number, in which components step one after the other."""
+    places = {name: i for i, name in enumerate(system.components)}
+    return [places[name] for name in sequence(system)]
+
+
+def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:
+    """The components, by number, that a second pass can change when they step in this order.
+
+    These are fed by one that does not step before them, or by one that a second pass changes.
+    """
+    names, wires = list(system.components), system.connections
+    turn = {names[k]: i for i, k in enumerate(order)}
+    found = {c.target.component for c in wires if turn[c.source.component] >= turn[c.target.component]}
+    while more := {c.target.component for c in wires if c.source.component in found} - found:
+        found |= more
+    return frozenset(map(names.index, found))
+
+
+def jacobi(system: System, coupling: Coupling) -> Plan:
+    """Sources are continued over the step by a polynomial of degree `order`; order of convergence: one more.
+
+    At order 0 inputs are held, unless an FMU moves them itself by a rate input.
+    """
+    order = coupling.extrapolation
+    moved = system.connections if order or coupling.correct else ()
+    watches = coupling.judges
+    everybody = range(len(system.components))
+    return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)
+
+
+def gauss_seidel(system: System, coupling: Coupling) -> Plan:
+    """Sources that have stepped are connected at degree `order` + 1, the others are continued at `order`.
+
+    Order of convergence: `order` + 1. At order 0 inputs from components that step later are held, unless an
+    FMU moves them itself by a rate input. The order of the components follows from the dependencies.
+    """
+    order, names = coupling.extrapolation, list(system.components)
+    turn = {names[k]: i for i, k in enumerate(turns(system))}
+    early = [c for c in system.connections if turn[c.source.component] < turn[c.target.component]]
+    return Plan(
+        turns(system),
+        system.connections if order or coupling.correct else early,
+        order,
+        degree=min(order + 1, 3),
+        sequential=True,
+        corrected=coupling.correct,
+        watches=coupling.judges,
+    )
+
+
+def hermite(system: System, coupling: Coupling) -> Plan:
+    """At most `passes` passes, fewer when one changes all signals by less than the tolerance."""
+    order = turns(system)
+    repeated, components = unsettled(system, order), list(system.components.values())
+    stuck = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
+    told = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
+    passes = 1 if stuck else coupling.rounds
+    return Plan(
+        order,
+        system.connections,
+        coupling.extrapolation,
+        degree=3,
+        sequential=True,
+        passes=passes,
+        tolerance=coupling.miss,
+        corrected=coupling.correct,
+        watches=coupling.judges,
+        repeated=repeated,
+        notes=(told,) if stuck and coupling.rounds > 1 else (),
+    )
+
+
+def interface_jacobian(system: System, coupling: Coupling) -> Plan:
+    """All inputs are foretold; those from components that have stepped are bent to where they arrived."""
+    heard = _heard(system)
+    leads = _leads(system, heard)
+    needed = _needed(system, leads, heard)
+    open_ = frozenset(name for name in needed if _tells(system.components[name].interface))
+    order = [*(k for k in turns(system) if k in leads), *(k for k in turns(system) if k not in leads)]
+    return Plan(
+        order,
+        system.connections,
+        order=coupling.extrapolation,
+        degree=3,
+        sequential=True,
+        watches=coupling.judges,
+        outlook=Outlook(len(leads), open_, open_ == needed, heard, coupling.lag),
+    )
+
+
+def _heard(system: System) -> frozenset[Port]:
+    """Inputs that a state depends on, or an output that feeds another component."""
+    sources: dict[str, set[str]] = {name: set() for name in system.components}
+    for c in system.connections:
+        if c.target.variable not in system.components[c.target.component].interface.inert:
+            sources[c.source.component].add(c.source.variable)
+    return frozenset(
+        Port(name, v.name)
+        for name, component in system.components.items()
+        for v in component.interface.of("input")
+        if _matters(component.interface, v.name, sources[name])
+    )
+
+
+def _matters(face: Interface, variable: str, outputs: Iterable[str]) -> bool:
+    if variable in face.inert:
+        return False
+    if not (face.states or face.stateless):
+        return True
+    told = [face.knowns.get(rate) for rate in face.states.values()]
+    moves = any(known is None or variable in known for known in told)
+    return moves or any(variable in face.depends(y) for y in outputs)
+
+
+def _leads(system: System, heard: frozenset[Port]) -> set[int]:
+    """Components that hear of nobody but each other: sources, and what merely follows sources."""
+    names, found = list(system.components), set[int]()
+    wires = [c for c in system.connections if c.target in heard and c.source.component != c.target.component]
+    while True:
+        done = {names[k] for k in found}
+        behind = {c.target.component for c in wires if c.source.component not in done}
+        more = {k for k, name in enumerate(names) if name not in behind and not _loops(system, name, heard)}
+        if more == found:
+            return found
+        found = more
+
+
+def _loops(system: System, name: str, heard: frozenset[Port]) -> bool:
+    """Does a component feed itself?"""
+    return any(
+        c.source.component == c.target.component == name and c.target in heard for c in system.connections
+    )
+
+
+def _needed(system: System, leads: set[int], heard: frozenset[Port]) -> frozenset[str]:
+    """Components whose future is to be foretold: they do not lead, and feed one that does not."""
+    others = {name for k, name in enumerate(system.components) if k not in leads}
+    wires = [c for c in system.connections if c.target in heard and c.target.component in others]
+    return frozenset({c.source.component for c in wires} & others)
+
+
+def _tells(face: Interface) -> bool:
+    """Does a component declare to tell how its states and outputs change?"""
+    return face.directional and bool(face.states or face.stateless)
+
+
+MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {
+    "jacobi": jacobi,
+    "gauss-seidel": gauss_seidel,
+    "hermite": hermite,
+    "interface-jacobian": interface_jacobian,
+}
+
+
+def plan(system: System, coupling: Coupling) -> Plan:
+    """The plan of the chosen master."""
+    return MASTERS[coupling.master](system, coupling)

@@ -1,0 +1,357 @@
+"""What a run leaves behind, also when it ends early.
+
+The accuracy card: how fast a run was, and how far its result can be trusted.
+
+What a run was and what it cost, in a file beside its trace: trace.csv has trace.run.json.
+
+A CSV has no room for it, nor for units; `harvester compare` reads both from there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.engine.recorder import BondEnergy
+from orchestrator.fmi.library import Message
+from orchestrator.ssp.system import System
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run leaves behind.
+
+    trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
+    card       the accuracy card
+    messages   what the FMUs logged
+    coupling   all choices about it
+    complete   False when the run ended early; the trace then holds what was recorded until there. A run that
+               an FMU asked to end is complete, and has a note that says so
+    """
+
+    system: System
+    trace: Trace
+    card: Card
+    messages: tuple[Message, ...] = ()
+    complete: bool = True
+    coupling: Coupling = field(default_factory=Coupling)
+
+
+class RunFailed(Problem):
+    """A run that ended early because of a problem; `result` holds what was recorded."""
+
+    def __init__(self, problem: Problem, result: Result) -> None:
+        super().__init__(str(problem))
+        self.result = result
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run that the user stopped; `result` holds what was recorded."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__()
+        self.result = result
+
+
+ESTIMATE = "change when the step is halved; at order p the error is 2^p / (2^p - 1) of it"
+ADAPTIVE = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that"
+STILL = 1e-6  # of the nominal value: what moves less stands still
+ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
+IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
+TOO_MUCH = 0.05  # of the energy exchanged: no more a small error of the coupling
+LITTLE = 1e-2  # of the busiest bond: of what exchanges less the residual counts, not its share
+
+
+@dataclass(frozen=True)
+class SignalError:
+    """What halving the step changes of one signal; its error at order p is 2^p / (2^p - 1) times that.
+
+    Of an adaptive run what a tenth of the tolerance changes. An error in proportion to the tolerance is 1.1
+    times that; one in proportion to its root, of hermite where FMUs hold inputs, is 1.5 times that.
+
+    largest, rms   over the signal's range
+    change         the largest, in `unit`
+    order          measured order of convergence, from a third run at twice the step; None when unknown
+    """
+
+    name: str
+    largest: float
+    rms: float
+    order: float | None = None
+    unit: str = ""
+    change: float = 0.0
+
+
+@dataclass(frozen=True)
+class Card:
+    """Facts about one run. Times in [s].
+
+    step        communication step, of adaptive runs the mean
+    steps       that were taken and stand
+    passes      over all components, in all steps
+    repeated    steps that did not stand
+    lengths     shortest and longest step
+    adaptive    tolerance of an adaptive run; None: all steps are equal
+    record_step 0: every communication point
+    inside      component -> time in its steps, the rest of the wall time is coupling and recording
+    """
+
+    master: str
+    step: float
+    record_step: float
+    steps: int
+    simulated: float
+    wall: float
+    bonds: tuple[BondEnergy, ...] = ()
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    errors: tuple[SignalError, ...] = field(default=())
+    inside: Mapping[str, float] = field(default_factory=dict)
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+    adaptive: float | None = None
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated time over wall time: above 1 is faster than real time."""
+        return self.simulated / self.wall if self.wall > 0 else float("inf")
+
+    @property
+    def worst(self) -> list[SignalError]:
+        """The largest change of each unit, in the order in which the signals were declared."""
+        found: dict[str, SignalError] = {}
+        for e in self.errors:
+            if e.unit not in found or e.change > found[e.unit].change:
+                found[e.unit] = e
+        return list(found.values())
+
+    def _steps(self) -> str:
+        """How many steps, how long, and how often they were computed."""
+        if self.adaptive is None:
+            told = f"step {self.step:.6g} s, {self.steps} steps"
+        else:
+            shortest, longest = (f"{1e3 * length:.3g}" for length in self.lengths)
+            told = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
+        if (each := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
+            told += f", {each} passes each"
+        return told + (f", {self.repeated} repeated" if self.repeated else "")
+
+    def _made_up(self) -> list[str]:
+        """Bonds whose coupling made up or lost so much that the run is not to be trusted."""
+        most = max((b.exchanged for b in self.bonds), default=0.0)
+        wrong = [b for b in self.bonds if b.exchanged >= LITTLE * most > 0 and abs(b.relative) > TOO_MUCH]
+        return [
+            f"the coupling {'made up' if b.residual > 0 else 'lost'} {abs(b.relative):.1%} of the energy of"
+            f" {b.name}: the run is not to be trusted, take shorter steps"
+            for b in wrong
+        ]
+
+    def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
+        """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
+        most = max(b.exchanged for b in self.bonds)
+        if bond.exchanged <= max(REST, IDLE * most):
+            return "", "", "no exchange"
+        share = f"{bond.relative:.1e}" if bond.exchanged >= LITTLE * most else "-"
+        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", share
+
+    def text(self) -> str:
+        """The card as lines of text."""
+        lines = [
+            f"master {self.master}, {self._steps()}, {self.simulated:.6g} s simulated",
+            f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
+        ]
+        if self.inside:
+            each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
+            lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
+        if busy := [row for row in _bond_rows(self) if row[1]]:
+            lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], busy)]
+        elif self.bonds:
+            lines += ["", "no power bond exchanges energy"]
+        if self.errors:
+            head = ["worst signal of each unit", "change", "", "of range", "order"]
+            told, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
+            lines += ["", told, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
+        lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
+        warnings = [*self._made_up(), *self.warnings]
+        lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
+        return "\n".join(lines)
+
+
+def compare(
+    fine: Trace,
+    trace: Trace,
+    coarse: Trace | None = None,
+    nominals: Mapping[str, float | None] | None = None,
+) -> tuple[SignalError, ...]:
+    """Error estimates for `trace` from a run at half its step and, for the order, one at twice its step.
+
+    Compared are the points that both runs recorded. Signals that stand still, measured by the magnitudes
+    `nominals`, are left out; those whose change is at the level of rounding get no order.
+    """
+    errors = []
+    changes = _changes(fine, trace)
+    before = _changes(trace, coarse.select(trace.signals)) if coarse else {}
+    for name, span in _moving(fine.select(trace.signals), nominals or {}).items():
+        largest, rms = float(np.max(np.abs(changes[name]))), _rms(changes[name])
+        order = None if rms < 1e-11 * span or name not in before else _order(_rms(before[name]), rms)
+        errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
+    return tuple(errors)
+
+
+def _moving(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
+    """The range of each signal that moves."""
+    spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
+    widest: dict[str, float] = {}
+    for name, span in spans.items():
+        unit = trace.units.get(name, "")
+        widest[unit] = max(span, widest.get(unit, 0.0))
+    least = {
+        name: STILL * nominal if (nominal := nominals.get(name)) else max(ALIKE * widest[unit], FLOOR)
+        for name, unit in ((name, trace.units.get(name, "")) for name in spans)
+    }
+    return {name: span for name, span in spans.items() if span > abs(least[name])}
+
+
+def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:
+    """What the finer run changes of each signal; halving a step leaves the common times equal bit by bit."""
+    _, a, b = np.intersect1d(fine.time, trace.time, assume_unique=True, return_indices=True)
+    return {name: fine[name][a] - values[b] for name, values in trace.signals.items()}
+
+
+def _order(before: float, change: float) -> float | None:
+    """log2 of how much larger the change from 2h to h is than the one from h to h/2."""
+    return float(np.log2(before / change)) if before > 0 else None
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+
+
+def _bond_rows(card: Card) -> list[list[str]]:
+    return [[b.name, *card.bond(b)] for b in card.bonds]
+
+
+def _error_row(e: SignalError) -> list[str]:
+    order = "" if e.order is None else f"{e.order:.2f}"
+    return [e.name, f"{e.change:.2e}", e.unit, f"{e.largest:.1e}", order]
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    """Columns padded to equal width, numbers to the right."""
+    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
+    return [
+        "  ".join(
+            c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(r, widths, strict=True))
+        )
+        for r in [head, *rows]
+    ]
+
+
+SUFFIX = ".run.json"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """One run. Times in [s].
+
+    step      communication step, of adaptive runs the mean
+    coupling  all choices about it that have an effect, by name
+    steps     that were taken and stand; `passes`: over all components, in all of them; `repeated`: steps that
+              did not stand; `lengths`: the shortest and the longest step
+    fmus      component -> model name of its FMU
+    swapped   component -> file of the FMU in its place
+    given     what the user asked for beyond the defaults
+    wall      of the whole run; `inside`: of the steps of each component
+    units     of the signals; `inputs`: which of them are inputs of components
+    """
+
+    system: str
+    master: str
+    step: float
+    simulated: float
+    wall: float
+    complete: bool = True
+    fmus: Mapping[str, str] = field(default_factory=dict)
+    swapped: Mapping[str, str] = field(default_factory=dict)
+    given: Mapping[str, Any] = field(default_factory=dict)
+    inside: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
+    coupling: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 0
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def adaptive(self) -> bool:
+        """Did the run choose its steps?"""
+        return "adaptive" in self.coupling
+
+
+def facts(result: Result, given: Mapping[str, Any] | None = None) -> Facts:
+    """What there is to tell about a run."""
+    system, card = result.system, result.card
+    return Facts(
+        system=str(system.source.path if system.source else system.name),
+        master=card.master,
+        step=card.step,
+        simulated=card.simulated,
+        wall=card.wall,
+        complete=result.complete,
+        fmus={c.name: c.interface.identifier for c in system.components.values()},
+        swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},
+        given={name: value for name, value in (given or {}).items() if value},
+        inside=card.inside,
+        units=result.trace.units,
+        inputs=tuple(str(p) for p in system.ports("input") if str(p) in result.trace.signals),
+        coupling=result.coupling.settings,
+        steps=card.steps,
+        passes=card.passes,
+        repeated=card.repeated,
+        lengths=card.lengths,
+    )
+
+
+def beside(trace: Path) -> Path:
+    """The file that belongs to a trace."""
+    return trace.with_suffix(SUFFIX)
+
+
+def write_facts(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
+    """Write the facts of a run beside its trace, which is there already."""
+    text = json.dumps(
+        {"sha256": _digest(trace)} | asdict(facts(result, given)), indent=1, ensure_ascii=False, default=str
+    )
+    beside(trace).write_text(text + "\n", encoding="utf-8", newline="\n")
+    return beside(trace)
+
+
+def _digest(trace: Path) -> str:
+    """By this the facts belong to their trace, also when both have got another name."""
+    return hashlib.sha256(trace.read_bytes()).hexdigest()
+
+
+def read_facts(path: Path) -> Facts | None:
+    """The facts of the run that made a trace; None where there are none or they are of another trace."""
+    file = beside(path)
+    if not file.is_file():
+        return None
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        digest = data.pop("sha256")
+        found = Facts(**{**data, "inputs": tuple(data["inputs"])})
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise Problem(f"{file}: expected what harvester run writes beside a trace, got {error!r}") from None
+    return found if digest == _digest(path) else None

@@ -1,0 +1,302 @@
+"""The small interface through which masters use a running component.
+
+Single values on their way to and from the arguments of an FMI call.
+
+The functions of one FMU instance, bound to their arguments and judged by the status they return.
+
+One FMI call that reads or sets a row of variables, to be made from Python or from C.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Discarded, Ended, Problem
+from orchestrator.fmi.description import Interface, Value, Variable
+from orchestrator.fmi.library import DISCARD, FATAL, STATUS, WARNING, Library, Log
+
+Buffer = NDArray[Any]  # float64 for Real, int32 for all whole numbers, Enumeration and Boolean
+Call = Callable[[], None]
+
+
+class Slave(Protocol):
+    """What a master needs of a component. All variables of one reader or writer have the same `access`.
+
+    busy      time that its steps took so far [s]
+    follows   the highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3
+    tells     those of the outputs whose first time derivatives it tells
+    step      raises Discarded when the FMU did only part of the step, Ended when it asks to end the run
+    resume    the last step is going to be repeated from a saved state, as if it had not been tried
+    save      a snapshot of the state; given an earlier one, that is overwritten
+    """
+
+    name: str
+    interface: Interface
+    log: Log
+    busy: float
+
+    def setup(self, start: float, stop: float, tolerance: float | None) -> None: ...
+    def enter(self) -> None: ...
+    def exit(self) -> None: ...
+    def get(self, variable: str) -> Value: ...
+    def set(self, variable: str, value: Value) -> None: ...
+    def reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
+    def writer(self, variables: Sequence[str], values: Buffer) -> Call: ...
+    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
+    def slope_writer(self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()) -> Call: ...
+    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Call: ...
+    def follows(self, variable: str, degree: int) -> int: ...
+    def tells(self, outputs: Sequence[str]) -> Sequence[str]: ...
+    def step(self, t: float, h: float) -> None: ...
+    def resume(self) -> None: ...
+    def save(self, state: Any = None) -> Any: ...
+    def restore(self, state: Any) -> None: ...
+    def forget(self, state: Any) -> None: ...
+    def pack(self, state: Any) -> bytes: ...
+    def unpack(self, data: bytes) -> Any: ...
+    def close(self) -> None: ...
+
+
+def access(variable: Variable) -> str:
+    """The word in the FMI function that reads or writes this variable."""
+    return variable.word or ("Integer" if variable.kind == "Enumeration" else variable.kind)
+
+
+def address(values: Buffer) -> ctypes.c_void_p:
+    """Where an array begins; the caller keeps it alive."""
+    return ctypes.c_void_p(values.ctypes.data)
+
+
+def packed(variable: Variable, kind: Any, value: Value) -> Any:
+    """One value as a ctypes object."""
+    if variable.kind == "String":
+        return ctypes.c_char_p(str(value).encode())
+    if variable.is_real:
+        return kind(float(value))
+    cell = kind(int(value))
+    if cell.value != int(value) and variable.kind != "Boolean":
+        raise Problem(f"{variable.name}: {value} does not fit into {variable.word or variable.kind}")
+    return cell
+
+
+def unpacked(variable: Variable, cell: Any) -> Value:
+    """The value in a ctypes object."""
+    if variable.kind == "String":
+        return (cell.value or b"").decode(errors="replace")
+    value: Value = cell.value
+    return bool(value) if variable.kind == "Boolean" else value
+
+
+def ready(argument: Any) -> Any:
+    """An argument in the form that ctypes passes on as it is, which halves the cost of a call."""
+    if isinstance(argument, ctypes.Array):
+        return ctypes.byref(argument)
+    if isinstance(argument, ctypes._SimpleCData):
+        return type(argument).from_param(argument.value)
+    return argument
+
+
+def label(status: int) -> str:
+    """What a status is called."""
+    return STATUS[status] if 0 <= status < len(STATUS) else str(status)
+
+
+class Bound:
+    """A call with all its arguments fixed; `judge` raises on a status that does not do."""
+
+    __slots__ = ("_call", "judge")
+
+    def __init__(self, call: Callable[[], int], judge: Callable[[int], None]) -> None:
+        self._call, self.judge = call, judge
+
+    def __call__(self) -> None:
+        status = self._call()
+        if status:
+            self.judge(status)
+
+
+class Calls:
+    """Calls into one instance; they raise, naming variables and time, when the FMU fails.
+
+    handle  the instance, once there is one
+    worst   the worst status that any call returned
+    """
+
+    def __init__(self, library: Library, prefix: str, log: Log) -> None:
+        """prefix: of all function names, such as fmi2."""
+        self._library, self._prefix, self._log = library, prefix, log
+        self.handle = ctypes.c_void_p()
+        self.worst = 0
+
+    def function(self, name: str, result: Any = ctypes.c_int) -> Callable[..., Any]:
+        """A function with the instance as its first argument."""
+        return partial(self._library.function(self._prefix + name, result), ready(self.handle))
+
+    def address(self, name: str) -> int:
+        """Where a function is in memory, for calls from C."""
+        return self._library.address(self._prefix + name)
+
+    def bound(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> Bound:
+        """A call with all arguments fixed; `of` are the variables it is about."""
+        call = partial(self.function(name), *map(ready, arguments))
+        about = f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else ""
+        what = f"{self._prefix}{name}{about}"
+        return Bound(call, lambda status: self.judge(status, what))
+
+    def call(self, name: str, *arguments: Any, of: Sequence[str] = ()) -> None:
+        """Call once."""
+        self.bound(name, *arguments, of=of)()
+
+    def judge(self, status: int, what: str) -> None:
+        """Let warnings pass, raise on anything worse."""
+        self.worst = max(self.worst, status)
+        if status != WARNING:
+            raise Problem(self.told(f"{what} failed", f"with status {label(status)}"))
+
+    def told(self, what: str, more: str) -> str:
+        """A message with component, time and what the FMU says."""
+        when = f" at t = {self._log.time:.9g} s" if self._log.time == self._log.time else ""
+        return f"{self._log.component}: {what}{when} {more}{self._log.last()}"
+
+    def unless_fatal(self, call: Call) -> None:
+        """After a fatal error nothing of the FMU may be called any more."""
+        if self.worst < FATAL:
+            call()
+
+
+def stopped(calls: Calls, status: int, reached: float, ended: bool) -> Discarded | Ended:
+    """What to raise when an FMU did not do a step to its end."""
+    if ended:
+        text = f"asks to end the simulation at t = {reached:.9g} s"
+        problem: Discarded | Ended = Ended(calls.told("the step", f"is the last: the FMU {text}"))
+    else:
+        far = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
+        problem = Discarded(calls.told("the step failed", f"with status {label(status)}{far}"))
+        calls.worst = max(calls.worst, status)
+    problem.reached = reached
+    return problem
+
+
+OUT_OF_RANGE = -1  # as a status: a whole number that the other type cannot hold
+
+
+@dataclass(frozen=True)
+class Access:
+    """A call of fmiXGet..., fmiXSet... or one of their kin, with all its arguments fixed.
+
+    call         makes the call from Python and judges its status
+    address      of the FMI function, for C
+    component    the instance
+    fmi          2 or 3: whether the number of values is an argument too
+    references   value references, shape (n,)
+    orders       of derivatives, shape (n,); None for values
+    own          what the FMU reads or writes, shape (n,)
+    values       where the run keeps it, shape (n,); `own` itself where the types agree
+    sets         True when the FMU takes the values
+    names        of the variables
+    """
+
+    call: Bound
+    address: int
+    component: int
+    fmi: int
+    references: NDArray[np.uint32]
+    orders: NDArray[np.int32] | None
+    own: Buffer
+    values: Buffer
+    sets: bool
+    names: Sequence[str]
+
+    def __call__(self) -> None:
+        if self.own.dtype == self.values.dtype:
+            self.call()
+        elif self.sets:
+            with np.errstate(over="ignore"):  # what is too large in single precision becomes infinite
+                self.own[:] = self.values
+            check(self.values, self.own, self.names)
+            self.call()
+        else:
+            self.call()
+            self.values[:] = self.own
+            check(self.own, self.values, self.names)
+
+    def judge(self, status: int) -> None:
+        """Raise what the call from Python would raise; after a call from C, which does not judge."""
+        if status == OUT_OF_RANGE:
+            if self.sets:
+                self.own[:] = self.values
+                check(self.values, self.own, self.names)
+            self.values[:] = self.own
+            check(self.own, self.values, self.names)
+        self.call.judge(status)
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """A call of fmiXGetDirectionalDerivative with all its arguments fixed.
+
+    call, address, component, fmi   as in `Access`
+    of, by                          value references of outputs, shape (m,), and of inputs, shape (n,)
+    seed, into                      the direction in which the inputs move, and how the outputs change
+    """
+
+    call: Bound
+    address: int
+    component: int
+    fmi: int
+    of: NDArray[np.uint32]
+    by: NDArray[np.uint32]
+    seed: Buffer
+    into: Buffer
+
+    def __call__(self) -> None:
+        self.call()
+
+    def judge(self, status: int) -> None:
+        """Raise what the call from Python would raise; after a call from C, which does not judge."""
+        self.call.judge(status)
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """What it takes to step an instance, and to save and restore its state, from C.
+
+    do_step, get_state, set_state   addresses of the FMI functions; 0 for those that are not needed
+    results                         addresses of what FMI 3.0 says of a step: event, terminate, early, last
+    flags                           address of the first three of them together; 0 in FMI 2.0
+    judge, judge_get, judge_set     raise what each of the three, called from Python, would for a status
+    clock                           where the time is noted for messages, see `Log.clock`
+    """
+
+    component: int
+    fmi: int
+    do_step: int
+    get_state: int
+    set_state: int
+    results: tuple[int, ...]
+    flags: int
+    judge: Callable[[int], None]
+    judge_get: Callable[[int], None]
+    judge_set: Callable[[int], None]
+    clock: NDArray[np.float64]
+
+
+def fitting(values: Buffer, count: int, kind: Any) -> Buffer:
+    """`values` itself where an FMU of this ctypes kind can use it directly, else an array that it can use."""
+    if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int32):
+        raise ValueError(f"expected {count} contiguous values, got shape {values.shape} of {values.dtype}")
+    return values[:count] if values.dtype == np.dtype(kind) else np.zeros(count, kind)
+
+
+def check(before: Buffer, after: Buffer, names: Sequence[str]) -> None:
+    """Refuse whole numbers that the other type cannot hold; real ones may be rounded."""
+    if after.dtype.kind in "iu" and not np.array_equal(before, after):
+        at = int(np.flatnonzero(before != after)[0])
+        raise Problem(f"{names[at]}: {before[at]} does not fit into {after.dtype}")

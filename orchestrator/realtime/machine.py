@@ -1,0 +1,315 @@
+"""From one start of a live machine to the next: its process, and all that is known of its frames.
+
+A live machine: its physics runs in a process of its own, this is who drives and watches it.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.data.trace import Trace
+from orchestrator.realtime.frames import check
+from orchestrator.realtime.pace import factor_of, quantile
+from orchestrator.realtime.process import Process
+from orchestrator.realtime.setup import Array, Frame, Pulse, Setup
+from orchestrator.realtime.shared_memory import HEAD, NUMBER, TIME, Board, Memory, News, Orders, size
+
+KEPT = 1800.0  # [s] of frames that are kept
+MOST = 256 << 20  # bytes that they may take
+MARGIN = 200  # of the oldest frames, which may be overwritten while they are read
+SILENT = 5.0  # [s] without a sign of life: an FMU does not return
+
+
+class Session:
+    """One session. Memory for all of its frames is reserved, and taken as it fills.
+
+    board    the shared memory, which stays readable when the process has ended
+    closed   it was ended on purpose
+    """
+
+    def __init__(self, setup: Setup, first: int, serial: int) -> None:
+        """first: number of the first frame; serial: of the last command that is not for this session."""
+        self.setup, self.first, self.closed = setup, first, False
+        self.axes = tuple(axis.name for axis in setup.axes)
+        sizes = len(setup.axes), len(setup.signals)
+        rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
+        memory = Memory(size(*sizes, rows))
+        self.board = Board(memory.map, *sizes, rows)
+        self._process = Process(setup, memory, rows, first, serial)
+        self._beat, self._heard = -1, time.monotonic()
+
+    def close(self) -> None:
+        """End the process. May be repeated."""
+        self.closed = True
+        self._process.end()
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._process.pid
+
+    # ---- what there is to say
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Of axes and signals; empty until the machine is ready."""
+        return dict(_said(self.board.news()).get("units", {}))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How it runs, what it could not keep up with, and what is no longer kept."""
+        news = self.board.news()
+        notes = [str(note) for note in _said(news).get("notes", ())]
+        if news.slipped > 0:
+            notes.append(f"the machine could not keep up: its clock was stopped for {news.slipped:.3g} s")
+        if (lost := self._oldest(news) - self.first) > 0:
+            notes.append(f"the first {lost} frames are no longer in memory")
+        return tuple(notes)
+
+    # ---- frames
+
+    def latest(self) -> Frame:
+        """What is known now."""
+        news, n = self.board.news(), len(self.axes)
+        known = news.last >= self.first
+        row = self._row(news.last) if known else np.full(self.board.rows.shape[1], np.nan)
+        number = news.last if known else self.first - 1
+        state, message = self._state(news)
+        axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
+        return Frame(number, float(row[TIME]), axes, values, state, message, _pulse(news))
+
+    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
+        news, rows, n = self.board.news(), self.board.rows, len(self.axes)
+        begin = max(number + 1, self._oldest(news))
+        numbers = np.arange(begin, max(news.last + 1, begin))
+        found = rows[numbers % len(rows)]
+        kept = found[:, NUMBER] == numbers  # but for those that were overwritten in the meantime
+        found = found[kept]
+        return numbers[kept], found[:, TIME], found[:, HEAD : HEAD + n], found[:, HEAD + n :]
+
+    def trace(self) -> Trace:
+        """All frames that are in memory: axes and signals over time."""
+        _, times, axes, values = self.since(-1)
+        table = dict(zip(self.axes, np.ascontiguousarray(axes.T), strict=True))
+        table |= dict(zip(self.setup.signals, np.ascontiguousarray(values.T), strict=True))
+        return Trace(np.ascontiguousarray(times), table, self.units)
+
+    def _row(self, number: int) -> Array:
+        return np.array(self.board.rows[number % len(self.board.rows)])
+
+    def _oldest(self, news: News) -> int:
+        """Number of the first frame that is in memory."""
+        room = len(self.board.rows)
+        full = news.last - self.first >= room
+        return news.last - room + 1 + min(MARGIN, room // 4) if full else self.first
+
+    def _state(self, news: News) -> tuple[str, str]:
+        """The state, and why it failed: it says so itself, or it ended, or it is silent."""
+        if news.state == "failed":
+            return "failed", str(_said(news).get("message", ""))
+        if self.closed:
+            return "ended", ""
+        if fate := self._process.fate:
+            return "failed", fate
+        now = time.monotonic()
+        if news.beat != self._beat or news.state == "starting":
+            self._beat, self._heard = news.beat, now
+        if (silent := now - self._heard) > SILENT:
+            return "failed", f"the machine has not answered for {silent:.0f} s"
+        return news.state, ""
+
+
+def _said(news: News) -> dict[str, Any]:
+    """What the process said of itself; nothing if it died over it."""
+    try:
+        return dict(json.loads(news.text or "{}"))
+    except ValueError:
+        return {}
+
+
+def _pulse(news: News) -> Pulse:
+    middle, most = (min(quantile(news.latencies, share), news.worst) for share in (0.5, 0.99))
+    return Pulse(news.frames, news.missed, (middle, most, news.worst), news.load)
+
+
+APART = 10_000  # frames between the numbers of two sessions: the old one goes on while the new one is started
+POLL = 2e-3  # [s] between two looks at a machine that is awaited
+
+
+class Station:
+    """A machine in real time, see `setup.Machine`.
+
+    Every session (start or restart) has a process and memory of its own. Numbers of frames go on counting.
+    """
+
+    drives = True
+
+    def __init__(self, setup: Setup, playing: bool = True, speed: float = 1.0) -> None:
+        """Returns when the machine is ready; raises Problem for a mistake in the setup."""
+        self._playing, self._speed, self._serial = playing, factor_of(speed), 0
+        self._lock = threading.Lock()  # among the threads of this process
+        self._ending: list[threading.Thread] = []
+        self._session = self._open(setup, 0)
+        try:
+            frame = self.ready()
+            if frame.state == "failed":
+                raise Problem(frame.message)
+        except BaseException:
+            self.close()
+            raise
+
+    # ---- what it is
+
+    @property
+    def setup(self) -> Setup:
+        """What runs now."""
+        return self._session.setup
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self._session.axes
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        return self._session.setup.signals
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Of axes and signals; empty until the machine is ready."""
+        return self._session.units
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say about how this session runs."""
+        return self._session.notes
+
+    @property
+    def pid(self) -> int:
+        """Number of the process that steps the machine."""
+        return self._session.pid
+
+    # ---- driving
+
+    def command(self, values: Mapping[str, float]) -> None:
+        """New values by axis; what is not named goes to rest. They expire after `patience`."""
+        with self._lock:
+            wanted = {axis.name: float(axis.rest) for axis in self.setup.axes}
+            for name, value in values.items():
+                if name not in wanted:
+                    raise Problem(f"unknown axis {str(name)[:40]!r}{suggest(str(name)[:40], wanted)}")
+                wanted[name] = _number(name, value)
+            self._serial += 1
+            self._wanted = np.array([*wanted.values()], dtype=np.float64)
+            self._order(self._session)
+
+    def play(self) -> None:
+        """Go on."""
+        self._set(True, self._speed)
+
+    def pause(self) -> None:
+        """Stand still; nothing is forgotten."""
+        self._set(False, self._speed)
+
+    def speed(self, factor: float) -> None:
+        """How many times as fast as real time, 0.1 to 10."""
+        self._set(self._playing, factor_of(factor))
+
+    def restart(self, setup: Setup | None = None) -> None:
+        """From the beginning, perhaps with another setup; returns at once, the state is "starting".
+
+        It plays or stays paused as before. A setup that does not work makes the state "failed".
+        """
+        with self._lock:
+            old = self._session
+            if old.closed:
+                raise Problem("the machine is closed")
+            self._session = self._open(setup or old.setup, old.latest().number + APART)
+            ending = threading.Thread(target=old.close, daemon=True)
+            ending.start()
+            self._ending = [t for t in self._ending if t.is_alive()] + [ending]
+
+    def close(self) -> None:
+        """End the process. May be repeated; the frames stay readable."""
+        with self._lock:
+            self._session.close()
+            for ending in self._ending:
+                ending.join()
+
+    # ---- watching
+
+    def latest(self) -> Frame:
+        """What is known now; before the first frame of a session the numbers in it are NaN."""
+        return self._session.latest()
+
+    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number.
+
+        Of this session only; what is no longer in memory is left out.
+        """
+        return self._session.since(number)
+
+    def trace(self) -> Trace:
+        """The session, as far as it is in memory (see `notes`): axes and signals over time."""
+        return self._session.trace()
+
+    def ready(self, patience: float = 60.0) -> Frame:
+        """Wait until the machine has started, or failed to; at most `patience` [s]."""
+        until = time.monotonic() + patience
+        while (frame := self.latest()).state == "starting":
+            if time.monotonic() > until:
+                raise Problem(f"{self.setup.system}: not ready within {patience:g} s")
+            time.sleep(POLL)
+        return frame
+
+    # ---- inside
+
+    def _open(self, setup: Setup, before: int) -> Session:
+        """A session; `before` is the number of what is shown before its first frame."""
+        plain = _plain(setup)
+        check(plain)
+        session = Session(plain, before + 1, self._serial)
+        self._wanted = np.array([axis.rest for axis in plain.axes], dtype=np.float64)
+        self._order(session)
+        return session
+
+    def _set(self, playing: bool, speed: float) -> None:
+        with self._lock:
+            self._playing, self._speed = playing, speed
+            self._order(self._session)
+
+    def _order(self, session: Session) -> None:
+        session.board.order(Orders(self._playing, self._speed, self._serial, self._wanted))
+
+
+def _plain(setup: Setup) -> Setup:
+    """The same setup in types that any process reads."""
+    return replace(
+        setup,
+        system=str(setup.system),
+        axes=tuple(setup.axes),
+        signals=tuple(setup.signals),
+        swap={name: str(fmu) for name, fmu in setup.swap.items()},
+        parameters=tuple(str(name) for name in setup.parameters),
+        set=dict(setup.set),
+    )
+
+
+def _number(name: str, value: Any) -> float:
+    """A finite number, or a Problem."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = np.nan
+    if not np.isfinite(number):
+        raise Problem(f"axis {name}: expected a finite number, got {repr(value)[:40]}")
+    return number

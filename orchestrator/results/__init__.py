@@ -1,0 +1,1 @@
+"""Validation and comparison of results: references, metrics, reports."""

@@ -1,0 +1,252 @@
+"""What is compared: traces with their units, and what is known of the runs that made them.
+
+Traces against one of them: every common signal, on the samples that `validate` would take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.units import Exponents, linear, parse
+from orchestrator.data.trace import Trace, read
+from orchestrator.engine.result import FLOOR, Facts, Result, facts, read_facts
+from orchestrator.results.compare import Row, Validation
+from orchestrator.results.compare import compare as against_reference
+from orchestrator.results.metrics import constant
+from orchestrator.results.reference import Reference, Signal, read_reference
+
+Source = str | Path | Trace | Result
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trace under a short name; `facts` are None where nobody noted them."""
+
+    label: str
+    trace: Trace
+    facts: Facts | None = None
+    file: str = ""
+
+    @property
+    def inputs(self) -> frozenset[str]:
+        """The signals that are inputs of components."""
+        return frozenset(self.facts.inputs if self.facts else ())
+
+
+def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Path | None = None) -> list[Run]:
+    """The runs behind files, or behind traces, results and files with names; `more`: a further file."""
+    if isinstance(sources, Mapping):
+        named: Mapping[str, Source] = sources
+    else:
+        files = [Path(s) for s in sources]
+        named = _named(files if more is None or str(more) in _named(files) else [*files, Path(more)])
+    if len(named) < 2:
+        raise Problem(f"compare: expected two or more traces, got {', '.join(map(str, named)) or 'none'}")
+    return _with_units([_run(label, source) for label, source in named.items()])
+
+
+def _named(files: Sequence[Path]) -> dict[str, Source]:
+    """Files by their stems, or by their paths where stems are the same."""
+    files = list(dict.fromkeys(files))
+    stems = [f.stem for f in files]
+    return {f.stem if stems.count(f.stem) == 1 else str(f): f for f in files}
+
+
+def _run(label: str, source: Source) -> Run:
+    if isinstance(source, Result):
+        return Run(label, source.trace, facts(source))
+    if isinstance(source, Trace):
+        return Run(label, source)
+    path = Path(source)
+    if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
+        known = read_reference(path)
+        signals = {name: s.values for name, s in known.signals.items()}
+        trace = Trace(known.time, signals, {name: s.unit for name, s in known.signals.items()})
+        return Run(label, trace, None, str(path))
+    trace = read(path)
+    found = read_facts(path)
+    units = {name: unit for name, unit in (found.units if found else {}).items() if name in trace.signals}
+    return Run(label, replace(trace, units={**trace.units, **units}), found, str(path))
+
+
+def _with_units(runs: list[Run]) -> list[Run]:
+    """A signal without a unit has that of the first run that states one."""
+    known: dict[str, str] = {}
+    for run in runs:
+        known = {**run.trace.units, **known}
+    return [replace(run, trace=replace(run.trace, units=_complete(run.trace, known))) for run in runs]
+
+
+def _complete(trace: Trace, known: Mapping[str, str]) -> dict[str, str]:
+    return {name: unit for name in trace.signals if (unit := trace.units.get(name) or known.get(name))}
+
+
+# What signals of a unit are called together; the first three are looked at unless the user names signals.
+QUANTITIES = {"speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m"}
+QUANTITIES |= {"acceleration": "m/s2", "angular acceleration": "rad/s2"}
+QUANTITIES |= {"force": "N", "torque": "N.m", "flow": "m3/s", "power": "W", "voltage": "V"}
+USUAL = ("speed", "pressure", "angle")
+# A signal that moves less than this share of the widest of its quantity is at rest: a difference over its
+# range says nothing about the machine.
+REST = 1e-3
+CONSTANT = "reference constant"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome.
+
+    reference   the run that the others are compared with
+    against     label -> comparison of that run with the reference, signal by signal
+    signals     the signals to show
+    notes       what to know about it
+    """
+
+    runs: tuple[Run, ...]
+    reference: Run
+    against: Mapping[str, Validation]
+    signals: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """What is compared, from first to last [s]."""
+        windows = [validation.window for validation in self.against.values()]
+        return min(a for a, _ in windows), max(b for _, b in windows)
+
+    def quantities(self) -> dict[str, list[str]]:
+        """All common signals by quantity."""
+        found: dict[str, list[str]] = {}
+        for row in next(iter(self.against.values())).rows:
+            found.setdefault(row.group, []).append(row.signal)
+        return found
+
+    def worst(self, label: str, quantity: str) -> Row | None:
+        """The signal of a quantity with the largest NRMSE among those that move in either run.
+
+        Where the reference does not move, NRMSE is over the range of the other run; then CONSTANT is a note.
+        """
+        rows = [row for row in self.against[label].rows if row.group == quantity]
+        ranges = [_range(values) for row in rows for values in (row.reference, row.simulation)]
+        least = max(REST * max(ranges, default=0.0), FLOOR)
+        moving = [found for row in rows if (found := _moving(row, least))]
+        return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
+
+    def largest(self, label: str, quantity: str) -> Row:
+        """The signal of a quantity with the largest difference, whether it moves or not."""
+        rows = [row for row in self.against[label].rows if row.group == quantity]
+        return max(rows, key=lambda r: r.metrics.maximum_error * linear(r.unit, rows[0].unit, r.signal)[0])
+
+
+def compare(
+    sources: Sequence[str | Path] | Mapping[str, Source],
+    against: str | Path | None = None,
+    signals: Iterable[str] = (),
+    start: float | None = None,
+    stop: float | None = None,
+) -> Comparison:
+    """Compare runs with one of them.
+
+    sources   files of traces, or {name: file, Trace or Result}
+    against   the file or name of the one to compare with; default: the first
+    signals   what to show, with * and ?; default: speeds, pressures and angles that all have as outputs
+    start, stop   the window to compare [s]; default: all that both have
+    """
+    runs = gather(sources, against)
+    asked = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
+    reference = runs[0] if against is None else next((r for r in runs if asked in (r.label, r.file)), None)
+    if reference is None:
+        raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
+    common = _common(runs, reference)
+    recorded = {name: _signal(name, reference) for name in common}
+    truth = Reference(reference.trace.time, recorded, reference.file or reference.label, start, stop)
+    found = {run.label: _against(truth, run) for run in runs if run is not reference}
+    return Comparison(tuple(runs), reference, found, _chosen(runs, common, signals), _notes(runs, common))
+
+
+def _range(values: NDArray[np.float64]) -> float:
+    return 0.0 if constant(values) else float(np.ptp(values))
+
+
+def _moving(row: Row, least: float) -> Row | None:
+    """The row if one of its runs moves, its NRMSE over the range of that run."""
+    if _range(row.reference) > least:
+        return row
+    span = _range(row.simulation)
+    metrics = replace(row.metrics, nrmse=row.metrics.rmse / span) if span > least else None
+    return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT)) if metrics else None
+
+
+def _against(truth: Reference, run: Run) -> Validation:
+    try:
+        return against_reference(run.trace, truth, rate=False)
+    except Problem as problem:
+        raise Problem(f"compare {run.label} with {problem}") from None
+
+
+def quantity(unit: str) -> str:
+    """The quantity that is measured in a unit; the unit itself where there is no word for it."""
+    known: dict[Exponents, str] = {parse(u).exponents: name for name, u in QUANTITIES.items()}
+    try:
+        found = known.get(parse(unit).exponents, "")
+    except Problem:
+        found = ""
+    if found == "torque" and unit.endswith("J"):
+        return "energy"
+    if found == "power" and not unit.endswith("W"):
+        found = ""  # N.m/s is the rate of a torque
+    return found or (f"[{unit}]" if unit else "without unit")
+
+
+def _signal(name: str, run: Run) -> Signal:
+    unit = run.trace.units.get(name, "")
+    return Signal(name, run.trace[name], unit, group=quantity(unit))
+
+
+def _common(runs: Sequence[Run], reference: Run) -> list[str]:
+    """The signals of the reference that all have."""
+    common = [n for n in reference.trace.signals if all(n in run.trace.signals for run in runs)]
+    if not common:
+        each = "; ".join(f"{r.file or r.label} has {_some(list(r.trace.signals))}" for r in runs)
+        raise Problem(f"compare: expected signals that all have, got none: {each}")
+    return common
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{', '.join(names[:3]) or 'none'}{more}"
+
+
+def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str]) -> tuple[str, ...]:
+    """The signals to show."""
+    wanted = tuple(patterns)
+    for pattern in wanted:
+        if not any(fnmatchcase(name, pattern) for name in common):
+            near = suggest(pattern, common) or f"; there are {_some(common)}"
+            raise Problem(f"compare: signals {pattern}: no signal that all have fits{near}")
+    if wanted:
+        return tuple(name for name in common if any(fnmatchcase(name, p) for p in wanted))
+    units, inputs = runs[0].trace.units, frozenset[str]().union(*(run.inputs for run in runs))
+    outputs = [name for name in common if name not in inputs]
+    usual = [n for q in USUAL for n in outputs if quantity(units.get(n, "")) == q]
+    return tuple(usual or outputs or common)
+
+
+def _notes(runs: Sequence[Run], common: Sequence[str]) -> tuple[str, ...]:
+    everything = dict.fromkeys(name for run in runs for name in run.trace.signals)
+    lost = [name for name in everything if name not in set(common)]
+    notes = [f"not in all traces, so left out: {_some(lost)}"] if lost else []
+    early = [run.label for run in runs if run.facts and not run.facts.complete]
+    notes += [f"ended early: {', '.join(early)}"] if early else []
+    if not any(run.trace.units for run in runs):
+        notes.append(
+            "no units are known: they stand in the .run.json or .toml beside a trace, or in a .parquet"
+        )
+    return tuple(notes)

@@ -1,0 +1,253 @@
+"""How far a simulated signal is from its reference, as numbers.
+
+With the error e = simulation - reference y over n common samples:
+
+    maximum error   max |e|                             [unit of the signal]
+    RMSE            sqrt(mean(e^2))                     [unit of the signal]
+    NRMSE           RMSE / (max y - min y)              over the range of the whole reference
+    fit             100 (1 - ||e|| / ||y - mean y||)    [%]
+    VAF             100 (1 - var e / var y)             [%]  variance accounted for: blind to an offset
+    ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope, by objective-rating-metrics
+
+A constant reference has no range: NRMSE then falls back to the magnitude of the reference, fit and VAF
+are None, and a note says so.
+
+Limits: which number of a signal is judged, and by what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+
+Array = NDArray[np.float64]
+
+# The rating compares shapes over the whole window, so it is computed on this many equal steps.
+# (The standard's 10 kHz is meant for crash pulses of 0.1 s: the same 1000 samples.)
+ISO_SAMPLES = 1000
+ISO_MINIMUM = 30
+# Below this share of its magnitude the range of a signal is rounding of the digits in a CSV file.
+CONSTANT = 1e-9
+# Outside these magnitudes squares leave the range of a float: smaller counts as zero, larger is refused.
+TINY, HUGE = 1e-150, 1e150
+
+
+@dataclass(frozen=True)
+class Rating:
+    """ISO/TS 18571: overall rating and its parts, each 0..1; all None when not rated, with the reason."""
+
+    overall: float | None = None
+    corridor: float | None = None
+    phase: float | None = None
+    magnitude: float | None = None
+    slope: float | None = None
+    reason: str = ""
+
+    @property
+    def grade(self) -> str:
+        """The standard's word for the overall rating."""
+        if self.overall is None:
+            return "not rated"
+        grades = ((0.94, "excellent"), (0.80, "good"), (0.58, "fair"))
+        return next((word for limit, word in grades if self.overall > limit), "poor")
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Numbers of one signal; None where a number is undefined, with a note that says why."""
+
+    maximum_error: float
+    time_of_maximum: float  # [s]
+    maximum_relative: float | None  # max |e| / |y|, sample by sample
+    rmse: float
+    nrmse: float | None
+    normalised_by: float  # what NRMSE divides by, in the signal's unit
+    fit: float | None  # [%]
+    vaf: float | None  # [%]
+    iso: Rating
+    notes: tuple[str, ...] = ()
+
+
+def measure(
+    time: Array,
+    simulation: Array,
+    reference: Array,
+    *,
+    span: float | None = None,
+    whole: Array | None = None,
+    rate: bool = True,
+    where: str,
+) -> Metrics:
+    """Metrics of one signal on common samples, all arrays of shape (n,).
+
+    span    what NRMSE divides by instead of the range of the reference
+    whole   the recording, shape (m,), of which `reference` is a part: its range is the range of the reference
+    rate    compute the ISO/TS 18571 rating too
+    where   file and signal, for messages
+    """
+    _check(time, simulation, reference, where)
+    error = simulation - reference
+    worst = int(np.argmax(np.abs(error)))
+    rmse = float(np.sqrt(np.mean(error**2)))
+    whole = reference if whole is None else whole
+    by, notes = _normaliser(whole, span)
+    spread = float(np.linalg.norm(reference - reference.mean()))
+    flat = constant(reference, whole)
+    if flat and not constant(whole):
+        notes = (*notes, "the reference stands still in this window: no fit, VAF or ISO rating")
+    return Metrics(
+        maximum_error=float(abs(error[worst])),
+        time_of_maximum=float(time[worst]),
+        maximum_relative=_relative(error, reference),
+        rmse=rmse,
+        nrmse=rmse / by if by > 0 else (0.0 if rmse == 0 else None),
+        normalised_by=by,
+        fit=None if flat else 100 * (1 - float(np.linalg.norm(error)) / spread),
+        vaf=None if flat else 100 * (1 - float(np.var(error) / np.var(reference))),
+        iso=_iso(time, simulation, reference, flat) if rate else Rating(reason="not asked for"),
+        notes=notes,
+    )
+
+
+def constant(signal: Array, whole: Array | None = None) -> bool:
+    """Whether the signal, perhaps a part of a whole, stands still but for the rounding of a text file."""
+    magnitude = float(np.max(np.abs(signal if whole is None else whole)))
+    return bool(np.ptp(signal) <= max(TINY, CONSTANT * magnitude))
+
+
+def _iso(time: Array, simulation: Array, reference: Array, flat: bool) -> Rating:
+    return Rating(reason="the reference is constant") if flat else iso_rating(time, simulation, reference)
+
+
+def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
+    """ISO/TS 18571 rating of a simulation against its reference, shape (n,) each, or why there is none."""
+    if constant(reference):
+        return Rating(reason="the reference is constant")
+    if len(time) < ISO_MINIMUM:
+        return Rating(reason=f"{len(time)} samples are fewer than {ISO_MINIMUM}")
+    if np.array_equal(simulation, reference):
+        return Rating(1.0, 1.0, 1.0, 1.0, 1.0)
+    # Loading the library costs seconds (it compiles its time warping): wait until a rating is asked for.
+    from objective_rating_metrics.rating import ISO18571
+
+    even = np.linspace(time[0], time[-1], ISO_SAMPLES)
+    curves = [np.column_stack((even, np.interp(even, time, y))) for y in (reference, simulation)]
+    with np.errstate(all="ignore"):  # a part of a signal may stand still: the library then divides 0 by 0
+        rated = ISO18571(*curves, dt=float(even[1] - even[0]))
+        parts = ("overall", "corridor", "phase", "magnitude", "slope")
+        values = [float(getattr(rated, f"{part}_rating")(-1)) for part in parts]
+    if not np.all(np.isfinite(values)):
+        return Rating(reason="the shifted reference stands still, its slope cannot be rated")
+    overall, corridor, phase, magnitude, slope = values
+    return Rating(overall, corridor, phase, magnitude, slope)
+
+
+def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:
+    """Same length, at least two samples, finite."""
+    if not len(time) == len(simulation) == len(reference) or len(time) < 2:
+        lengths = f"{len(time)}, {len(simulation)}, {len(reference)}"
+        raise Problem(
+            f"{where}: expected as many samples (2 or more) in time, simulation and reference, got {lengths}"
+        )
+    for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
+        bad = np.flatnonzero(~(np.abs(values) < HUGE))
+        if len(bad):
+            raise Problem(
+                f"{where}: expected finite numbers, got {values[bad[0]]} in the {name} at sample {bad[0]}"
+            )
+
+
+def _normaliser(reference: Array, span: float | None) -> tuple[float, tuple[str, ...]]:
+    """What NRMSE divides by, and a note when it is not the range of the reference."""
+    if span is not None:
+        return span, (f"NRMSE over the given range of {span:g}",)
+    if not constant(reference):
+        return float(np.ptp(reference)), ()
+    magnitude = float(np.max(np.abs(reference)))
+    if magnitude > TINY:
+        return magnitude, ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
+    return 0.0, ("the reference is zero throughout: no NRMSE unless the error is zero too; judge it by rmse",)
+
+
+def _relative(error: Array, reference: Array) -> float | None:
+    """max |e| / |y| over the samples, None where y is zero and e is not."""
+    off = error != 0
+    if np.any(np.abs(reference[off]) <= TINY):
+        return None
+    return float(np.max(np.abs(error[off] / reference[off]), initial=0.0))
+
+
+# Metric -> whether a smaller value is better. `maximum` and `rmse` are in the unit of the signal, `fit` and
+# `vaf` in percent, the others are pure numbers.
+METRICS = {
+    "nrmse": True,
+    "rmse": True,
+    "maximum": True,
+    "maximum_relative": True,
+    "fit": False,
+    "vaf": False,
+    "iso": False,
+}
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """A limit on one metric: an upper one for errors, a lower one for fit, VAF and ISO rating."""
+
+    metric: str
+    limit: float
+
+    @property
+    def upper(self) -> bool:
+        """Whether the value must not exceed the limit (else: must reach it)."""
+        return METRICS[self.metric]
+
+    @property
+    def in_unit(self) -> bool:
+        """Whether the limit is in the unit of the signal."""
+        return self.metric in ("rmse", "maximum")
+
+    def value(self, metrics: Metrics) -> float | None:
+        """The judged number, None where it is undefined."""
+        names = {"maximum": metrics.maximum_error, "iso": metrics.iso.overall}
+        if self.metric in names:
+            return names[self.metric]
+        found: float | None = getattr(metrics, self.metric)
+        return found
+
+    def use(self, metrics: Metrics) -> float:
+        """How much of the limit a signal uses: 1 at the limit, above it when it fails."""
+        value = self.value(metrics)
+        if value is None:
+            return float("inf")
+        if self.upper:
+            return value / self.limit
+        best = 1.0 if self.metric == "iso" else 100.0
+        return (best - value) / (best - self.limit) if best > self.limit else float(value < self.limit)
+
+    def holds(self, metrics: Metrics) -> bool:
+        """Whether the signal is within its limit; an undefined number is not."""
+        value = self.value(metrics)
+        if value is None:
+            return False
+        return value <= self.limit if self.upper else value >= self.limit
+
+
+def read_tolerance(table: Any, where: str) -> Tolerance | None:
+    """A tolerance from `{ metric = "nrmse", limit = 0.005 }`; None from `"none"`: shown, not judged."""
+    if table == "none":
+        return None
+    if not isinstance(table, Mapping) or set(table) != {"metric", "limit"}:
+        raise Problem(f'{where}: expected {{ metric = NAME, limit = NUMBER }} or "none", got {table!r}')
+    metric, limit = table["metric"], table["limit"]
+    if metric not in METRICS:
+        raise Problem(f"{where}: metric is {metric!r}, expected one of {', '.join(METRICS)}")
+    if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit > 0:
+        raise Problem(f"{where}: limit is {limit!r}, expected a number above 0")
+    return Tolerance(metric, float(limit))

@@ -1,0 +1,162 @@
+"""What an analysis says in plain words: only what its intervals support."""
+
+from __future__ import annotations
+
+from orchestrator.studies.analysis.results import (
+    FIRST,
+    MU_STAR,
+    REGRESSION,
+    TOTAL,
+    Effect,
+    Estimate,
+    Finding,
+    Sensitivity,
+    short,
+)
+from orchestrator.studies.report.quantities import Unit, told
+
+MEASURES = {
+    "maximum": "maximum",
+    "minimum": "minimum",
+    "mean": "mean",
+    "rms": "root mean square",
+    "range": "range",
+    "final": "final value",
+    "integral": "integral",
+    "time_of_maximum": "time of the maximum",
+}
+SHARES = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
+NOTICEABLE = 0.05  # share of the variance, or of the largest mu*, below which a factor is not named
+TOGETHER = 0.1  # share that factors must move together before it is told
+CLEAR = 0.3  # rank correlation above which a direction is told
+MANY = 3  # factors that cannot be told apart from the first; with more of them none stands out
+
+
+def what(finding: Finding) -> str:
+    """What the output is, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
+    start, stop = finding.window
+    ends = ""
+    if start is not None or stop is not None:
+        ends = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
+    return f"{MEASURES[finding.measure]} of {finding.signal}{ends}"
+
+
+def sentences(finding: Finding) -> list[str]:
+    """The output in some sentences, the first of them the answer."""
+    if finding.spread is None:
+        return [f"No run has {finding.name}."]
+    spread = finding.spread
+    if finding.constant:
+        value = told(spread.median, finding.seen)
+        return [f"{finding.name} is {value} in all {spread.runs} runs: nothing moves it."]
+    ends = f"{told(spread.low, finding.seen)} and {told(spread.high, finding.seen)}"
+    where = f"Nine of ten runs lie between {ends}; the median is {told(spread.median, finding.seen)}."
+    if finding.sensitivity is None:
+        return [f"What moves {finding.name} cannot be told: {'; '.join(finding.notes)}.", where]
+    return [*_answer(finding, finding.sensitivity), where]
+
+
+def _answer(finding: Finding, sensitivity: Sensitivity) -> list[str]:
+    if not sensitivity.reliable:
+        fit = 100 * sensitivity.quality.get("r_squared", 0.0)
+        return [
+            f"What moves {finding.name} most cannot be told from {sensitivity.samples} samples: a linear"
+            f" model explains {fit:.0f} % of its variance."
+        ]
+    effects, measure = sensitivity.effects, sensitivity.measure
+    if len(effects) == 1:
+        return [f"{effects[0].label} is the only thing that was varied{_direction(finding, effects[0])}."]
+    leaders = _leaders(effects, measure)
+    answer = [_first(finding, effects, leaders, measure)]
+    rest = [e for e in effects if e not in leaders and _counts(e, effects[0], measure)]
+    if rest and len(leaders) <= MANY:
+        answer.append(f"Next: {', '.join(f'{e.label} {_size(e, measure, finding.seen)}' for e in rest[:4])}.")
+    together = _together(sensitivity)
+    return [*answer, together] if together else answer
+
+
+def _leaders(effects: tuple[Effect, ...], measure: str) -> list[Effect]:
+    """The first, and those whose intervals reach into that of the first."""
+    first = effects[0].estimates[measure]
+    return [e for e in effects if e.estimates[measure].ceiling >= first.floor]
+
+
+def _first(finding: Finding, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
+    """Who leads, if anybody does."""
+    top, share = effects[0], SHARES.get(measure, "over its range")
+    if _none_stands_out(effects, leaders, measure):
+        others = len(leaders) - 1
+        alike = f"; {others} more cannot be told apart from it" if others else ""
+        size = _size(top, measure, finding.seen)
+        return (
+            f"No factor stands out for {finding.name}: the largest is {top.label} with {size} {share}{alike}."
+        )
+    names, sizes = [e.label for e in leaders], [_size(e, measure, finding.seen) for e in leaders]
+    ending = _direction(finding, top)
+    if len(leaders) > 1:
+        ending = "; which of them more these runs do not tell"
+    return f"{finding.name} moves most with {_list(names)}: {_list(sizes)} {share}{ending}."
+
+
+def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
+    """Many cannot be told from the first, or the first not from nothing."""
+    top = effects[0].estimates[measure]
+    nothing = 0.0 if measure == MU_STAR else NOTICEABLE
+    return top.floor <= nothing or len(leaders) > MANY or len(leaders) == len(effects)
+
+
+def _counts(effect: Effect, top: Effect, measure: str) -> bool:
+    """Whether a factor is worth a word."""
+    whole = top.estimates[measure].value if measure == MU_STAR else 1.0
+    estimate = effect.estimates[measure]
+    return estimate.value >= NOTICEABLE * whole and estimate.floor > 0
+
+
+def _size(effect: Effect, measure: str, unit: Unit) -> str:
+    """An effect with its interval."""
+    return size(effect.estimates[measure], measure, unit)
+
+
+def size(estimate: Estimate, measure: str, unit: Unit) -> str:
+    """An estimate with its interval, such as `61 % (54 to 68)` or `12.1 bar (11 to 13.2)`."""
+    if measure == MU_STAR:
+        text = told(estimate.value, unit)
+        if estimate.low is None:
+            return text
+        return (
+            f"{text} ({told(max(0.0, estimate.floor), unit, False)} to {told(estimate.ceiling, unit, False)})"
+        )
+    # a share lies between 0 and 1, an estimate of it need not
+    value, low, high = (
+        100 * min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling)
+    )
+    return f"{value:.0f} %" if estimate.low is None else f"{value:.0f} % ({low:.0f} to {high:.0f})"
+
+
+def _direction(finding: Finding, effect: Effect) -> str:
+    """Whether the output rises or falls with a factor; of a choice its medians."""
+    if effect.kind == "choice":
+        options = finding.by_choice[effect.name]
+        medians = [
+            f"{told(own.median, finding.seen)} with {short(option)}" for option, own in options.items()
+        ]
+        return f"; its median is {_list(medians)}" if len(medians) <= MANY else ""
+    direction = effect.direction or 0.0
+    if abs(direction) < CLEAR:
+        return ", in no one direction"
+    return "; it rises with it" if direction > 0 else "; it falls with it"
+
+
+def _together(sensitivity: Sensitivity) -> str:
+    """What factors move only together, if totals and first orders tell it."""
+    if any(FIRST not in e.estimates or TOTAL not in e.estimates for e in sensitivity.effects):
+        return ""
+    alone = [e.estimates[FIRST] for e in sensitivity.effects]
+    rest, least = 1.0 - sum(e.value for e in alone), 1.0 - sum(e.ceiling for e in alone)
+    if rest < TOGETHER or least <= 0.0:
+        return ""
+    return f"{100 * rest:.0f} % of its variance comes from things acting together, not one by one."
+
+
+def _list(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

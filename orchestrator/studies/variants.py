@@ -1,0 +1,230 @@
+"""The time that a run spends inside each FMU.
+
+That of its fmi2DoStep or fmi3DoStep as called through ctypes, less that of an empty call of the same kind
+right after it; of each step, and of each empty call, the least disturbed of several runs counts. Machines
+differ and are noisy: compare figures of one sitting only.
+
+Every combination of variants of a system: does it come to the end, what does it cost and change.
+
+The command `harvester variants`, as far as it runs FMUs.
+"""
+
+from __future__ import annotations
+
+import csv
+import ctypes
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from math import prod
+from pathlib import Path
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import folder
+from orchestrator.data.trace import Trace
+from orchestrator.engine.result import Result, RunFailed
+from orchestrator.engine.run import open_slave, run
+from orchestrator.fmi.calls import Slave
+from orchestrator.ssp.load import load
+from orchestrator.ssp.system import Component, System
+
+Spent = dict[str, list[tuple[int, int]]]  # of each component: time of each step and of an empty call [ns]
+
+
+def timed(spent: Spent) -> Callable[[Component], Slave]:
+    """Opens slaves whose calls of fmi2DoStep or fmi3DoStep are timed, the call through ctypes included."""
+
+    def opener(component: Component) -> Slave:
+        slave: Any = open_slave(component)
+        step, nothing, mine = slave._step, _empty_call(), spent.setdefault(component.name, [])
+
+        def measured(*arguments: Any) -> int:
+            begin = perf_counter_ns()
+            status: int = step(*arguments)
+            between = perf_counter_ns()
+            nothing(*arguments)
+            mine.append((between - begin, perf_counter_ns() - between))
+            return status
+
+        slave._step = measured
+        return slave  # type: ignore[no-any-return]
+
+    return opener
+
+
+def _empty_call() -> Callable[..., int]:
+    """A call that does nothing, to be given the arguments of a step."""
+    address = ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value or 0
+    nothing = ctypes.CFUNCTYPE(ctypes.c_int)(address)  # types of arguments would have to be checked
+    return partial(nothing, ctypes.c_void_p())
+
+
+def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[dict[str, float]]:
+    """Of each system: component -> mean time per step inside it [us]; `options` go to `run`.
+
+    The systems take turns, so that what disturbs the machine for a while disturbs all of them.
+    """
+    least: list[dict[str, NDArray[np.float64]]] = [{} for _ in systems]
+    for _ in range(repeats):
+        for system, best in zip(systems, least, strict=True):
+            spent: Spent = {}
+            run(system, open=timed(spent), native=False, **options)
+            for name, steps in spent.items():
+                best[name] = np.minimum(best.get(name, np.inf), steps)
+    return [{n: float(np.subtract(*steps.mean(axis=0))) / 1e3 for n, steps in best.items()} for best in least]
+
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One combination.
+
+    reached    simulated time [s]
+    failure    why it ended there; empty when it came to the end
+    inside     time in the steps of all FMUs [us] for each millisecond simulated, ctypes included
+    factor     times real time, all included
+    residual   largest energy that the coupling made up at a power bond, share of what the bond exchanged
+    change     largest RMS difference of a watched signal from the first combination, share of its range
+    warnings   of the FMUs
+    """
+
+    variants: Mapping[str, str]
+    reached: float
+    failure: str
+    inside: float
+    factor: float
+    residual: float
+    change: float
+    warnings: int
+
+
+def combinations(
+    system: System, variants: Mapping[str, Sequence[str]], watch: Sequence[str], **options: Any
+) -> Iterator[Row]:
+    """Run each combination of `variants` {component: names}; `options` go to `run`."""
+    first = None
+    for names in product(*variants.values()):
+        chosen = dict(zip(variants, names, strict=True))
+        whole, failure = system.swapped(chosen), ""
+        try:
+            result = run(whole, **options)
+        except RunFailed as failed:
+            result, failure = failed.result, str(failed)
+        except Problem as problem:  # before the first step: the next combination may come further
+            yield Row(chosen, 0.0, str(problem), NAN, NAN, NAN, NAN, 0)
+            continue
+        first = first or result.trace
+        yield _row(chosen, result, failure, _change(result.trace, first, watch))
+
+
+def _row(chosen: Mapping[str, str], result: Result, failure: str, change: float) -> Row:
+    card = result.card
+    return Row(
+        variants=chosen,
+        reached=card.simulated,
+        failure=failure,
+        inside=sum(card.inside.values()) * 1e3 / max(card.simulated, 1e-9),
+        factor=card.real_time_factor,
+        residual=max((abs(bond.relative) for bond in card.bonds), default=0.0),
+        change=change,
+        warnings=len(card.warnings),
+    )
+
+
+def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
+    """Over the time that both have."""
+    rows = min(len(trace.time), len(first.time))
+    found = [0.0]
+    for name in watch if rows else ():
+        reference = first[name][:rows]
+        span = float(np.ptp(reference))
+        found.append(float(np.sqrt(np.mean((trace[name][:rows] - reference) ** 2))) / span if span else 0.0)
+    return max(found)
+
+
+HEAD = ("reached s", "us per ms", "x real time", "residual", "change", "warnings")
+
+
+COLUMNS = (
+    "reached [s]",
+    "inside all FMUs [us per ms]",
+    "times real time",
+    "residual [share]",
+    "change [share]",
+    "warnings",
+)
+
+
+def figures(row: Row) -> tuple[str, ...]:
+    """The figures of a row as plain numbers, empty where there are none."""
+    numbers = (row.reached, row.inside, row.factor, row.residual, row.change, row.warnings)
+    return tuple("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """The figures of a row as text."""
+    return (
+        f"{row.reached:.6g}",
+        f"{row.inside:.2f}",
+        f"{row.factor:.1f}",
+        f"{100 * row.residual:.2g} %",
+        f"{100 * row.change:.2f} %",
+        str(row.warnings),
+    )
+
+
+STEP = 1e-3  # communication step [s]
+LENGTH, REPEATS = 4.0, 2  # of the runs that measure what a variant costs [s]
+RUN = {"step": STEP, "record_step": 0.02}  # of each combination [s]
+MAKE = "harvester build"
+
+
+def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
+    """(component, variant) -> time [us] per step inside its FMU, with the usual variants around it."""
+    whole = load(system)
+    machines = [whole.swapped({part: variant}) for part, variant in variants]
+    spent = inside(machines, REPEATS, stop=LENGTH, **RUN)
+    return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
+
+
+def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[str], out: Path) -> bool:
+    """Run every combination, print a table and write it to `out`; True when all came to the end.
+
+    The file is complete after each row, also when the user ends it early.
+    """
+    if not system.exists():
+        raise Problem(f"{system}: no such file; make it with: {MAKE}")
+    folder(out.parent)
+    widths = [max(map(len, (part, *names))) for part, names in variants.items()]
+    total, done, complete = prod(map(len, variants.values())), 0, True
+    count = len(f"{total}/{total}")
+    head = "  ".join(n.ljust(w) for n, w in zip(variants, widths, strict=True))
+    print(" " * count, head, *(f"{h:>12}" for h in HEAD))
+    with out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*variants, *COLUMNS, "failure"])
+        try:
+            for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
+                chosen = list(row.variants.values())
+                named = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
+                place = f"{done}/{total}".rjust(count)
+                print(place, named, *(f"{cell:>12}" for cell in cells(row)), row.failure, flush=True)
+                writer.writerow([*chosen, *figures(row), row.failure])
+                file.flush()
+                complete = complete and not row.failure
+        except KeyboardInterrupt:
+            print(f"\n{done} of {total} combinations, in {out}")
+            raise
+    print(
+        f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
+        " us per ms is the sum over the steps of all FMUs, calls from Python included"
+    )
+    return complete

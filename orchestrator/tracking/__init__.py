@@ -1,1 +1,0 @@
-"""How well does the tip follow its path?"""

@@ -1,1 +1,0 @@
-"""What the variants of a system's components cost, alone and in every combination."""
