@@ -13,10 +13,17 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orchestrator.convergence import Study, draw_error, draw_work, markdown
-
 from orchestrator.results.figures import png
-from orchestrator.studies.convergence_report import cost, maximum, nrmse, own_steps
+from orchestrator.studies.convergence import Study
+from orchestrator.studies.convergence_report import (
+    cost,
+    draw_error,
+    draw_work,
+    markdown,
+    maximum,
+    nrmse,
+    own_steps,
+)
 from orchestrator.studies.convergence_study import convergence
 
 ROOT = Path(__file__).resolve().parents[1]

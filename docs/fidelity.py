@@ -44,14 +44,14 @@ from fidelity_tables import (
     ripple_table,
     rows_of_costs,
 )
-from orchestrator.comparison import draw
 
 from fmus.boom_stick.detailed import detailed
 from fmus.export.build import build
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES
 from orchestrator import load
-from orchestrator.results import comparison
+from orchestrator.results.comparison import compare
+from orchestrator.results.comparison_report import draw
 from orchestrator.results.figures import png
 from orchestrator.studies.variants import combinations
 
@@ -148,7 +148,7 @@ def costs(system: Path) -> None:
             lines = example.table(part, runs, cost).splitlines()
             fill(EXAMPLE / "README.md", "table", "\n".join(f"    {line}" for line in lines))
             traces = {run.label: run.trace for run in runs.runs}
-            seen = comparison(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
+            seen = compare(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
             (IMAGES / "fidelity-example.png").write_bytes(png(draw(seen)))
     fill(DOCUMENT, "costs", "\n".join(told))
     variants = {part: list(family) for part, family in FAMILIES.items()}

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Test, Trace, cycle, tested
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
-from orchestrator.comparison import Comparison
 
 from fmus.machine.parts import FAMILIES
+from orchestrator.results.comparison import Comparison
 from orchestrator.results.summary import share
 from orchestrator.studies.variants import Row
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fmus.machine.build import build_machine, data
 from orchestrator import load, run
-from orchestrator.results import compare
+from orchestrator.results.compare import compare
 from orchestrator.results.figures import draw, png
 from orchestrator.results.layout import read_layout
 from orchestrator.results.motion import strobe

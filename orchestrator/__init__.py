@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from orchestrator.ssp.system import System
 
 _WHERE = {
-    "Card": "runs.card",
-    "Coupling": "settings",
-    "Interrupted": "runs.simulation",
-    "Linear": "linear.result",
-    "Problem": "errors",
-    "Result": "runs.simulation",
-    "RunFailed": "runs.simulation",
-    "System": "system.system",
-    "Trace": "files.trace",
-    "assemble": "system.assembly",
+    "Card": "engine.result",
+    "Coupling": "base.coupling",
+    "Interrupted": "engine.result",
+    "Linear": "linear.model",
+    "Problem": "base.errors",
+    "Result": "engine.result",
+    "RunFailed": "engine.result",
+    "System": "ssp.system",
+    "Trace": "data.trace",
+    "assemble": "ssp.assembly",
     "linearize": "linear.linearize",
-    "load": "system.ssp",
-    "read": "files.trace",
-    "run": "runs.simulation",
-    "write": "files.trace",
+    "load": "ssp.load",
+    "read": "data.trace",
+    "run": "engine.run",
+    "write": "data.trace",
 }
 
 __all__ = [

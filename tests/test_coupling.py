@@ -12,8 +12,7 @@ from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.engine.simulation_loop import March
-from orchestrator.results import compare
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.reference import read_reference
 
 MASTERS = ("jacobi", "gauss-seidel")

@@ -15,7 +15,7 @@ from orchestrator import RunFailed, System, Trace, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.engine.communication_step import Sweep
 from orchestrator.engine.native import compiled
-from orchestrator.results import compare
+from orchestrator.results.compare import compare
 from orchestrator.results.reference import read_reference
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "hydraulic_manipulator"

@@ -14,7 +14,6 @@ import pytest
 from fmpy.validation import validate_fmu
 from hypothesis import given
 from hypothesis import strategies as st
-from orchestrator.convergence import choose
 
 from fmus.components import orifice
 from fmus.contract import quantities, symbolic, unstack
@@ -23,6 +22,7 @@ from orchestrator import read
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
 from orchestrator.results.reference import read_reference
+from orchestrator.studies.convergence import choose
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"

@@ -11,13 +11,12 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from orchestrator.comparison import Comparison, write
-
 from fmus.contract import Subsystem, quantities
 from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, load, run
-from orchestrator.results import comparison
+from orchestrator.results.comparison import Comparison, compare
 from orchestrator.results.summary import share
+from orchestrator.studies.convergence_report import write
 from orchestrator.studies.variants import inside
 
 KINDS = ("speed", "angle", "pressure")  # joint speeds and angles [rad/s, rad], all pressures
@@ -33,7 +32,7 @@ def simulate(system: Path, part: str, stop: float) -> Comparison:
     """A run with each variant, compared with the one that has the most states."""
     variants = FAMILIES[part]
     runs = {name: run(system, swap={part: name}, stop=stop) for name in variants}
-    return comparison(runs, against=max(variants, key=lambda name: states(variants[name])))
+    return compare(runs, against=max(variants, key=lambda name: states(variants[name])))
 
 
 def costs(system: Path, part: str, stop: float) -> dict[str, float]:

@@ -23,9 +23,9 @@ from rich.table import Table
 
 from fmus.contract import ModelError
 from orchestrator import Problem, Result, Trace, read, run, write
-from orchestrator.results import compare, summary
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.reference import Reference, read_reference
+from orchestrator.results.summary import summary
 
 HERE = Path(__file__).resolve().parent
 M1 = HERE / "m1.csv"

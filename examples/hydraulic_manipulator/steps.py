@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 from figure import draw_steps
 from machine import RATES, build, solve
-from orchestrator.convergence import SETTINGS, Setting, Study, Truth, from_run
 from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.results.reference import read_reference
-from orchestrator.studies import convergence
+from orchestrator.studies.convergence import SETTINGS, Setting, Study, Truth, from_run, study
 from orchestrator.studies.convergence_report import maximum, show
 from orchestrator.studies.convergence_study import tell, watched
 
@@ -51,7 +50,7 @@ def manipulator(
 ) -> Study:
     """All masters at all steps."""
     against = truth()
-    rows = convergence(load(system), against, settings, steps, repeats, BARE, scenario=M1)
+    rows = study(load(system), against, settings, steps, repeats, BARE, scenario=M1)
     return Study(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 def shipped(name: str) -> Path | None:
     """A file by its path in a checkout, such as data/x.csv; an installed package has a copy inside."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
 
 

@@ -14,7 +14,7 @@ from orchestrator.check.subject import Subject, opened
 DEFECT = "check.defect"
 
 
-def rules() -> tuple[Rule, ...]:
+def all_rules() -> tuple[Rule, ...]:
     """All rules, in the order in which they are applied."""
     from orchestrator.check.probes import PROBES
     from orchestrator.check.reference_experiment import EXPERIMENT
@@ -38,7 +38,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
             f"{path}: " + ("expected an .fmu file, got a folder" if path.is_dir() else "no such file")
         )
     with opened(path) as subject:
-        found = [f for rule in (rules() if run else STATIC) for f in _applied(rule, subject)]
+        found = [f for rule in (all_rules() if run else STATIC) for f in _applied(rule, subject)]
         title = _title(subject)
     return Report(path, title, without_repeats(found), tool)
 

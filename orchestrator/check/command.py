@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
-from orchestrator.check import check, rules
+from orchestrator.check import all_rules, check
 from orchestrator.check.report import table
 
 
@@ -19,7 +19,7 @@ def run(
     from orchestrator.check.probes.parent import Limits, limits
 
     if show_rules:
-        print(table(rules()))
+        print(table(all_rules()))
         return True
     if fmu is None:
         raise Problem("check: expected an FMU or --rules")

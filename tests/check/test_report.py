@@ -12,7 +12,7 @@ from check.faults import CS, FILE_FAULTS, STRUCTURED, XML_FAULTS, both, put, xml
 from check.good import Archive
 from check.test_binaries import FAULTS
 from orchestrator.__main__ import main
-from orchestrator.check import check, rules
+from orchestrator.check import all_rules, check
 from orchestrator.check.finding import SEVERITIES
 from orchestrator.check.report import SHOWN, TOOLS, table
 from orchestrator.check.rules import STATIC
@@ -46,14 +46,14 @@ def test_every_rule_has_a_planted_fault() -> None:
 
 def test_rules_have_ids_of_their_own() -> None:
     """No two rules share an id, and each says what must hold."""
-    everything = rules()
+    everything = all_rules()
     assert len({r.id for r in everything}) == len(everything)
     assert all(r.text and "." in r.id for r in everything)
 
 
 def test_verdicts_of_tools_are_about_rules() -> None:
     """A tool's verdict on a rule that does not exist would never show."""
-    known = {r.id for r in rules()}
+    known = {r.id for r in all_rules()}
     assert {rule for tool in TOOLS.values() for rule in tool.verdicts} <= known
 
 
@@ -114,7 +114,7 @@ def test_the_docs_hold_the_table_of_rules(capsys: pytest.CaptureFixture[str]) ->
     """docs/check.md shows what `harvester check --rules` prints."""
     assert main(["check", "--rules"]) == 0
     printed = capsys.readouterr().out.strip()
-    assert printed == table(rules())
+    assert printed == table(all_rules())
     assert printed in DOCS.read_text("utf-8"), (
         "put the output of `harvester check --rules` into docs/check.md"
     )

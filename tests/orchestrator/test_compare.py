@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from orchestrator.comparison import draw, text
 
 from orchestrator import Problem, Trace, assemble, run, write
 from orchestrator.__main__ import main
 from orchestrator.engine.result import read_facts
-from orchestrator.results import comparison
-from orchestrator.results.comparison import quantity
-from orchestrator.results.comparison_report import chosen
+from orchestrator.results.comparison import compare, quantity
+from orchestrator.results.comparison_report import chosen, draw, text
 
 TIME = np.linspace(0.0, 10.0, 1001)
 SPEED, PRESSURE = np.sin(TIME), 1e7 + 1e6 * np.cos(TIME)
@@ -41,7 +39,7 @@ def folder(tmp_path, monkeypatch, fmus):
 
 def test_numbers_are_those_of_the_errors():
     """NRMSE over the range of the reference, largest error, the worst signal of each quantity."""
-    found = comparison({"usual": trace(), "other": trace(0.02, -1e5)})
+    found = compare({"usual": trace(), "other": trace(0.02, -1e5)})
     row = found.against["other"]["arm.speed"]
     # constant errors: RMSE and largest error are the error itself, rounding only
     assert row.metrics.maximum_error == pytest.approx(0.02, rel=1e-12)
@@ -56,16 +54,16 @@ def test_a_signal_at_rest_is_not_the_worst():
     noise = 1e-6 * np.sin(50 * TIME)
     calm = trace()
     calm = Trace(TIME, {**calm.signals, "arm.rest": noise}, UNITS)
-    found = comparison({"usual": calm, "other": trace(0.01, rest=1e-3)})
+    found = compare({"usual": calm, "other": trace(0.01, rest=1e-3)})
     assert found.against["other"]["arm.rest"].metrics.nrmse > 100
     assert found.worst("other", "speed").signal == "arm.speed"
-    still = comparison({"usual": trace(), "other": trace(0.01, rest=np.deg2rad(3.0))})
+    still = compare({"usual": trace(), "other": trace(0.01, rest=np.deg2rad(3.0))})
     assert re.search(r"arm.rest +-, 3 deg/s$", text(still), re.MULTILINE)
 
 
 def test_a_constant_reference_counts_where_the_other_run_moves():
     """NRMSE is then over the range of the other run, and marked; only what moves in neither is left out."""
-    found = comparison({"usual": trace(rest=1.0), "other": trace(0.01, rest=1.0 + 0.5 * SPEED)})
+    found = compare({"usual": trace(rest=1.0), "other": trace(0.01, rest=1.0 + 0.5 * SPEED)})
     worst = found.worst("other", "speed")
     span = np.ptp(0.5 * SPEED)
     assert worst.signal == "arm.rest"
@@ -74,8 +72,8 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert "arm.rest (reference constant)" in told
     assert "note: reference constant: its NRMSE is over the range of the other run" in told
     alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}
-    assert "none of them moves" not in text(comparison(alone))
-    assert comparison({**alone, "other": alone["usual"]}).worst("other", "speed") is None
+    assert "none of them moves" not in text(compare(alone))
+    assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None
 
 
 def test_the_largest_difference_is_that_of_all_signals():
@@ -89,7 +87,7 @@ def test_the_largest_difference_is_that_of_all_signals():
         )
         for k, name in enumerate(("usual", "other"))
     }
-    found = comparison(runs)
+    found = compare(runs)
     assert found.worst("other", "pressure").signal == "a"
     assert found.largest("other", "pressure").signal == "c"
     assert re.search(r"^pressure +3 .*% +a +0.7 bar +c$", text(found), re.MULTILINE)
@@ -101,7 +99,7 @@ def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
         name: run(str(fmus["gain"]), step=0.1, stop=1.0, swap=swap)
         for name, swap in (("usual", {}), ("other", {"gain": fmus["gain"]}))
     }
-    told = text(comparison(results))
+    told = text(compare(results))
     assert re.search(r"^usual +gauss-seidel +0.1 s +\S+ +\S+ +\S+ +1  gain \S+$", told, re.MULTILINE)
     assert re.search(r"^other \(gain=gain\) +gauss-seidel +0.1 s", told, re.MULTILINE)
 
@@ -109,53 +107,53 @@ def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
 def test_against_names_the_reference():
     """By its name, or by its file; the default is the first."""
     runs = {"one": trace(), "two": trace(0.1), "three": trace(0.3)}
-    assert comparison(runs).reference.label == "one"
-    found = comparison(runs, against="three")
+    assert compare(runs).reference.label == "one"
+    found = compare(runs, against="three")
     assert list(found.against) == ["one", "two"]
     error = found.against["two"]["arm.speed"]
     assert error.simulation[0] - error.reference[0] == pytest.approx(-0.2, rel=1e-12)  # rounding only
     with pytest.raises(Problem, match="compare: against four: expected one of one, two, three"):
-        comparison(runs, against="four")
+        compare(runs, against="four")
 
 
 def test_grids_may_differ():
     """Compared on the coarser one, as `validate` does; a window cuts both."""
-    found = comparison({"fine": trace(), "coarse": trace(0.1, every=10)}, start=2.0, stop=4.0)
+    found = compare({"fine": trace(), "coarse": trace(0.1, every=10)}, start=2.0, stop=4.0)
     row = found.against["coarse"]["arm.speed"]
     np.testing.assert_allclose(row.time, TIME[200:401:10], rtol=0, atol=1e-12)  # rounding only
     assert row.metrics.rmse == pytest.approx(0.1, rel=1e-12)
     assert found.window == pytest.approx((2.0, 4.0))
     with pytest.raises(Problem, match=r"expected two or more samples in a common window, got 0"):
-        comparison({"fine": trace(), "coarse": trace()}, start=20.0)
+        compare({"fine": trace(), "coarse": trace()}, start=20.0)
 
 
 def test_units_are_completed_and_converted():
     """A trace without units has those of another; different units of one quantity are converted."""
     bar = Trace(TIME, {"pump.pressure": PRESSURE / 1e5 + 1.0}, {"pump.pressure": "bar"})
     bare = Trace(TIME, {"pump.pressure": PRESSURE}, {})
-    found = comparison({"usual": trace(), "bar": bar, "bare": bare})
+    found = compare({"usual": trace(), "bar": bar, "bare": bare})
     assert found.against["bar"]["pump.pressure"].metrics.maximum_error == pytest.approx(1.0, rel=1e-9)
     assert found.against["bare"]["pump.pressure"].metrics.maximum_error == 0
     wrong = Trace(TIME, {"pump.pressure": PRESSURE}, {"pump.pressure": "K"})
     with pytest.raises(Problem, match=r"usual: pump.pressure: unit 'Pa' cannot be converted"):
-        comparison({"usual": trace(), "wrong": wrong})
+        compare({"usual": trace(), "wrong": wrong})
 
 
 def test_signals_are_chosen_by_patterns():
     """Only common ones; what fits nothing is told."""
     runs = {"one": trace(), "two": trace().select(["arm.speed", "pump.pressure"])}
-    assert comparison(runs).signals == ("arm.speed", "pump.pressure")
-    assert comparison(runs, signals=["*.pressure"]).signals == ("pump.pressure",)
-    assert comparison(runs).notes == ("not in all traces, so left out: arm.rest",)
+    assert compare(runs).signals == ("arm.speed", "pump.pressure")
+    assert compare(runs, signals=["*.pressure"]).signals == ("pump.pressure",)
+    assert compare(runs).notes == ("not in all traces, so left out: arm.rest",)
     with pytest.raises(Problem, match=r"compare: signals arm.sped: no signal .* did you mean arm.speed\?"):
-        comparison(runs, signals=["arm.sped"])
+        compare(runs, signals=["arm.sped"])
 
 
 def test_traces_without_common_signals_are_refused():
     """With what each has."""
     other = Trace(TIME, {"x": SPEED})
     with pytest.raises(Problem) as caught:
-        comparison({"one": trace(), "two": other})
+        compare({"one": trace(), "two": other})
     told = "compare: expected signals that all have, got none: "
     assert str(caught.value) == f"{told}one has arm.speed, arm.rest, pump.pressure; two has x"
 
@@ -183,8 +181,8 @@ def test_inputs_are_not_shown_unless_named(fmus):
     """A connected input repeats an output."""
     system = assemble({"s": fmus["source"], "g": fmus["gain"]}, ["s.y -> g.u"])
     runs = {str(f): run(system, step=0.1, stop=1.0, set={"g.factor": f}) for f in (1.0, 2.0)}
-    assert comparison(runs).signals == ("s.y", "g.y")
-    assert comparison(runs, signals=["*"]).signals == ("s.y", "g.y", "g.u")
+    assert compare(runs).signals == ("s.y", "g.y")
+    assert compare(runs, signals=["*"]).signals == ("s.y", "g.y", "g.u")
 
 
 def test_the_picture_shows_what_differs_most():
@@ -195,7 +193,7 @@ def test_the_picture_shows_what_differs_most():
         units |= {f"s{i}": "rad/s", f"p{i}": "Pa"}
     signals["s9"], units["s9"] = signals["s4"] + 1e-3, "rad/s"  # lies on another one
     worse = {name: 1.01 * values for name, values in signals.items()}
-    found = comparison({"one": Trace(TIME, signals, units), "two": Trace(TIME, worse, units)})
+    found = compare({"one": Trace(TIME, signals, units), "two": Trace(TIME, worse, units)})
     assert chosen(found) == ["s2", "s3", "s9", "p2", "p3", "p4"]
     figure = draw(found)
     assert len(figure.axes) == 12
@@ -250,7 +248,7 @@ def test_a_reference_with_its_own_units_is_compared_too():
     """A CSV with a TOML beside it, as `validate` reads it."""
     Path("m.csv").write_text("time,y\n0,0\n4,4000\n8,8100\n", encoding="utf-8")
     Path("m.toml").write_text('[signals."gain.y"]\ncolumn = "y"\nunit = "mm"\n', encoding="utf-8")
-    found = comparison(["a.csv", "m.csv"], against="m.csv")
+    found = compare(["a.csv", "m.csv"], against="m.csv")
     # the ramp of 1 m/s against a measured end of 8.1 m; the time axis of the run is rounded
     assert found.against["a"]["gain.y"].metrics.maximum_error == pytest.approx(0.1, rel=1e-9)
 

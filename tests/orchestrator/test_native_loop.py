@@ -248,7 +248,7 @@ system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "
 LONG = (
     START
     + """
-from orchestrator.runs import compiled
+from orchestrator.engine.native import compiled
 compiled.WORTH = float(sys.argv[5])
 if len(sys.argv) > 7:
     system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
@@ -329,7 +329,7 @@ GROWTH = (
     + """
 import os
 import numpy as np
-from orchestrator.runs import job
+from orchestrator.engine import run as job
 sizes, looks = np.ones(100_000, int), 0
 class Scale(job.Progress):
     def update(self, done):

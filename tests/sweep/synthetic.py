@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from orchestrator.studies import design
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import Effect, Finding
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output, Study

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, Estimate
 from orchestrator.studies.study import Choice, Factor
 

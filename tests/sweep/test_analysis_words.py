@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
 from orchestrator.studies.analysis.wording import sentences
 from orchestrator.studies.report.quantities import number, told

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results, uniform
 
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.wording import sentences
 from orchestrator.studies.report.page import NUMBERS, PAGE, write
 from orchestrator.studies.report.plots import bands, medians, quantiles

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sweep.synthetic import Columns, effects, finding, results, uniform
 
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.report.page import PAGE, write
 from orchestrator.studies.report.plots import tornado
 from orchestrator.studies.study import Choice

@@ -10,7 +10,7 @@ import pytest
 from sweep.synthetic import ishigami, results, uniform
 
 from orchestrator.studies import design
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.report.page import NUMBERS, PAGE, write
 from orchestrator.studies.study import Choice, Factor
 

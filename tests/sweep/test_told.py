@@ -10,7 +10,7 @@ import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
 from orchestrator.studies import progress
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import alike
 from orchestrator.studies.report.page import PAGE, write
 from orchestrator.studies.store import Results

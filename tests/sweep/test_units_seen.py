@@ -11,7 +11,7 @@ import pytest
 from sweep.synthetic import finding, results, uniform
 
 from orchestrator.studies import progress
-from orchestrator.studies.analysis import analyse
+from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.wording import sentences
 from orchestrator.studies.report.page import NUMBERS, PAGE, words, write
 from orchestrator.studies.report.plots import scatter

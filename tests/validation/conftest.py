@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.data.trace import Trace
-from orchestrator.results import compare
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.reference import read_reference
 
 META = """

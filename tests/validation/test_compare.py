@@ -11,8 +11,7 @@ import pytest
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.results import compare
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.metrics import Tolerance
 from orchestrator.results.reference import Reference, Signal, read_reference
 

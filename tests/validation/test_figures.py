@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.results import compare
 from orchestrator.results import figures as embedding
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.figures import FigureSpec, Panel, decimate, draw, png, svg
 from orchestrator.results.reference import read_reference
 

@@ -12,11 +12,10 @@ import pytest
 from rich.console import Console
 
 from orchestrator.data.trace import Trace
-from orchestrator.results import compare, summary
-from orchestrator.results.compare import Validation
+from orchestrator.results.compare import Validation, compare
 from orchestrator.results.metrics import Tolerance
 from orchestrator.results.reference import Reference, Signal, read_reference
-from orchestrator.results.summary import number, percent
+from orchestrator.results.summary import number, percent, summary
 
 
 def shown(outcome: Validation, width: int = 80) -> list[str]:

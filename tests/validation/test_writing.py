@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.results import compare
+from orchestrator.results.compare import compare
 from orchestrator.results.metrics import Tolerance
 from orchestrator.results.reference import Origin, read_reference, write_reference
 

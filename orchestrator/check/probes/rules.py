@@ -57,9 +57,9 @@ def _life(folder: Path) -> Life:
         has = ", ".join(there) if there else "none"
         wanted = " or ".join(folders(declared.major))
         return Life(declared, (), {}, {}, f"no binary for this platform, expected {wanted}, found {has}")
-    loaded = dict(zip(sides, _each(folder, sides, "basic:load"), strict=True))
+    loaded = dict(zip(sides, _each(folder, sides, "loading:load"), strict=True))
     sound = [s for s in sides if not loaded[s].end and not _errors(loaded[s])]
-    lived = dict(zip(sound, _each(folder, sound, "default:default"), strict=True))
+    lived = dict(zip(sound, _each(folder, sound, "values:default"), strict=True))
     return Life(declared, sides, loaded, lived)
 
 
