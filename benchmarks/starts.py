@@ -24,18 +24,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.played import Fmu
-from fmus.contract import ModelError
 from fmus.identification.known import nominal
 from fmus.identification.machine import FREE, problem
 from fmus.identification.recordings.reading import read
 from fmus.identification.recordings.recording import window
 from fmus.identification.refinement.differences import BlackBox
-from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.simulation import Failed
 from fmus.rig.experiments import experiment
 from fmus.rig.writing import write
+from orchestrator.base.errors import Problem
 
 AWAY = 0.3  # standard deviation of a start, relative
 CHANGE = 1e-4  # relative, of the differences: the best one of benchmarks.sensitivities
@@ -43,7 +43,7 @@ TOLERANCE = 1e-6  # of the FMU's solver, its usual one
 JOINTS = ("swing", "boom", "stick")
 
 
-def task(folder: Path, seconds: float) -> Problem:
+def task(folder: Path, seconds: float) -> EstimationProblem:
     """The first training recording against the machine; nothing is known but the recording."""
     csv, _ = write(folder, experiment("machine_train_1", "lumped"), 0)
     whole = problem([window(read(csv), 0.0, seconds)], nominal(), FREE)
@@ -53,7 +53,9 @@ def task(folder: Path, seconds: float) -> Problem:
 class Played:
     """Whole runs of harvester.fmu from the pose of the recording."""
 
-    def __init__(self, folder: Path, given: Problem, inputs: tuple[str, ...], u: np.ndarray) -> None:
+    def __init__(
+        self, folder: Path, given: EstimationProblem, inputs: tuple[str, ...], u: np.ndarray
+    ) -> None:
         run = given.training[0]
         pose = {f"initial_{j}_angle": float(np.mean(run.guess[f"{j}_angle"][:100])) for j in JOINTS}
         names = (inputs, (*given.names, *pose), given.outputs)
@@ -117,10 +119,10 @@ def _sum(ends: list[tuple[Refined | None, float]]) -> str:
     return f"{told}; truth within 1.96 standard deviations in {np.sum(off < 1.96)} of {off.size} parameters"
 
 
-def _search(given: Problem, simulator: object, threads: int, z: np.ndarray) -> Refined | None:
+def _search(given: EstimationProblem, simulator: object, threads: int, z: np.ndarray) -> Refined | None:
     try:
         return refine(given, simulator, threads=threads, start=z)
-    except ModelError:
+    except Problem:
         return None  # it cannot be simulated from there
 
 

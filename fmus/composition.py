@@ -28,7 +28,6 @@ from typing import Annotated, Any
 import casadi as ca
 
 from fmus.contract import (
-    ModelError,
     Quantity,
     Scalar,
     Subsystem,
@@ -41,6 +40,7 @@ from fmus.contract import (
     unstack,
 )
 from fmus.parameters import Number, Tables, numbers
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def couple(
 ) -> Coupled:
     """Couple subsystems by (source output, target input) pairs; `inputs` feeds the inputs of the whole.
 
-    Inputs that nobody feeds are `constant`. Raises ModelError on an algebraic loop.
+    Inputs that nobody feeds are `constant`. Raises Problem on an algebraic loop.
     """
     parts = {name: symbolic(sub) for name, sub in subsystems.items()}
 
@@ -126,13 +126,13 @@ def _check(
 ) -> None:
     for source, target in connections:
         if source not in outputs:
-            raise ModelError(f"{source} -> {target}: {source} is no output of the components")
+            raise Problem(f"{source} -> {target}: {source} is no output of the components")
     fed = [*feed, *(target for _, target in connections)]
     for target in fed:
         if target not in inputs:
-            raise ModelError(f"{target} is fed, expected an input of the components")
+            raise Problem(f"{target} is fed, expected an input of the components")
         if fed.count(target) > 1:
-            raise ModelError(f"{target} is fed twice, expected one source")
+            raise Problem(f"{target} is fed twice, expected one source")
 
 
 def _rows(values: ca.SX, rows: Sequence[int]) -> list[ca.SX]:
@@ -145,7 +145,7 @@ def _resolve(terms: list[ca.SX], symbols: ca.SX, meanings: ca.SX) -> list[ca.SX]
         if not any(ca.depends_on(t, symbols) for t in terms):
             return terms
         terms = list(ca.substitute(terms, [symbols], [meanings]))
-    raise ModelError("the connections form an algebraic loop")
+    raise Problem("the connections form an algebraic loop")
 
 
 Names = Mapping[str, str]  # `component.variable` -> name
@@ -171,7 +171,7 @@ def flat_names(
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
     unknown = set(hidden) - set(outputs)
     if unknown:
-        raise ModelError(f"{min(unknown)} is hidden, expected an output of {', '.join(subsystems)}")
+        raise Problem(f"{min(unknown)} is hidden, expected an output of {', '.join(subsystems)}")
     visible = [v for v in outputs if v not in hidden]
     own = {v: v.partition(".")[2] for v in [*parameters, *states, *visible]}
     merged = _common(parameters, tables) | {v for v in visible if own[v] in totals}
@@ -182,7 +182,7 @@ def flat_names(
     seen = Counter([*others, *(names[v] for v in single)])
     twice = sorted(name for name, count in seen.items() if count > 1)
     if twice:
-        raise ModelError(f"{', '.join(subsystems)}: {twice[0]} would name two variables of the whole")
+        raise Problem(f"{', '.join(subsystems)}: {twice[0]} would name two variables of the whole")
     return names
 
 
@@ -230,7 +230,7 @@ def joined(
     """
     told = [n for n, sub in subsystems.items() if sub.corner is not never]
     if told:
-        raise ModelError(f"{name}: {told[0]} has corners, expected components without")
+        raise Problem(f"{name}: {told[0]} has corners, expected components without")
     tables = tables or {n: numbers(sub) for n, sub in subsystems.items()}
     start = {f"{c}.{v}": number for c, t in tables.items() for v, number in t["start"].items()}
     whole = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})
@@ -273,9 +273,7 @@ def _fed(
         first = members[targets[0]]
         for t in targets:
             if (members[t].unit, _value(start, t)) != (first.unit, _value(start, targets[0])):
-                raise ModelError(
-                    f"{name}: {own} feeds {targets[0]} and {t}, expected one unit and start value"
-                )
+                raise Problem(f"{name}: {own} feeds {targets[0]} and {t}, expected one unit and start value")
         rate = targets[0].partition(".")[0] + f".{first.rate}"
         found[own] = replace(first, rate=next((n for n, ends in inputs.items() if rate in ends), None))
     return found

@@ -20,12 +20,13 @@ from typing import Any, Literal, TypeAlias, TypeVar, get_type_hints
 
 import casadi as ca
 
+from orchestrator.base.errors import Problem
+
 Scalar: TypeAlias = Any  # float | ca.SX; the operators of CasADi's own annotations do not fit symbols
 G = TypeVar("G")
 
 
-class ModelError(ValueError):
-    """A mistake in a model's declaration, parameters or build, told in one line."""
+ModelError = Problem  # its name until version 0.1
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,7 @@ def family(part: str, **variants: Subsystem) -> dict[str, Subsystem]:
             differ = [n for n, q in wanted.items() if declared.get(n) != q]
             differ += [n for n in declared if n not in wanted and group == "inputs"]
             if differ:
-                raise ModelError(
-                    f"{sub.name}: {group} differ from those of {usual.name}: {', '.join(differ)}"
-                )
+                raise Problem(f"{sub.name}: {group} differ from those of {usual.name}: {', '.join(differ)}")
     return {
         v: replace(
             sub,
@@ -244,10 +243,10 @@ def symbolic(sub: Subsystem) -> Symbolic:
     computed = dict(sub.initial(x, u, p))
     unknown = set(computed) - set(quantities(sub.states))
     if unknown:
-        raise ModelError(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
+        raise Problem(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
     own = column(*(getattr(x, name) for name in computed))
     if ca.depends_on(ca.SX(column(*computed.values())), own):
-        raise ModelError(f"{sub.name}: initial() uses a state that it computes, expected those of others")
+        raise Problem(f"{sub.name}: initial() uses a state that it computes, expected those of others")
     start = [computed.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
     require = dict(sub.require(x, u, p))
     return Symbolic(

@@ -88,7 +88,7 @@ def join(
 ) -> Monolith:
     """Join subsystems by (source output, target input) pairs; `inputs` feeds the machine's inputs.
 
-    Inputs that nobody feeds keep their start value. Raises ModelError on an algebraic loop.
+    Inputs that nobody feeds keep their start value. Raises Problem on an algebraic loop.
     """
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
     constant = {f"{n}.{v}": value for n, nums in numbers.items() for v, value in nums.u.items()}

@@ -27,7 +27,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from fmus.contract import ModelError, Quantity, Subsystem, quantities
+from fmus.contract import Quantity, Subsystem, quantities
+from orchestrator.base.errors import Problem
 
 SOURCES = {
     "paper": "printed in the paper or read from it, as the note says: the only FERIC data",
@@ -67,15 +68,15 @@ def read(path: Path) -> dict[str, dict[str, Number]]:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise ModelError(f"{path}: expected a TOML file, found {error.strerror}") from None
+        raise Problem(f"{path}: expected a TOML file, found {error.strerror}") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
+        raise Problem(f"{path}: cannot be read as TOML: {error}") from None
     unknown = set(document) - {"parameters", "start"}
     if unknown:
-        raise ModelError(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
+        raise Problem(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
     for section, entries in document.items():
         if not isinstance(entries, dict):
-            raise ModelError(f"{path}: {section} is {entries!r}, expected tables [{section}.NAME]")
+            raise Problem(f"{path}: {section} is {entries!r}, expected tables [{section}.NAME]")
     return {
         section: {
             name: _number(path, section, name, entry) for name, entry in document.get(section, {}).items()
@@ -87,23 +88,23 @@ def read(path: Path) -> dict[str, dict[str, Number]]:
 def _number(path: Path, section: str, name: str, entry: Any) -> Number:
     where = f"{path}: [{section}.{name}]"
     if not isinstance(entry, dict):
-        raise ModelError(f"{where} is {entry!r}, expected a table with value, unit, source, note")
+        raise Problem(f"{where} is {entry!r}, expected a table with value, unit, source, note")
     for key, value in entry.items():
         if key not in KEYS:
-            raise ModelError(f"{where} has unknown key {key!r}, expected {', '.join(KEYS)}")
+            raise Problem(f"{where} has unknown key {key!r}, expected {', '.join(KEYS)}")
         if not isinstance(value, KEYS[key]) or isinstance(value, bool):  # type: ignore[arg-type]
-            raise ModelError(
+            raise Problem(
                 f"{where} {key} is {value!r}, expected {'a number' if key in ('value', 'sd') else 'text'}"
             )
     missing = [key for key in ("value", "unit", "source", "note") if key not in entry]
     if missing:
-        raise ModelError(f"{where} lacks {', '.join(missing)}")
+        raise Problem(f"{where} lacks {', '.join(missing)}")
     if entry["source"] not in SOURCES:
-        raise ModelError(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
+        raise Problem(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
     if not math.isfinite(entry["value"]):
-        raise ModelError(f"{where} value is {entry['value']}, expected a finite number")
+        raise Problem(f"{where} value is {entry['value']}, expected a finite number")
     if not 0 <= entry.get("sd", 0) < math.inf:
-        raise ModelError(f"{where} sd is {entry['sd']}, expected 0 or more")
+        raise Problem(f"{where} sd is {entry['sd']}, expected 0 or more")
     return Number(float(entry["value"]), entry["unit"], entry["source"], entry["note"], entry.get("sd"))
 
 
@@ -119,7 +120,7 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
     startable = quantities(sub.inputs) | quantities(sub.states)
     missing = set(parameters) - set(found["parameters"])
     if missing:
-        raise ModelError(f"{path}: parameter {min(missing)} of {sub.name} is missing")
+        raise Problem(f"{path}: parameter {min(missing)} of {sub.name} is missing")
     own: dict[str, dict[str, Number]] = {}
     for section, declared in (("parameters", parameters), ("start", startable)):
         own[section] = {}
@@ -128,17 +129,17 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
                 check(path, f"[{section}.{name}]", declared[name], number)
                 own[section][name] = number
             elif name not in sub.elsewhere:
-                raise ModelError(f"{path}: [{section}.{name}] is not declared by {sub.name}")
+                raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return own
 
 
 def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
     """Refuse another unit than the declared one, and a value out of bounds."""
     if number.unit != quantity.unit:
-        raise ModelError(f"{path}: {where} is in {number.unit}, declared {quantity.unit}")
+        raise Problem(f"{path}: {where} is in {number.unit}, declared {quantity.unit}")
     low, high = quantity.minimum, quantity.maximum
     if (low is not None and number.value < low) or (high is not None and number.value > high):
-        raise ModelError(f"{path}: {where} is {number.value:g} {number.unit}, expected {low} to {high}")
+        raise Problem(f"{path}: {where} is {number.value:g} {number.unit}, expected {low} to {high}")
 
 
 def values(sub: Subsystem, path: Path | None = None) -> Values:
@@ -176,11 +177,9 @@ def read_set(path: Path, subs: Iterable[Subsystem]) -> Set:
     """The numbers of a file, each checked against the parts that declare it; there must be one."""
     found = read(path)
     if found["start"]:
-        raise ModelError(
-            f"{path}: [start.{min(found['start'])}] is no parameter, expected [parameters.*] only"
-        )
+        raise Problem(f"{path}: [start.{min(found['start'])}] is no parameter, expected [parameters.*] only")
     if not found["parameters"]:
-        raise ModelError(f"{path}: no table [parameters.NAME], expected at least one")
+        raise Problem(f"{path}: no table [parameters.NAME], expected at least one")
     declared = {
         (sub.component, name): quantity
         for sub in subs
@@ -191,7 +190,7 @@ def read_set(path: Path, subs: Iterable[Subsystem]) -> Set:
         if not meant:
             known = {own for _, own in declared} | {f"{part}.{own}" for part, own in declared}
             near = difflib.get_close_matches(name, known, 1) or ["a name that `harvester parameters` shows"]
-            raise ModelError(f"{path}: [parameters.{name}] is declared by no part, expected {near[0]}")
+            raise Problem(f"{path}: [parameters.{name}] is declared by no part, expected {near[0]}")
         for quantity in meant:
             check(path, f"[parameters.{name}]", quantity, number)
     return found["parameters"]

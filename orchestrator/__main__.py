@@ -40,8 +40,6 @@ def _stopped(what: str = "") -> int:
 
 def _told(error: Exception) -> int:
     """Tell a user's mistake or a refusal of the operating system in one line; re-raise defects."""
-    contract = sys.modules.get("fmus.contract")  # there if the models were used
-    mistakes = (Problem,) if contract is None else (Problem, contract.ModelError)
     show, message = getattr(error, "show", None), str(error)  # of the command-line library: show()
     if show is not None:
         message = error.format_message()  # type: ignore[attr-defined]
@@ -52,7 +50,7 @@ def _told(error: Exception) -> int:
         message = f"{message.rstrip('.')}; see {context.command_path if context else 'harvester'} --help"
     elif isinstance(error, OSError) and error.filename:
         message = f"{error.filename}: {error.strerror}"
-    elif not isinstance(error, mistakes):
+    elif not isinstance(error, Problem):
         raise error
     print(f"harvester: {message}", file=sys.stderr)
     return 2

@@ -13,13 +13,14 @@ from driver import driving
 from fmpy.validation import validate_fmu
 
 from fmus.composition import declared, flat_names, joined
-from fmus.contract import ModelError, Quantity, Subsystem, quantities, symbolic
+from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
+from orchestrator.base.errors import Problem
 from orchestrator.results.compare import by_variable, compare
 from orchestrator.results.reference import read_reference
 
@@ -184,7 +185,7 @@ def test_totals_are_sums():
 )
 def test_mistakes_in_the_wiring_are_told(changes, message):
     """In one line that names the variable."""
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(Problem, match=message):
         chain(part("a"), part("b"), **changes)
 
 
@@ -192,7 +193,7 @@ def test_targets_of_an_input_start_alike():
     """One input cannot start with two values."""
     second = part("b")
     second[1]["start"]["u"] = Number(0.25, "m", "assumed", "")
-    with pytest.raises(ModelError, match=r"all feeds a\.u and b\.u, expected one unit and start value"):
+    with pytest.raises(Problem, match=r"all feeds a\.u and b\.u, expected one unit and start value"):
         chain(part("a"), second, wires=[], inputs={"all": ("a.u", "b.u")})
 
 

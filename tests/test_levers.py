@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.composition import joined
-from fmus.contract import ModelError, symbolic
+from fmus.contract import symbolic
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.scenarios import (
@@ -33,6 +33,7 @@ from fmus.machine.scenarios import (
 from fmus.machine.scenarios import sample as sampled
 from fmus.operator.model import AHEAD, AXES, LEVERS, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
+from orchestrator.base.errors import Problem
 
 _NAMES = ("start", "command", "rise", "hold", "fall")
 _TIME, _STROKE = ca.SX.sym("t"), [ca.SX.sym(n) for n in _NAMES]
@@ -175,7 +176,7 @@ def exchanging(path, start):
 
 def test_no_event_is_lost_in_a_whole():
     """Components with corners cannot be joined: the FMU of the whole would not tell them."""
-    with pytest.raises(ModelError, match="whole: levers has corners, expected components without"):
+    with pytest.raises(Problem, match="whole: levers has corners, expected components without"):
         joined("whole", "Levers alone", {"levers": LEVERS}, (), {}, folder=LEVERS.values.parent)
 
 
@@ -202,7 +203,7 @@ def test_programs_are_the_shipped_scenarios():
 def test_a_program_that_is_too_long_is_refused():
     """With the lever and both numbers."""
     many = [Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
-    with pytest.raises(ModelError, match="stick lever: 11 strokes, expected at most 10"):
+    with pytest.raises(Problem, match="stick lever: 11 strokes, expected at most 10"):
         program(many)
     assert program(many[:10])["stick_10_start"] == 9.0
     assert len(program(())) == len(AXES) * len(STROKES) * 5

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from fmus.components import hose
-from fmus.contract import ModelError, quantities, symbolic
+from fmus.contract import quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number, numbers, read, values, write
+from orchestrator.base.errors import Problem
 
 BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))
 
@@ -136,7 +137,7 @@ def _file(tmp_path: Path, **changes: tuple[float, str]) -> Path:
 )
 def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes, message):
     """A wrong unit, a missing, unknown, impossible or non-finite number is refused by name."""
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(Problem, match=message):
         numbers(SWING, _file(tmp_path, **changes))
 
 
@@ -164,6 +165,6 @@ def test_a_broken_file_is_refused_in_one_line(tmp_path, text, message):
     """Syntax, tables and keys are checked before any number is used."""
     path = tmp_path / "p.toml"
     path.write_text(text)
-    with pytest.raises(ModelError, match=message) as caught:
+    with pytest.raises(Problem, match=message) as caught:
         read(path)
     assert str(path) in str(caught.value)

@@ -20,7 +20,7 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import column, quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
-from fmus.units import BASE, parse
+from orchestrator.base.units import BASES, parse
 
 VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
 PS, RHO = 20.684e6, 970.0  # Pa, kg/m3
@@ -91,12 +91,12 @@ def test_every_formula_keeps_its_dimensions(name):
     above the void, whose three constants are the only numbers with a dimension in the components.
     """
     e, rng = EQUATIONS[name], np.random.default_rng(11)
-    scale = dict.fromkeys(BASE, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
+    scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
 
     def in_other_units(values, group, per_second=0):
         exponents = {n: parse(group[n].unit).exponents for n in values}
         unit = {
-            n: np.prod([scale[b] ** k for b, k in zip(BASE, ex, strict=True)]) for n, ex in exponents.items()
+            n: np.prod([scale[b] ** k for b, k in zip(BASES, ex, strict=True)]) for n, ex in exponents.items()
         }
         return {n: a * unit[n] / scale["s"] ** per_second for n, a in values.items()}
 

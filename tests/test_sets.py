@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmus.contract import ModelError, quantities
+from fmus.contract import quantities
 from fmus.machine.build import parts
 from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
@@ -11,6 +11,7 @@ from fmus.machine.system import parameter_sets
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import numbers, values
 from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
 
 VALVE = (
     '[parameters.valve_area]\nvalue = 4.1e-5\nunit = "m2"\nsource = "identified"\nnote = "bench"\nsd = 1e-7\n'
@@ -100,7 +101,7 @@ def test_a_mistake_is_told_in_one_line(text, told, tmp_path, monkeypatch, capsys
     """File, thing, expected, found; before anything is compiled or written."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "set.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(ModelError):
+    with pytest.raises(Problem):
         parts(tmp_path / "set.toml")
     assert main(["build", "--parameters", "set.toml"]) == 2
     error = capsys.readouterr().err

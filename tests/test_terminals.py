@@ -8,11 +8,12 @@ from itertools import combinations
 import pytest
 from lxml import etree
 
-from fmus.contract import ModelError, quantities
+from fmus.contract import quantities
 from fmus.export.interface import interface
 from fmus.export.model_description import terminals
 from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS
 from fmus.parameters import values
+from orchestrator.base.errors import Problem
 
 
 def pairs():
@@ -75,5 +76,5 @@ def test_member_that_is_no_port_is_refused():
     from fmus.components.ports import lever
 
     sub = replace(ALL["swing"], terminals=(lever("grapple"),))
-    with pytest.raises(ModelError, match="grapple_lever has the variable grapple_command, expected an input"):
+    with pytest.raises(Problem, match="grapple_lever has the variable grapple_command, expected an input"):
         terminals(sub, interface(sub, values(sub)))

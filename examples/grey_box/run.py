@@ -8,12 +8,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from fmus.components import chamber, orifice, spool_valve
-from fmus.contract import ModelError
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.reading import read_series
 from fmus.identification.recordings.recording import blank, split
 from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
+from orchestrator.base.errors import Problem
 
 CRANE = Path(__file__).with_name("crane.txt")
 START = dict(area_up=0.3, full_up=0.5, area_down=0.3, full_down=0.5, dead_band=0.05, lag=3.0, supply=3.0)
@@ -56,5 +56,5 @@ def main(path=CRANE, command=0, pressure=1, picture=""):
 
 try:
     main(*(int(word) if word.isdigit() else word for word in sys.argv[1:]))
-except ModelError as error:
+except Problem as error:
     sys.exit(f"error: {error}" + " (run.py FILE COMMAND PRESSURE)" * (len(sys.argv) < 4))

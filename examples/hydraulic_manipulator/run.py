@@ -21,7 +21,6 @@ from machine import build, solve
 from rich.console import Console
 from rich.table import Table
 
-from fmus.contract import ModelError
 from orchestrator import Problem, Result, Trace, read, run, write
 from orchestrator.results.compare import Validation, compare
 from orchestrator.results.reference import Reference, read_reference
@@ -104,5 +103,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except (Problem, ModelError) as mistake:
+    except Problem as mistake:
         sys.exit(f"error: {mistake}")

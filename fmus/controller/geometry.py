@@ -19,8 +19,9 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.contract import ModelError, Scalar
+from fmus.contract import Scalar
 from fmus.manipulator import arm
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def joints(radius: float, height: float, p: Mapping[str, float]) -> tuple[float,
     upper, lower = math.hypot(p["stick_pivot_x"], p["stick_pivot_z"]), p["stick_length"]
     reach = math.hypot(x, z)
     if not abs(upper - lower) <= reach <= upper + lower:
-        raise ModelError(
+        raise Problem(
             f"tip at radius {radius:g} m, height {height:g} m is {reach:.3g} m from the boom pivot,"
             f" expected {abs(upper - lower):.3g} to {upper + lower:.3g} m"
         )

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.controller.geometry import joints
 from fmus.machine.files import write_csv
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def sample(path: Route) -> tuple[Array, Array, Array]:
     for a, b in pairwise(path.points):
         length = math.dist(a, b)
         if length == 0:
-            raise ModelError(f"path: two waypoints at {a}, expected a distance")
+            raise Problem(f"path: two waypoints at {a}, expected a distance")
         pieces.append((clock, a, b, length))
         clock += math.ceil(travel(length, path)[0] * RATE) / RATE + path.wait
     time = np.arange(round(clock * RATE) + 1) / RATE
@@ -167,7 +167,7 @@ def inputs(points: Array, velocities: Array) -> Array:
     x, y, z = points.T
     radius, angle = np.hypot(x, y), np.unwrap(np.arctan2(y, x))
     if (least := float(radius.min())) < NEAREST:
-        raise ModelError(f"path: comes to {least:.2g} m from the swing axis, expected at least {NEAREST:g} m")
+        raise Problem(f"path: comes to {least:.2g} m from the swing axis, expected at least {NEAREST:g} m")
     out, left = np.cos(angle), np.sin(angle)
     radial = velocities[:, 0] * out + velocities[:, 1] * left
     turning = (velocities[:, 1] * out - velocities[:, 0] * left) / radius
@@ -203,9 +203,9 @@ def route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path, float
     """
     points = tuple(_point(text) for text in texts)
     if len(points) < 2:
-        raise ModelError(f"--through {texts[0]}: expected two points or more, got one")
+        raise Problem(f"--through {texts[0]}: expected two points or more, got one")
     if not speed > 0:
-        raise ModelError(f"--speed {speed:g}: expected more than 0 m/s")
+        raise Problem(f"--speed {speed:g}: expected more than 0 m/s")
     folder.mkdir(parents=True, exist_ok=True)
     path = Route(points, speed=speed)
     return write(folder, {"route": path})[0], fastest(path)
@@ -215,7 +215,7 @@ def _point(text: str) -> Point:
     try:
         x, y, z = (float(number) for number in text.split(","))
     except ValueError:
-        raise ModelError(f"--through {text}: expected x,y,z in metres, such as 3.6,-2,1") from None
+        raise Problem(f"--through {text}: expected x,y,z in metres, such as 3.6,-2,1") from None
     return x, y, z
 
 
@@ -234,7 +234,7 @@ def course(label: str, place: Point, arm: Mapping[str, float]) -> dict[str, floa
     radius, height, angle = place
     try:
         boom, stick = joints(radius, height, {**values(MANIPULATOR).p, **arm})
-    except ModelError as error:
-        raise ModelError(f"{label}: {error}") from None
+    except Problem as error:
+        raise Problem(f"{label}: {error}") from None
     angles = {"swing": angle, "boom": boom, "stick": stick}
     return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}

@@ -18,9 +18,10 @@ from importlib.resources import files
 
 import casadi as ca
 
-from fmus.contract import ModelError, Symbolic
+from fmus.contract import Symbolic
 from fmus.export.elimination import Elimination, eliminate
 from fmus.export.interface import Interface, Variable
+from orchestrator.base.errors import Problem
 
 _BINARY = {
     ca.OP_ADD: "{} + {}",
@@ -128,7 +129,7 @@ def _expression(operation: int, i: Sequence[int], inputs: list[str], place: Mapp
         return str(_UNARY[operation].format(place[i[0]]))
     if operation in _BINARY:
         return str(_BINARY[operation].format(place[i[0]], place[i[1]]))
-    raise ModelError(f"operation {operation} of CasADi has no C here, expected elementary functions")
+    raise Problem(f"operation {operation} of CasADi has no C here, expected elementary functions")
 
 
 def number(value: float) -> str:

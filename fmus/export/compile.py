@@ -26,7 +26,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmus.contract import ModelError
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def host() -> str:
     system, processor = platform.system(), platform.machine()
     name = f"{_PROCESSORS.get(processor.lower())}-{_SYSTEMS.get(system)}"
     if name not in PLATFORMS:
-        raise ModelError(f"no platform for {system} {processor}, expected one of {', '.join(PLATFORMS)}")
+        raise Problem(f"no platform for {system} {processor}, expected one of {', '.join(PLATFORMS)}")
     return name
 
 
@@ -72,7 +72,7 @@ def select(names: Sequence[str]) -> tuple[str, ...]:
     chosen: list[str] = []
     for name in names:
         if name not in ("host", "all", *PLATFORMS):
-            raise ModelError(f"platform {name!r} is unknown, expected host, all or {', '.join(PLATFORMS)}")
+            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(PLATFORMS)}")
         chosen += PLATFORMS if name == "all" else [host() if name == "host" else name]
     return tuple(name for name in PLATFORMS if name in chosen)
 
@@ -173,9 +173,7 @@ def _compiled(label: str, command: Sequence[str], code: Mapping[str, bytes], lib
         # relative names in the folder: the library does not know where it was built
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
-            raise ModelError(
-                f"{label}: the C compiler failed with exit status {run.returncode}\n{run.stderr}"
-            )
+            raise Problem(f"{label}: the C compiler failed with exit status {run.returncode}\n{run.stderr}")
         return (Path(folder) / library).read_bytes()
 
 

@@ -24,7 +24,7 @@ from fmus.export.model_description import LOG_CATEGORIES, package_version
 from fmus.export.reference_experiment import PAGE, proof
 from fmus.machine.files import shipped
 from fmus.parameters import SOURCES, Number, Tables, numbers
-from fmus.units import display
+from orchestrator.base.units import display
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)

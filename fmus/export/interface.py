@@ -14,9 +14,10 @@ from typing import Literal
 
 import casadi as ca
 
-from fmus.contract import ModelError, Quantity, Subsystem, Symbolic, quantities, symbolic
+from fmus.contract import Quantity, Subsystem, Symbolic, quantities, symbolic
 from fmus.parameters import Values
-from fmus.units import per_second
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import per_second
 
 _IDENTIFIER = r"[A-Za-z][A-Za-z0-9_]*"
 Kind = Literal["FIXED", "TUNABLE", "INPUT", "STATE", "CALCULATED_STATE", "DERIVATIVE", "OUTPUT"]
@@ -124,7 +125,7 @@ def _check_states_as_outputs(sub: Subsystem, sym: Symbolic, merged: Sequence[str
     states, outputs = list(quantities(sub.states)), list(quantities(sub.outputs))
     for name in merged:
         if not ca.is_equal(sym.y[outputs.index(name)], sym.x[states.index(name)]):
-            raise ModelError(
+            raise Problem(
                 f"{sub.name}: output {name} is also a state, expected observe() to return that state"
             )
 
@@ -132,31 +133,29 @@ def _check_states_as_outputs(sub: Subsystem, sym: Symbolic, merged: Sequence[str
 def _check_names(face: Interface) -> None:
     seen: set[str] = set()
     if not re.fullmatch(_IDENTIFIER, face.name):
-        raise ModelError(f'"{face.name}" is not an identifier of letters, digits and _, expected of a model')
+        raise Problem(f'"{face.name}" is not an identifier of letters, digits and _, expected of a model')
     for v in face.variables:
         if not re.fullmatch(_IDENTIFIER, v.name):
-            raise ModelError(
-                f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _'
-            )
+            raise Problem(f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _')
         if v.name in seen:
-            raise ModelError(f"{face.name}: variable {v.name} is declared twice")
+            raise Problem(f"{face.name}: variable {v.name} is declared twice")
         seen.add(v.name)
     inputs = {v.name for v in face.inputs}
     for v in face.inputs:
         if v.quantity.rate is not None and v.quantity.rate not in inputs:
-            raise ModelError(f"{face.name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
+            raise Problem(f"{face.name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
 
 
 def _check_numbers(face: Interface) -> None:
     for v in face.variables:
         low, high = v.quantity.minimum, v.quantity.maximum
         if not 0 < v.quantity.nominal < math.inf:
-            raise ModelError(f"{face.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
+            raise Problem(f"{face.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
         if v.start is None:
             continue
         low, high = -math.inf if low is None else low, math.inf if high is None else high
         if not math.isfinite(v.start) or not low <= v.start <= high:
-            raise ModelError(f"{face.name}: {v.name} starts at {v.start:g}, expected {low:g} to {high:g}")
+            raise Problem(f"{face.name}: {v.name} starts at {v.start:g}, expected {low:g} to {high:g}")
 
 
 # ---- dependencies ----------------------------------------------------------------------------------

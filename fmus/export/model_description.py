@@ -12,10 +12,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 from lxml import etree
 
-from fmus.contract import Member, ModelError, Subsystem
+from fmus.contract import Member, Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
-from fmus.units import display, parse
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import display, parse, spelled
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations
@@ -133,6 +134,8 @@ def units(root: etree._Element, face: Interface, *others: str) -> None:
 def base_unit(unit: str) -> dict[str, str]:
     """Attributes of FMI's and SSP's BaseUnit element."""
     parsed = parse(unit)
+    if spelled(unit) != unit:  # what other tools read goes into the file
+        raise Problem(f'unit "{unit}": expected "{spelled(unit)}"')
     attributes = {name: str(n) for name, n in parsed.base().items()}
     return attributes if parsed.factor == 1.0 else attributes | {"factor": digits(parsed.factor)}
 
@@ -322,7 +325,7 @@ _MILLIMETRES = "0.1"  # the icon is 20 mm wide
 
 
 def terminals(sub: Subsystem, face: Interface) -> bytes:
-    """The XML file; ModelError for a terminal member that is no input or output."""
+    """The XML file; Problem for a terminal member that is no input or output."""
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     drawing = etree.SubElement(root, "GraphicalRepresentation")
     etree.SubElement(drawing, "CoordinateSystem", _SQUARE, suggestedScalingFactorTo_mm=_MILLIMETRES)
@@ -341,7 +344,7 @@ def terminals(sub: Subsystem, face: Interface) -> bytes:
         )
         for member in terminal.members:
             if member.variable not in shown:
-                raise ModelError(
+                raise Problem(
                     f"{sub.name}: terminal {terminal.name} has the variable {member.variable}, "
                     "expected an input or an output"
                 )

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.contract import ModelError
 from fmus.export import ssp_xml
 from fmus.export.diagram import Box, Point, bends, boxes
 from fmus.export.package import pack
@@ -26,6 +25,7 @@ from fmus.export.ssp_xml import (
     units,
     write_parameters,
 )
+from orchestrator.base.errors import Problem
 
 
 def description(s: Structure) -> bytes:
@@ -170,7 +170,7 @@ def write_ssp(
     """
     inputs = inputs or {}
     if version not in REAL:
-        raise ModelError(f"{name}: SSP version {version!r}, expected one of {', '.join(REAL)}")
+        raise Problem(f"{name}: SSP version {version!r}, expected one of {', '.join(REAL)}")
     wires = [*connections, *((port, end) for port, ends in inputs.items() for end in ends)]
     elements = read_elements(fmus, wires)
     s = Structure(name, elements, wires, inputs, start or {}, sets or {}, bound, columns, stop, step, version)

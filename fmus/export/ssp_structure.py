@@ -9,7 +9,7 @@ from typing import Any
 
 import fmpy
 
-from fmus.contract import ModelError
+from orchestrator.base.errors import Problem
 
 Sets = Mapping[str, Mapping[str, float]]
 
@@ -77,32 +77,28 @@ def check(s: Structure) -> None:
     for source, end in s.wires:
         target = _end(s, end, "input")
         if end in fed:
-            raise ModelError(
-                f"{s.name}: {end} is connected to {fed[end]} and to {source}, expected one source"
-            )
+            raise Problem(f"{s.name}: {end} is connected to {fed[end]} and to {source}, expected one source")
         fed[end] = source
         first = s.inputs[source][0] if source in s.inputs else source
         unit = _end(s, first, "input" if source in s.inputs else "output").unit
         if unit != target.unit:
-            raise ModelError(
-                f"{s.name}: {source} is in {unit}, {end} in {target.unit}; expected the same unit"
-            )
+            raise Problem(f"{s.name}: {source} is in {unit}, {end} in {target.unit}; expected the same unit")
     for what, values in {"start value": s.start, **{f"set {n}": v for n, v in s.sets.items()}}.items():
         for port in values:
             component, variable = split(port)
             if component not in s.elements or variable not in s.elements[component].variables:
-                raise ModelError(f"{s.name}: {what} of {port}, which is no variable of a component")
+                raise Problem(f"{s.name}: {what} of {port}, which is no variable of a component")
     for name in s.bound:
         if name not in s.sets:
-            raise ModelError(f"{s.name}: {name} is bound, expected one of the sets {', '.join(s.sets)}")
+            raise Problem(f"{s.name}: {name} is bound, expected one of the sets {', '.join(s.sets)}")
 
 
 def _end(s: Structure, port: str, causality: str) -> Any:
     component, variable = split(port)
     if component not in s.elements:
-        raise ModelError(f"{s.name}: {port} names no component, expected one of {', '.join(s.elements)}")
+        raise Problem(f"{s.name}: {port} names no component, expected one of {', '.join(s.elements)}")
     found = s.elements[component].variables.get(variable)
     if found is None or found.causality != causality:
         got = "no such variable" if found is None else f"causality {found.causality}"
-        raise ModelError(f"{s.name}: {port} has {got}, expected an {causality} of {component}")
+        raise Problem(f"{s.name}: {port} has {got}, expected an {causality} of {component}")
     return found

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
 
-from fmus.contract import ModelError
 from fmus.identification.known import Finding
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import beside, content, worst
@@ -19,7 +18,8 @@ from fmus.identification.report.comparison import Compared
 from fmus.identification.report.page import quality, told, write_page
 from fmus.identification.report.wording import warnings
 from fmus.parameters import write
-from fmus.units import display
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import display
 
 
 def run(
@@ -40,7 +40,7 @@ def run(
     An interrupt writes the parameters that were found until then, and goes on as one.
     """
     if out.suffix != ".toml":
-        raise ModelError(f"--out {out}: expected a file that ends in .toml")
+        raise Problem(f"--out {out}: expected a file that ends in .toml")
     begun = perf_counter()
     recordings = read_folder(folder)
     qualities = [quality(r) for r in recordings]

@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number, read
+from orchestrator.base.errors import Problem
 
 Known = Mapping[str, Number]
 
@@ -35,7 +35,7 @@ def updated(known: Known, estimates: Iterable[Estimate]) -> dict[str, Number]:
     for estimate in estimates:
         targets = targets_of(estimate.name, known)
         if not targets:
-            raise ModelError(f"{estimate.name} was estimated, expected a parameter of the machine")
+            raise Problem(f"{estimate.name} was estimated, expected a parameter of the machine")
         found |= dict.fromkeys(targets, estimate.number())
     return found
 

@@ -6,13 +6,20 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 
-from fmus.contract import ModelError, quantities
+from fmus.contract import quantities
 from fmus.identification.known import Known, lookup
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.problem import Free, Problem, free_parameters, parameters, signals
+from fmus.identification.refinement.problem import (
+    EstimationProblem,
+    Free,
+    free_parameters,
+    parameters,
+    signals,
+)
 from fmus.machine.one_block import HARVESTER
 from fmus.parameters import Values, values
+from orchestrator.base.errors import Problem
 
 # What a work cycle shows. Left out, because it hardly does or because something else stands for them:
 # inertances and resistances of the swing's lines (their time is below a millisecond), rounding and leakage of
@@ -41,7 +48,7 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 SMOOTH = {"supply_pressure": 20.0}  # s, or as long as it takes no more than the noise of the sensor off
 
 
-def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] = FREE) -> Problem:
+def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] = FREE) -> EstimationProblem:
     """The machine against all its recordings; those with use "test" are held out.
 
     names   free parameters, as parameters.toml calls them
@@ -64,7 +71,7 @@ def problem(recordings: Sequence[Recording], known: Known, names: Sequence[str] 
         numbers=numbers,
     )
     runs = {use: [mapped.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
-    return Problem(
+    return EstimationProblem(
         sub=HARVESTER,
         outputs=tuple(mapped.outputs),
         free=bounded(free_parameters(HARVESTER, free, priors, numbers)),
@@ -88,7 +95,7 @@ def checked(names: Sequence[str]) -> dict[str, str]:
     for name in names:
         if name not in own:
             near = get_close_matches(name, own, 1) or [", ".join(sorted(own))]
-            raise ModelError(f"{name} is to be refined, expected a parameter of the machine: {near[0]}")
+            raise Problem(f"{name} is to be refined, expected a parameter of the machine: {near[0]}")
     return own
 
 
@@ -115,12 +122,12 @@ def _measured(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Outputs that a training recording has a sensor for."""
     training = [r for r in recordings if r.use == "train"]
     if not training:
-        raise ModelError("joint refinement: expected a recording of the machine to train with, found none")
+        raise Problem("joint refinement: expected a recording of the machine to train with, found none")
     names = signals()
     outputs = [n for n in quantities(HARVESTER.outputs) if n in names]
     found = tuple(n for n in outputs if any(names[n] in r.signals for r in training))
     if not found:
         wanted = ", ".join(names[n] for n in outputs)
         source = training[0].source
-        raise ModelError(f"{source}: nothing to compare is measured, expected one of {wanted}")
+        raise Problem(f"{source}: nothing to compare is measured, expected one of {wanted}")
     return found

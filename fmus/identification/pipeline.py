@@ -17,7 +17,6 @@ from difflib import get_close_matches
 from types import ModuleType
 
 from fmus.composition import declared
-from fmus.contract import ModelError
 from fmus.identification import machine
 from fmus.identification.known import Estimate, Finding, Known, nominal, plain, updated
 from fmus.identification.procedures import (
@@ -36,6 +35,7 @@ from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.result import Refined, advice
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 # in the paper's order: section 4 (a) to (e)
 PROCEDURES: Mapping[str, ModuleType] = {
@@ -70,7 +70,7 @@ class Steps:
                 continue
             try:
                 finding = procedure.identify(self.recordings, self.numbers)
-            except ModelError as error:
+            except Problem as error:
                 self._skip(name, error)
                 continue
             self.findings.append(finding)
@@ -82,7 +82,7 @@ class Steps:
         own = [r for r in self.recordings if r.procedure == MACHINE]
         try:
             self.refined = together(own, self.numbers, names, self.tell)
-        except ModelError as error:
+        except Problem as error:
             if not self.findings:
                 raise
             self._skip(MACHINE, error)
@@ -94,7 +94,7 @@ class Steps:
             self.starts = again(self.refined, starts, self.tell)
         return self.starts is None or not self.starts.interrupted
 
-    def _skip(self, name: str, error: ModelError) -> None:
+    def _skip(self, name: str, error: Problem) -> None:
         """The others can still be found."""
         self.skipped[name] = str(error)
         self.tell(f"{name}: {error}")
@@ -164,7 +164,7 @@ def _signals(recording: Recording) -> Iterator[str]:
     for name in unknown if of_machine else ():
         near = _near(name, known, ALIKE_ON_MACHINE)
         if near:
-            raise ModelError(
+            raise Problem(
                 f"{recording.source}: signal {name} is no input or output of the machine, expected {near}"
             )
     if unknown:
@@ -180,7 +180,7 @@ def _check_conditions(recording: Recording) -> None:
     for name in recording.conditions:
         near = "" if name in anywhere else _near(name, known, ALIKE)
         if near:
-            raise ModelError(f"{recording.source}: [experiment] unknown key {name}, expected {near}")
+            raise Problem(f"{recording.source}: [experiment] unknown key {name}, expected {near}")
 
 
 def _of_machine() -> set[str]:
@@ -268,7 +268,7 @@ def identify(
     unknown = sorted(given - {*PROCEDURES, MACHINE})
     if unknown:
         wanted = ", ".join((*PROCEDURES, MACHINE))
-        raise ModelError(f"[experiment] procedure is {unknown[0]!r}, expected one of {wanted}")
+        raise Problem(f"[experiment] procedure is {unknown[0]!r}, expected one of {wanted}")
     machine.checked(names)
     for remark in remarks(recordings):
         tell(remark)
@@ -283,7 +283,7 @@ def identify(
             raise
         interrupted = True
     if not steps.findings and steps.refined is None:
-        raise ModelError(f"nothing was identified: {_nothing(given, joint)}")
+        raise Problem(f"nothing was identified: {_nothing(given, joint)}")
     return Identified(
         recordings=tuple(recordings),
         findings=tuple(steps.findings),

@@ -8,7 +8,7 @@ from pathlib import Path
 from shutil import copyfile
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import ModelError, Subsystem
+from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.variables import OWN
 from fmus.export.build import build_all
@@ -21,6 +21,7 @@ from fmus.machine.system import write_control, write_system
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Set, read, read_set, with_numbers
 from fmus.swing import SWING
+from orchestrator.base.errors import Problem
 
 STEP = 1e-3  # default communication step [s]
 SUBFOLDERS = {2: "", 3: "fmi3"}  # of the files by version of FMI
@@ -31,7 +32,7 @@ def data(name: str) -> Path:
     """A file of the project's data."""
     path = shipped(f"data/{name}")
     if path is None:
-        raise ModelError(f"data/{name} is missing, expected beside or inside the package fmus")
+        raise Problem(f"data/{name} is missing, expected beside or inside the package fmus")
     return path
 
 

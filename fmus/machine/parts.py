@@ -9,12 +9,13 @@ import numpy as np
 
 from fmus import boom_stick, manipulator, supply, swing
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import ModelError, Subsystem
+from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.manipulator import MANIPULATOR
 from fmus.operator.model import LEVERS
 from fmus.supply import SUPPLY
 from fmus.swing import SWING
+from orchestrator.base.errors import Problem
 
 # all there is of each part, the usual variant first
 FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
@@ -113,7 +114,7 @@ def parts(**variants: str) -> dict[str, Subsystem]:
             expected = (
                 f"a variant of {part}: {', '.join(known)}" if known else f"a part: {', '.join(FAMILIES)}"
             )
-            raise ModelError(f"{part}={variant}: expected {expected}")
+            raise Problem(f"{part}={variant}: expected {expected}")
     return {**SUBSYSTEMS} | {part: FAMILIES[part][variant] for part, variant in variants.items()}
 
 

@@ -7,10 +7,11 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from fmus.contract import ModelError, Subsystem, quantities
+from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, numbers
+from orchestrator.base.errors import Problem
 
 LEGEND = "\n".join(f"{word:<11} {meaning}" for word, meaning in SOURCES.items())
 
@@ -62,9 +63,9 @@ def show(name: str | None = None, source: str | None = None) -> None:
         **{sub.name: sub for variants in FAMILIES.values() for sub in variants.values()},
     }
     if name is not None and name not in known:
-        raise ModelError(f"unknown subsystem {name!r}, expected one of {', '.join(known)}")
+        raise Problem(f"unknown subsystem {name!r}, expected one of {', '.join(known)}")
     if source is not None and source not in SOURCES:
-        raise ModelError(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
+        raise Problem(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
     subs = [known[name]] if name else list(SUBSYSTEMS.values())
     for table in filter(None, ("\n".join(lines(sub, source)) for sub in subs)):
         print(f"{table}\n")

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError, quantities
+from fmus.contract import quantities
 from fmus.operator.model import AXES, LEVERS, STROKES, WORDS, stroke_name
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 RATE = 200.0  # samples per second, section 4 of the paper
 COMMANDS = ("swing_command", "boom_command", "stick_command")
@@ -96,7 +97,7 @@ def program(moves: Sequence[Move]) -> dict[str, float]:
     for lever in AXES:
         mine = [move for move in moves if move.axis == lever]
         if len(mine) > len(STROKES):
-            raise ModelError(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
+            raise Problem(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
         for n, move in zip(STROKES, mine, strict=False):
             values |= {stroke_name(lever, n, word): getattr(move, word) for word in WORDS}
     return values

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
-from fmus.contract import ModelError
 from fmus.rig.experiments import MACHINES, PLANS, each
 from fmus.rig.writing import HEADING, readme, write
+from orchestrator.base.errors import Problem
 
 README = "README.md"
 
@@ -17,9 +17,9 @@ README = "README.md"
 def rig(out: Path, machine: str, seed: int, tell: Callable[[str], None] = print) -> None:
     """Simulate the experiments on a machine and write what the instruments record; tells of each."""
     if machine not in MACHINES:
-        raise ModelError(f"--machine {machine}: expected {' or '.join(MACHINES)}")
+        raise Problem(f"--machine {machine}: expected {' or '.join(MACHINES)}")
     if seed < 0:
-        raise ModelError(f"--seed {seed}: expected 0 or more")
+        raise Problem(f"--seed {seed}: expected 0 or more")
     _ready(out)
     begun = perf_counter()
     tell(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
@@ -36,11 +36,11 @@ def _ready(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         held = sorted(path.name for path in out.iterdir())
     except OSError as error:
-        raise ModelError(f"{out}: expected a folder, and none can be made: {error.strerror}") from None
+        raise Problem(f"{out}: expected a folder, and none can be made: {error.strerror}") from None
     if not os.access(out, os.W_OK | os.X_OK):
-        raise ModelError(f"{out}: expected a folder to write to, got no permission")
+        raise Problem(f"{out}: expected a folder to write to, got no permission")
     if held and not _of_a_rig(out / README):
-        raise ModelError(f"{out}: expected an empty folder or one of the rig, found {held[0]} in it")
+        raise Problem(f"{out}: expected an empty folder or one of the rig, found {held[0]} in it")
 
 
 def _of_a_rig(readme: Path) -> bool:

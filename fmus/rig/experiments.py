@@ -21,13 +21,13 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.machine.poses import NOMINAL, POSES, Pose
 from fmus.machine.scenarios import RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move
 from fmus.rig.benches import EDGES, detailed, locked_motor, stick_hose, valve
 from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Instrument
 from fmus.rig.recording import Array as Array_of_recording
 from fmus.rig.recording import Condition, Experiment, at_work
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -329,7 +329,7 @@ PLANS: Mapping[str, Callable[[str], Experiment]] = {**BENCH_PLANS, **MACHINE_PLA
 def experiment(name: str, machine: str) -> Experiment:
     """One experiment by the name of its files, simulated the first time it is asked for."""
     if machine not in MACHINES:
-        raise ModelError(f"machine is {machine!r}, expected {' or '.join(MACHINES)}")
+        raise Problem(f"machine is {machine!r}, expected {' or '.join(MACHINES)}")
     return PLANS[name](machine)
 
 

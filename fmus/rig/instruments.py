@@ -16,7 +16,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.units import parse
+from orchestrator.base.units import parse
 
 Array = NDArray[np.float64]
 

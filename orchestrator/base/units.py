@@ -1,224 +1,146 @@
-"""Units by their symbols: read a unit string, convert values, choose what to show.
+"""Units: read a unit string, convert values, choose the unit that a reader is shown.
 
-A unit is a product of powers of kg, m, s, A, K and rad: value in SI = factor * value + offset.
-The angle counts as a base unit of its own, so that Hz and rad/s are never mixed up.
+    value in SI = factor * value + offset
 
-Units as an FMU or an SSP file declares them, and the conversion between two of them.
+Grammar: symbols with an integer power, joined by "." or a space; "/" and one divisor, or several in brackets or one
+after the other: "N.m.s/rad", "m3/(s.Pa)", "m s-1", "L/min". "1" has no dimension. Degree signs, superscripts and the
+other spellings of loggers are read, too.
 
-A value v in a unit means `factor * v + offset` in SI base units. Two units can be converted into each other
-when their base exponents agree; the radian is a base unit in FMI, but many tools leave it out. A unit that no
-file defines is read by its symbol.
+The radian counts as a base unit: a frequency [Hz] is no angular speed [rad/s]. FMI has it as one of its base units, but
+many tools leave it out, so `conversion` between declared units passes a difference in the radian with a note.
+
+pint was tried in place of this: it has no radian among its dimensions, reads "m3/(s.Pa)" only after rewriting, and
+takes 0.2 s to import, as long as a run of 10 s.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite, pi
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 
-Exponents = tuple[int, int, int, int, int, int]  # of kg, m, s, A, K, rad
+BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+LONGEST = 200  # characters of a unit; brackets inside brackets have an end
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Value in SI = factor * value + offset; the exponents say of which quantity."""
+    """A unit in base units, with one exponent for each of `BASES`."""
 
-    factor: float
-    exponents: Exponents
+    exponents: tuple[int, ...]
+    factor: float = 1.0
     offset: float = 0.0
 
+    def times(self, other: Unit, power: int = 1) -> Unit:
+        """This unit times the other one to an integer power; the zero of a temperature has no meaning in it."""
+        exponents = tuple(a + power * b for a, b in zip(self.exponents, other.exponents, strict=True))
+        return Unit(exponents, self.factor * other.factor**power)
 
-_NONE: Exponents = (0, 0, 0, 0, 0, 0)
-_MASS: Exponents = (1, 0, 0, 0, 0, 0)
-_LENGTH: Exponents = (0, 1, 0, 0, 0, 0)
-_VOLUME: Exponents = (0, 3, 0, 0, 0, 0)
-_TIME: Exponents = (0, 0, 1, 0, 0, 0)
-_TEMPERATURE: Exponents = (0, 0, 0, 0, 1, 0)
-_ANGLE: Exponents = (0, 0, 0, 0, 0, 1)
-_SPIN: Exponents = (0, 0, -1, 0, 0, 1)
-_FORCE: Exponents = (1, 1, -2, 0, 0, 0)
-_PRESSURE: Exponents = (1, -1, -2, 0, 0, 0)
-_ENERGY: Exponents = (1, 2, -2, 0, 0, 0)
-_POWER: Exponents = (1, 2, -3, 0, 0, 0)
-_FLOW: Exponents = (0, 3, -1, 0, 0, 0)
+    def base(self) -> dict[str, int]:
+        """The exponents that are not zero, by base unit."""
+        return {name: n for name, n in zip(BASES, self.exponents, strict=True) if n}
 
+
+ONE = Unit((0,) * len(BASES))
+
+# NIST SP 811, appendix B: pound and inch by definition, standard gravity, US gallon; hp of 550 ft.lbf/s
 _POUND, _GRAVITY, _INCH, _GALLON = 0.45359237, 9.80665, 0.0254, 3.785411784e-3
+# Derived units of the SI, by their definition.
+_DERIVED = {
+    "Hz": "1/s", "N": "kg.m/s2", "Pa": "kg/(m.s2)", "J": "kg.m2/s2", "W": "kg.m2/s3", "C": "A.s",
+    "V": "kg.m2/(s3.A)", "Ohm": "kg.m2/(s3.A2)",
+}  # fmt: skip
+# Others: how many of which SI unit.
+_OTHER: Mapping[str, tuple[float, str]] = {
+    "g": (1e-3, "kg"), "t": (1e3, "kg"), "lb": (_POUND, "kg"),
+    "L": (1e-3, "m3"), "l": (1e-3, "m3"), "gal": (_GALLON, "m3"),
+    "lpm": (1e-3 / 60, "m3/s"), "gpm": (_GALLON / 60, "m3/s"),
+    "bar": (1e5, "Pa"), "psi": (_POUND * _GRAVITY / _INCH**2, "Pa"),
+    "min": (60.0, "s"), "h": (3600.0, "s"),
+    "deg": (pi / 180, "rad"), "rev": (2 * pi, "rad"), "rpm": (pi / 30, "rad/s"),
+    "in": (_INCH, "m"), "ft": (12 * _INCH, "m"),
+    "lbf": (_POUND * _GRAVITY, "N"), "hp": (550 * 12 * _INCH * _POUND * _GRAVITY, "W"),
+    "%": (0.01, "1"), "1": (1.0, "1"), "-": (1.0, "1"), "": (1.0, "1"),
+    "degC": (1.0, "K"), "degF": (5 / 9, "K"),
+}  # fmt: skip
+_ZEROS = {"degC": 273.15, "degF": 273.15 - 32 * 5 / 9}  # K; only of a temperature by itself
+PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+# Prefixes go with these: "kN", not "kpsi".
+_PREFIXED = frozenset(
+    ["g", "m", "s", "A", "N", "Pa", "bar", "J", "W", "V", "C", "Hz", "rad", "L", "l", "Ohm", "mol"]
+)
 
-# Units that take a prefix (kN, MPa, mm) ...
-_PREFIXED = {
-    "g": Unit(1e-3, _MASS),
-    "m": Unit(1.0, _LENGTH),
-    "s": Unit(1.0, _TIME),
-    "A": Unit(1.0, (0, 0, 0, 1, 0, 0)),
-    "N": Unit(1.0, _FORCE),
-    "Pa": Unit(1.0, _PRESSURE),
-    "bar": Unit(1e5, _PRESSURE),
-    "J": Unit(1.0, _ENERGY),
-    "W": Unit(1.0, _POWER),
-    "V": Unit(1.0, (1, 2, -3, -1, 0, 0)),
-    "Hz": Unit(1.0, (0, 0, -1, 0, 0, 0)),
-    "rad": Unit(1.0, _ANGLE),
-    "L": Unit(1e-3, _VOLUME),
-    "l": Unit(1e-3, _VOLUME),
-}
-_PREFIX = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
+# The unit that a reader is shown in place of one of the SI.
+DISPLAY: Mapping[str, str] = MappingProxyType(
+    {
+        "Pa": "bar", "Pa/s": "bar/s", "Pa.s/m3": "bar.min/L", "Pa.s2/m6": "bar.min2/L2",
+        "m3/s": "L/min", "m3": "L", "m3/rad": "cm3/rev", "m3/Pa": "cm3/bar", "m3/(s.Pa)": "L/(min.bar)", "m2": "mm2",
+        "rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2",
+        "N": "kN", "N/s": "kN/s", "N/m": "kN/mm", "N.m": "kN.m", "N.m/s": "kN.m/s", "J": "kJ", "W": "kW",
+    }
+)  # fmt: skip
 
-# ... and units that do not.
-_PLAIN = {
-    "": Unit(1.0, _NONE),
-    "1": Unit(1.0, _NONE),
-    "-": Unit(1.0, _NONE),
-    "%": Unit(0.01, _NONE),
-    "K": Unit(1.0, _TEMPERATURE),
-    "degC": Unit(1.0, _TEMPERATURE, 273.15),
-    "degF": Unit(5 / 9, _TEMPERATURE, 273.15 - 32 * 5 / 9),
-    "min": Unit(60.0, _TIME),
-    "h": Unit(3600.0, _TIME),
-    "deg": Unit(pi / 180, _ANGLE),
-    "rev": Unit(2 * pi, _ANGLE),
-    "rpm": Unit(pi / 30, _SPIN),
-    "t": Unit(1e3, _MASS),
-    "lb": Unit(_POUND, _MASS),
-    "lbf": Unit(_POUND * _GRAVITY, _FORCE),
-    "psi": Unit(_POUND * _GRAVITY / _INCH**2, _PRESSURE),
-    "in": Unit(_INCH, _LENGTH),
-    "ft": Unit(12 * _INCH, _LENGTH),
-    "gal": Unit(_GALLON, _VOLUME),  # US gallon
-    "gpm": Unit(_GALLON / 60, _FLOW),
-    "lpm": Unit(1e-3 / 60, _FLOW),
-    "hp": Unit(745.6998715822702, _POWER),
-}
-
-LONGEST = 200  # characters; longer ones are no units, and brackets inside brackets have an end
-_SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u"})
+_SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u", "^": None})
 # a name with a power, or 1; then what joins two of them: a product, a quotient, or brackets
-_TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:\^?(?P<power>-?\d{1,2})(?!\d))?|1(?!\d)|[./()]")
-
-# What a reader wants to see instead of the SI unit.
-_SHOWN: dict[Exponents, str] = {
-    _PRESSURE: "bar",
-    _FLOW: "L/min",
-    _ANGLE: "deg",
-    _SPIN: "deg/s",
-    (0, 0, -2, 0, 0, 1): "deg/s2",
-    _FORCE: "kN",
-    _POWER: "kW",
-}
+_TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:(?P<power>-?\d{1,2})(?!\d))?|1(?!\d)|[./()]")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class _Unknown(Exception):
     """The text is no unit that is known."""
 
 
-def _named(name: str, power: int) -> Unit:
-    """The unit of one name, perhaps with a prefix, to a power.
-
-    The zero of a temperature has no meaning in a power of it or in a product.
-    """
-    base, scale = _PLAIN.get(name) or _PREFIXED.get(name), 1.0
-    if base is None and name[:1] in _PREFIX:
-        base, scale = _PREFIXED.get(name[1:]), _PREFIX[name[0]]
-    if base is None:
-        raise _Unknown
-    return base if power == 1 and scale == 1.0 else _raised(Unit(scale * base.factor, base.exponents), power)
-
-
-def _raised(unit: Unit, power: int) -> Unit:
-    k, m, s, a, t, r = unit.exponents
-    return Unit(unit.factor**power, (k * power, m * power, s * power, a * power, t * power, r * power))
-
-
-def _times(one: Unit, other: Unit, sign: int) -> Unit:
-    """The product, or, with sign -1, the quotient."""
-    k, m, s, a, t, r = (x + sign * y for x, y in zip(one.exponents, other.exponents, strict=True))
-    return Unit(one.factor * other.factor**sign, (k, m, s, a, t, r))
-
-
-class _Reader:
-    """Reads products, quotients and brackets; what follows a stroke without brackets is one factor."""
-
-    def __init__(self, text: str) -> None:
-        self._tokens = list(_tokens(text))
-        self._at = 0
-
-    def whole(self) -> Unit:
-        """The unit of the whole text."""
-        found = self._product()
-        if self._next() is not None:
-            raise _Unknown
-        return found
-
-    def _next(self) -> re.Match[str] | None:
-        return self._tokens[self._at] if self._at < len(self._tokens) else None
-
-    def _taken(self, *signs: str) -> str:
-        """The next token, if it is one of these; else nothing is taken."""
-        token = self._next()
-        if token is None or token[0] not in signs:
-            return ""
-        self._at += 1
-        return token[0]
-
-    def _product(self) -> Unit:
-        """Factors that are joined by points and strokes; a product below a stroke has brackets."""
-        found, below = self._factor(), False
-        while sign := self._taken(".", "/"):
-            if below and sign == ".":
-                raise _Unknown  # a/b.c: nobody knows whether c is above or below
-            below = sign == "/"
-            found = _times(found, self._factor(), -1 if below else 1)
-        return found
-
-    def _factor(self) -> Unit:
-        if self._taken("("):
-            found = self._product()
-            if not self._taken(")"):
-                raise _Unknown
-            return found
-        token = self._next()
-        if token is None or token[0] in "./)":
-            raise _Unknown
-        self._at += 1
-        return _PLAIN["1"] if token[0] == "1" else _named(token["name"], int(token["power"] or 1))
-
-
-def _tokens(text: str) -> Iterator[re.Match[str]]:
-    at = 0
-    while at < len(text):
-        token = _TOKEN.match(text, at)
-        if token is None:
-            raise _Unknown
-        yield token
-        at = token.end()
-
-
-def _plain(text: str) -> str:
-    """In the characters of the grammar: a space between two factors is a product, others are none."""
-    plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "^")
-    plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
-    return re.sub(r"\s+", ".", plain)
-
-
 def parse(text: str, where: str = "unit") -> Unit:
     """The unit written as `text`, such as `N.m.s/rad`, `m3/(s.Pa)`, `m s-1`, `kN` or `L/min`."""
-    plain = _plain(text)
-    if plain in _PLAIN:
-        return _PLAIN[plain]
+    plain = spelled(text)
     try:
-        found = _Reader(plain[: LONGEST + 1]).whole()
-        if len(plain) > LONGEST or not (found.factor and isfinite(found.factor)):
+        found = _named(plain) if plain in _OTHER else _product(_factors(plain))
+        if not (found.factor and isfinite(found.factor)):
             raise _Unknown
     except (_Unknown, OverflowError):  # OverflowError: a factor to a power that no number holds
         raise Problem(
             f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm"
         ) from None
-    return found
+    return Unit(found.exponents, found.factor, _ZEROS.get(plain, 0.0))
+
+
+def in_si(text: str) -> str:
+    """The SI unit of the same quantity: "bar.min/L" gives "Pa.s/m3", "kN.m" gives "N.m"."""
+    parse(text)
+    plain = spelled(text)
+    powers: dict[str, int] = {}
+    for name, power in [(plain, 1)] if plain in _OTHER else _factors(plain):
+        symbol = name if _known(name) else name[1:]
+        for part, n in _factors(_OTHER[symbol][1]) if symbol in _OTHER else [(symbol, 1)]:
+            powers[part] = powers.get(part, 0) + n * power
+    above = [_powered(name, n) for name, n in powers.items() if n > 0]
+    below = [_powered(name, -n) for name, n in powers.items() if n < 0]
+    divisor = ".".join(below) if len(below) < 2 else f"({'.'.join(below)})"
+    return (".".join(above) or "1") + (divisor and f"/{divisor}")
+
+
+def spelled(text: str) -> str:
+    """The unit in the characters of the grammar, from what loggers write: "°C", "m³/s", "N·m"; no unit is "1"."""
+    plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "")
+    plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
+    return re.sub(r"\s+", ".", plain) if plain not in ("", "-") else "1"
+
+
+def per_second(unit: str) -> str:
+    """The unit of the time derivative: "rad/s" gives "rad/s2", "Pa" gives "Pa/s"."""
+    numerator, *divisors = unit.split("/")
+    for i, divisor in enumerate(divisors):
+        if match := re.fullmatch(r"s(\d*)", divisor):
+            divisors[i] = f"s{int(match[1] or 1) + 1}"
+            return "/".join([numerator, *divisors])
+    return f"{unit}/s"
 
 
 def linear(source: str, target: str, where: str) -> tuple[float, float]:
@@ -238,18 +160,114 @@ def convert(values: NDArray[np.float64], source: str, target: str, where: str) -
 
 
 def shown(unit: str) -> str:
-    """The unit in which values of `unit` are shown to a reader: bar for Pa, L/min, deg, deg/s, kN, kW.
-
-    N.m/s is no power but the rate of a torque.
-    """
+    """The unit in which values of `unit` are shown to a reader: bar for Pa, L/min, deg, deg/s, kN, kW."""
     try:
-        exponents = parse(unit).exponents
-        return unit if exponents == _POWER and unit[-1:] != "W" else _SHOWN.get(exponents, unit)
+        return DISPLAY.get(in_si(unit), unit)
     except Problem:
         return unit
 
 
-BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+def display(unit: str) -> tuple[str, float] | None:
+    """The unit to show values of `unit` in and its factor (shown = factor * value), if there is one."""
+    if unit not in DISPLAY:
+        return None
+    return DISPLAY[unit], parse(unit).factor / parse(DISPLAY[unit]).factor
+
+
+def pretty(unit: str) -> str:
+    """A unit as print has it: m³/(s·Pa), N·m; nothing for pure numbers."""
+    if unit in ("", "1", "-"):
+        return ""
+    return re.sub(r"(?<=[A-Za-z])\^?(-?\d)", lambda m: raised(m[1]), unit).replace(".", "·")
+
+
+def raised(digits: str) -> str:
+    """Digits as an exponent."""
+    return digits.translate(_RAISED)
+
+
+def _known(name: str) -> bool:
+    return name in BASES or name in _DERIVED or name in _OTHER
+
+
+def _named(name: str) -> Unit:
+    """The unit of one symbol, perhaps with a prefix."""
+    if name in BASES:
+        return Unit(tuple(int(name == base) for base in BASES))
+    if name in _DERIVED:
+        return _product(_factors(_DERIVED[name]))
+    if name in _OTHER:
+        count, of = _OTHER[name]
+        found = _product(_factors(of))
+        return Unit(found.exponents, count * found.factor)
+    if name[:1] in PREFIXES and name[1:] in _PREFIXED:
+        found = _named(name[1:])
+        return Unit(found.exponents, PREFIXES[name[0]] * found.factor)
+    raise _Unknown
+
+
+def _product(factors: list[tuple[str, int]]) -> Unit:
+    found = ONE
+    for name, power in factors:
+        found = found.times(_named(name), power)
+    return found
+
+
+def _powered(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}{power}"
+
+
+def _factors(text: str) -> list[tuple[str, int]]:
+    """Symbols and powers of "a.b2/(c.d)"; what follows a stroke without brackets is one factor."""
+    if len(text) > LONGEST:
+        raise _Unknown
+    reader = _Reader(list(_tokens(text)))
+    found = reader.product()
+    if reader.tokens:
+        raise _Unknown
+    return found
+
+
+def _tokens(text: str) -> Iterator[re.Match[str]]:
+    at = 0
+    while at < len(text):
+        token = _TOKEN.match(text, at)
+        if token is None:
+            raise _Unknown
+        yield token
+        at = token.end()
+
+
+@dataclass
+class _Reader:
+    """Reads products, quotients and brackets from the tokens that are left."""
+
+    tokens: list[re.Match[str]]
+
+    def product(self) -> list[tuple[str, int]]:
+        """Factors that are joined by points and strokes; a product below a stroke has brackets."""
+        found, below = self._factor(), False
+        while sign := self._taken(".", "/"):
+            if below and sign == ".":
+                raise _Unknown  # a/b.c: nobody knows whether c is above or below
+            below = sign == "/"
+            found += [(name, -power if below else power) for name, power in self._factor()]
+        return found
+
+    def _factor(self) -> list[tuple[str, int]]:
+        if self._taken("("):
+            found = self.product()
+            if not self._taken(")"):
+                raise _Unknown
+            return found
+        if not self.tokens or self.tokens[0][0] in "./)":
+            raise _Unknown
+        token = self.tokens.pop(0)
+        return [] if token[0] == "1" else [(token["name"], int(token["power"] or 1))]
+
+    def _taken(self, *signs: str) -> str:
+        """The next token, if it is one of these; else nothing is taken."""
+        return self.tokens.pop(0)[0] if self.tokens and self.tokens[0][0] in signs else ""
 
 
 @dataclass(frozen=True)
@@ -272,9 +290,9 @@ IDENTITY = Linear()
 
 @dataclass(frozen=True)
 class DeclaredUnit:
-    """A named unit; `exponents` in the order of BASES, None when the file does not define them.
+    """A unit of an FMU or an SSP file; `exponents` in the order of BASES, None when the file does not define them.
 
-    fault   what is wrong with its definition; told when a value is to be converted
+    fault   what is wrong with its definition; the message when a value is to be converted
     """
 
     name: str
@@ -300,8 +318,7 @@ def defined(unit: DeclaredUnit) -> DeclaredUnit:
         known = parse(unit.name)
     except Problem:
         return unit
-    kg, m, s, ampere, kelvin, rad = known.exponents
-    return DeclaredUnit(unit.name, (kg, m, s, ampere, kelvin, 0, 0, rad), known.factor, known.offset)
+    return DeclaredUnit(unit.name, known.exponents, known.factor, known.offset)
 
 
 def conversion(
@@ -326,8 +343,8 @@ def conversion(
         raise Problem(f"{where}: the units cannot be converted, {_base(source)} and {_base(target)}")
     linear = Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
     if not (linear.factor and isfinite(linear.factor) and isfinite(linear.offset)):
-        told = f"expected a finite factor other than 0, got {linear.factor:g}"
-        raise Problem(f"{where}: {source} and {target} are too far apart: {told}")
+        message = f"expected a finite factor other than 0, got {linear.factor:g}"
+        raise Problem(f"{where}: {source} and {target} are too far apart: {message}")
     if source.exponents != target.exponents:
         return linear, f"{where}: {source} and {target} differ in the radian only; taken as equal"
     return linear, None
@@ -337,8 +354,8 @@ def _wrong(unit: DeclaredUnit) -> str:
     """Why values of a unit cannot be converted; empty if they can."""
     if unit.fault or (unit.factor and isfinite(unit.factor) and isfinite(unit.offset)):
         return unit.fault
-    told = f"factor {unit.factor:g} and offset {unit.offset:g}"
-    return f"{unit}: expected a finite factor other than 0 and a finite offset, got {told}"
+    message = f"factor {unit.factor:g} and offset {unit.offset:g}"
+    return f"{unit}: expected a finite factor other than 0 and a finite offset, got {message}"
 
 
 def _base(unit: DeclaredUnit) -> str:

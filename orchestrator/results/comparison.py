@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.units import Exponents, linear, parse
+from orchestrator.base.units import linear, parse
 from orchestrator.data.trace import Trace, read
 from orchestrator.engine.result import FLOOR, Facts, Result, facts, read_facts
 from orchestrator.results.compare import Row, Validation
@@ -193,7 +193,7 @@ def _against(truth: Reference, run: Run) -> Validation:
 
 def quantity(unit: str) -> str:
     """The quantity that is measured in a unit; the unit itself where there is no word for it."""
-    known: dict[Exponents, str] = {parse(u).exponents: name for name, u in QUANTITIES.items()}
+    known: dict[tuple[int, ...], str] = {parse(u).exponents: name for name, u in QUANTITIES.items()}
     try:
         found = known.get(parse(unit).exponents, "")
     except Problem:

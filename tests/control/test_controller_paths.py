@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.contract import ModelError, quantities, symbolic
+from fmus.contract import quantities, symbolic
 from fmus.controller import paths
 from fmus.controller.paths import COLUMNS, PATHS, Route, inputs, moved, sample, travel
 from fmus.machine.build import data
 from fmus.machine.poses import controlled_poses, path_pose, pose_set
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
+from orchestrator.base.errors import Problem
 
 ROUTES = st.builds(
     Route,
@@ -95,7 +96,7 @@ def test_the_files_are_those_of_the_paths(name, tmp_path):
 
 def test_two_equal_waypoints_are_refused():
     """A segment without a direction."""
-    with pytest.raises(ModelError, match=r"two waypoints at .* expected a distance"):
+    with pytest.raises(Problem, match=r"two waypoints at .* expected a distance"):
         sample(Route(((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
 
 

@@ -11,10 +11,10 @@ from properties import examples
 from steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
-from fmus.contract import ModelError
 from fmus.controller import geometry, reference
 from fmus.controller import geometry as controller_geometry
 from fmus.controller.geometry import Joints, Tip
+from orchestrator.base.errors import Problem
 
 P = SimpleNamespace(**V.p)
 ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the strokes
@@ -36,9 +36,7 @@ def test_closed_form_inverts_the_arm(angles):
 
 def test_a_tip_out_of_reach_is_refused():
     """In one line with what was found and what can be had."""
-    with pytest.raises(
-        ModelError, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"
-    ):
+    with pytest.raises(Problem, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"):
         controller_geometry.joints(9.0, 1.0, V.p)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fmus.contract import ModelError
 from fmus.export.build import build
 from fmus.export.compile import FLAGS, PLATFORMS, host
 from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
 
 
 def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
@@ -61,7 +61,7 @@ def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
     old = build(sub, tmp_path, numbers=numbers)
     before = old.read_bytes()
     monkeypatch.setattr("fmus.export.compile.FLAGS", ("-fno-such-flag",))
-    with pytest.raises(ModelError, match="gain, x86_64-linux: the C compiler failed"):
+    with pytest.raises(Problem, match="gain, x86_64-linux: the C compiler failed"):
         build(sub, tmp_path, step=0.5, numbers=numbers, platforms=("x86_64-linux", "x86_64-windows"))
     assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
     assert old.read_bytes() == before

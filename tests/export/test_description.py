@@ -11,9 +11,9 @@ import fmpy
 import fmpy.validation
 import pytest
 
-from fmus.contract import ModelError
 from fmus.export.build import build
 from fmus.parameters import Values
+from orchestrator.base.errors import Problem
 
 TOYS = ("decay", "path", "vanderpol", "chamber", "gain", "blowup")
 
@@ -182,7 +182,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
         lambda *_: {},
         lambda _x, u, _p: {"product": u.left},
     )
-    with pytest.raises(ModelError, match="left is declared twice"):
+    with pytest.raises(Problem, match="left is declared twice"):
         build(sub, tmp_path, numbers=Values({"left": 1.0}, numbers.u, {}))
 
 
@@ -191,6 +191,6 @@ def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
     sub, numbers = toys["gain"]
     monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
     with pytest.raises(
-        ModelError, match=r"gain, [a-z0-9_-]+: the C compiler failed with exit status 1\n(.|\n)*#error broken"
+        Problem, match=r"gain, [a-z0-9_-]+: the C compiler failed with exit status 1\n(.|\n)*#error broken"
     ):
         build(sub, tmp_path, numbers=numbers)

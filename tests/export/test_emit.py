@@ -5,10 +5,11 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.contract import ModelError, Quantity
+from fmus.contract import Quantity
 from fmus.export.build import build
 from fmus.export.c_code import Routine, number, routine
 from fmus.parameters import Values
+from orchestrator.base.errors import Problem
 
 OPERATIONS = {
     "sum": lambda a, b: a + b - 2 * b,
@@ -69,7 +70,7 @@ def test_c_text_names_the_variables():
 def test_operation_without_c_is_refused():
     """An operation that has no C is an error when building, not in the compiler."""
     x = ca.SX.sym("x")
-    with pytest.raises(ModelError, match="has no C here"):
+    with pytest.raises(Problem, match="has no C here"):
         routine(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})
 
 

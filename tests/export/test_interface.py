@@ -3,9 +3,10 @@
 import casadi as ca
 import pytest
 
-from fmus.contract import ModelError, Quantity
+from fmus.contract import Quantity
 from fmus.export.interface import dependencies, interface
 from fmus.parameters import Values
+from orchestrator.base.errors import Problem
 
 
 def q(**more):
@@ -47,7 +48,7 @@ def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, wor
     """A nominal value that is no size and a start value out of bounds reach no model description."""
     u = q(**more)
     sub = make_toy("odd", {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(Problem, match=words):
         interface(sub, Values({}, {"u": start}, {}))
 
 
@@ -55,5 +56,5 @@ def test_name_of_the_model_must_be_an_identifier(make_toy):
     """It becomes the name of a file and the prefix of C functions."""
     one = q()
     sub = make_toy("two words", {}, {}, {"u": one}, {"y": one}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    with pytest.raises(ModelError, match='"two words" is not an identifier'):
+    with pytest.raises(Problem, match='"two words" is not an identifier'):
         interface(sub, Values({}, {"u": 0.0}, {}))

@@ -13,11 +13,11 @@ from pathlib import Path
 import lief
 import pytest
 
-from fmus.contract import ModelError
 from fmus.export.build import build
 from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
 from fmus.machine.one_block import HARVESTER
 from fmus.swing import SWING
+from orchestrator.base.errors import Problem
 
 lief.logging.disable()
 
@@ -94,9 +94,7 @@ def test_unknown_host_is_told(monkeypatch):
     """A machine that is not among the platforms gives one line with those that are."""
     monkeypatch.setattr(platform, "system", lambda: "FreeBSD")
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    with pytest.raises(
-        ModelError, match=r"^no platform for FreeBSD riscv64, expected one of x86_64-linux, .*$"
-    ):
+    with pytest.raises(Problem, match=r"^no platform for FreeBSD riscv64, expected one of x86_64-linux, .*$"):
         host()
 
 
@@ -105,9 +103,7 @@ def test_words_of_the_user_become_platforms():
     assert select(["all"]) == tuple(PLATFORMS)
     assert select(["host"]) == (host(),)
     assert select(["x86_64-windows", "x86_64-linux", "x86_64-windows"]) == ("x86_64-linux", "x86_64-windows")
-    with pytest.raises(
-        ModelError, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*darwin$"
-    ):
+    with pytest.raises(Problem, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*darwin$"):
         select(["linux64"])
 
 

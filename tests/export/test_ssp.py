@@ -9,9 +9,9 @@ from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
 from lxml import etree
 
-from fmus.contract import ModelError
 from fmus.export.build import build
 from fmus.export.ssp import write_ssp
+from orchestrator.base.errors import Problem
 
 WIRES = [("first.level", "second.target"), ("second.mixed", "product.left")]
 
@@ -111,14 +111,14 @@ def test_fmpy_simulates_the_system(system):
 )
 def test_impossible_system_is_refused_by_name(fmus, tmp_path, wires, inputs, start, words):
     """A connection to nothing, of wrong direction or to a taken input is an error that names it."""
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(Problem, match=words):
         write_ssp(tmp_path / "x.ssp", "x", fmus, wires, inputs, start)
 
 
 def test_unit_mismatch_is_refused(toy_dir, tmp_path):
     """Metres per second do not fit metres."""
     fmus = {"path": toy_dir / "path.fmu", "chamber": toy_dir / "chamber.fmu"}
-    with pytest.raises(ModelError, match=r"path.where is in m, chamber.supply in Pa"):
+    with pytest.raises(Problem, match=r"path.where is in m, chamber.supply in Pa"):
         write_ssp(tmp_path / "x.ssp", "x", fmus, [("path.where", "chamber.supply")])
 
 
@@ -146,7 +146,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
 )
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
     """Values of no variable, a binding to no set, a version that does not exist."""
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(Problem, match=words):
         write_ssp(tmp_path / "x.ssp", "x", fmus, WIRES, **options)
 
 

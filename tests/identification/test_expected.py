@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.contract import ModelError
 from fmus.identification import pipeline
 from fmus.identification.pipeline import identify
 from fmus.identification.procedures import valve
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import signals
+from orchestrator.base.errors import Problem
 
 
 def made(procedure, names, **conditions):
@@ -39,7 +39,7 @@ def made(procedure, names, **conditions):
 )
 def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
     """One line with the file, the signal and what may be meant, before anything is identified."""
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(Problem) as caught:
         identify([made(procedure, [*signals().values(), wrong])])
     message = str(caught.value)
     assert message == f"run.csv: signal {wrong} is no input or output of the machine, expected {right}"
@@ -67,5 +67,5 @@ def test_whatever_the_machine_shows_may_be_recorded():
 )
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
     """A key of [experiment] that differs by case or a letter from one that counts."""
-    with pytest.raises(ModelError, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
+    with pytest.raises(Problem, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
         pipeline.remarks([made(procedure, [], **{wrong: "x"})])

@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from fmus.contract import ModelError, quantities, symbolic
+from fmus.contract import quantities, symbolic
 from fmus.identification.recordings.reading import read_series
 from fmus.identification.refinement.unitless import in_peaks, unitless
 from fmus.parameters import values
+from orchestrator.base.errors import Problem
 
 matplotlib.use("Agg")  # no window
 
@@ -198,8 +199,8 @@ def test_unitless_mistakes():
     def rates(x, u, _):
         return {"x": u.u - x.x}
 
-    with pytest.raises(ModelError, match="lag: time starts from -2, expected more than 0"):
+    with pytest.raises(Problem, match="lag: time starts from -2, expected more than 0"):
         unitless("lag", {"time": -2.0}, ["u"], ["x"], rates)
     model = unitless("lag", {"time": 2.0}, ["u"], ["x", "z"], rates)
-    with pytest.raises(ModelError, match="lag: rates of x, expected those of x, z"):
+    with pytest.raises(Problem, match="lag: rates of x, expected those of x, z"):
         symbolic(model)

@@ -13,10 +13,11 @@ from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import ModelError, quantities
+from fmus.contract import quantities
 from fmus.export.python import some
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
 from python_fmu.lag import built, in_new_process, written
 
 OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
@@ -107,7 +108,7 @@ def test_the_description_is_complete(tmp_path):
 def test_the_build_refuses(tmp_path, change, said):
     """A file that would not work, or not do what it says, makes no FMU."""
     (tmp_path / "other.py").write_text("GAIN = 2.0\n", encoding="utf-8")
-    with pytest.raises(ModelError) as found:
+    with pytest.raises(Problem) as found:
         built(tmp_path, change)
     assert said in str(found.value)
     assert "\n" not in str(found.value)
@@ -117,7 +118,7 @@ def test_the_build_refuses(tmp_path, change, said):
 def test_a_state_hidden_in_a_list_is_found(tmp_path):
     """What is kept outside State cannot be saved: repeated steps differ, and the build says so."""
     hidden = ("GAIN = 1.0", "GAIN, LOG = 1.0, []"), fault(STEP, "LOG.append(h)", "h = h * len(LOG)")
-    with pytest.raises(ModelError, match="steps repeated from a saved state give other values"):
+    with pytest.raises(Problem, match="steps repeated from a saved state give other values"):
         built(tmp_path, *hidden)
 
 
@@ -129,7 +130,7 @@ def test_a_file_that_is_read_goes_along(tmp_path):
     )
     written(tmp_path)
     (tmp_path / "gain.txt").write_text("3.0", encoding="utf-8")
-    with pytest.raises(ModelError, match=r"lag.py:9: FileNotFoundError: .*gain.txt"):
+    with pytest.raises(Problem, match=r"lag.py:9: FileNotFoundError: .*gain.txt"):
         built(tmp_path, reading)
     path = built(tmp_path, reading, ('start = {"u"', 'files = ("gain.txt",)\n    start = {"u"'))
     (tmp_path / "gain.txt").unlink()
@@ -170,7 +171,7 @@ def test_ports_are_taken_from_the_part_that_a_model_stands_for():
         n: quantities(BOOM_STICK.outputs)[n] for n in ("stick_force", "boom_force")
     }
     with pytest.raises(
-        ModelError, match=r"^Own: BoomStickOutputs has no boom_forces, expected one such as boom_force"
+        Problem, match=r"^Own: BoomStickOutputs has no boom_forces, expected one such as boom_force"
     ):
         some("Own", BOOM_STICK.outputs, "boom_forces")
 

@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from fmus.contract import quantities
 from fmus.export.reference_experiment import STEP
-from fmus.units import parse
+from orchestrator.base.units import parse
 
 NAMES = tuple(EVERY)
 FACTORIES = {"native": native, "python": python}

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.contract import ModelError
 from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.python import derivatives
 from fmus.export.python.instance import ANY, INSTANTIATED, STEP_FAILED, told
 from fmus.export.python.slave import Slave
+from orchestrator.base.errors import Problem
 
 OK, WARNING, DISCARD, ERROR = range(4)
 CATEGORIES = dict(zip((OK, WARNING, DISCARD, ERROR), LOG_CATEGORIES, strict=False))  # logAll is all of them
 ALWAYS = {WARNING, ERROR}  # logged without debug logging, too
 
 
-class Discarded(ModelError):
+class Discarded(Problem):
     """What was asked for is not there; nothing else is wrong."""
 
 
@@ -36,10 +36,10 @@ def connect(
     """The door to a new instance, or why there is none."""
     try:
         if not name.strip():
-            raise ModelError("the instance name is empty")
+            raise Problem("the instance name is empty")
         slave = model(instance_name=name, resources=str(folder), logger=0, visible=0)
         if guid != slave.guid:
-            raise ModelError(f'the GUID differs, expected "{slave.guid}" (files of different builds)')
+            raise Problem(f'the GUID differs, expected "{slave.guid}" (files of different builds)')
     except KeyboardInterrupt:
         raise
     except BaseException as problem:
@@ -116,7 +116,7 @@ def _log(door: Door, on: bytes, names: bytes) -> None:
     kinds = {category: {kind} for kind, category in CATEGORIES.items()} | {"logAll": set(CATEGORIES)}
     for name in names.decode().splitlines():
         if name not in kinds:
-            raise ModelError(f'log category "{name}" is unknown')
+            raise Problem(f'log category "{name}" is unknown')
         wanted |= kinds[name]
     if not names:  # everything is meant; warnings and errors can be silenced only by name
         wanted = set(CATEGORIES) if switch else set(CATEGORIES) - ALWAYS
@@ -129,11 +129,11 @@ def _readable(door: Door, data: bytes) -> None:
 
 def _none(_: Door, references: bytes) -> None:
     if references:
-        raise ModelError("the model has Real variables only")
+        raise Problem("the model has Real variables only")
 
 
 def _cancel(_: Door) -> None:
-    raise ModelError("no step is in progress: fmi2DoStep returns when it is done")
+    raise Problem("no step is in progress: fmi2DoStep returns when it is done")
 
 
 def _status(kind: int, answer: Callable[[Door], bytes]) -> Callable[[Door, bytes], bytes]:

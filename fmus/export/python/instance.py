@@ -35,12 +35,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError, Subsystem
+from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Variable, interface
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
 from fmus.parameters import Values, values
 from fmus.solver import Array, Motion, Unsolved
+from orchestrator.base.errors import Problem
 
 _MAGIC = b"FMUstate python 1 "
 
@@ -86,12 +87,12 @@ class State:
         """The state that `to_bytes` was called with; this one tells how many numbers there are of each."""
         header, expected = _header(guid), len(self.to_bytes(guid))
         if not data.startswith(header):
-            raise ModelError(f'the saved state is of another model, expected GUID "{guid}"')
+            raise Problem(f'the saved state is of another model, expected GUID "{guid}"')
         if len(data) != expected:
-            raise ModelError(f"the saved state has {len(data)} bytes, expected {expected}")
+            raise Problem(f"the saved state has {len(data)} bytes, expected {expected}")
         seal, content = data[len(header) : len(header) + 32], data[len(header) + 32 :]
         if hashlib.sha256(content).digest() != seal:
-            raise ModelError("the saved state is damaged: its check sum differs")
+            raise Problem("the saved state is damaged: its check sum differs")
         return self._filled(np.frombuffer(content, dtype="<f8"))
 
     def _filled(self, numbers: Array) -> State:
@@ -108,12 +109,12 @@ def _header(guid: str) -> bytes:
 
 
 def told(problem: BaseException, folder: Path) -> str:
-    """The text of a ModelError; of another exception also its kind, file and line.
+    """The text of a Problem; of another exception also its kind, file and line.
 
     The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
     """
     text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
-    if isinstance(problem, ModelError):
+    if isinstance(problem, Problem):
         return text
     kind = type(problem).__name__
     return f"{place(problem, folder)}{kind}: {text}" if text else f"{place(problem, folder)}{kind}"
@@ -184,7 +185,7 @@ REASONS = {
 }
 
 
-class Refused(ModelError):
+class Refused(Problem):
     """A call that failed, told in one line."""
 
 

@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
-from fmus.contract import ModelError
 from fmus.export.interface import interface
 from fmus.export.model_description import LOG_CATEGORIES, package_version
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
@@ -24,6 +23,7 @@ from fmus.export.python.instance import Instance, told
 from fmus.export.python.user_file import fingerprint, load, subsystem
 from fmus.export.python.user_model import Stepwise, face
 from fmus.parameters import Values
+from orchestrator.base.errors import Problem
 
 CARD = "model.json"  # in resources/: what the FMU was built from
 
@@ -48,7 +48,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]
     def _check_version(self) -> None:
         name, built, here = self.card["name"], self.card["version"], package_version()
         if built != here:
-            raise ModelError(
+            raise Problem(
                 f"{name}: built with harvester-cosim {built}, the one in {sys.prefix} is {here}: "
                 f"install {built}, or build the FMU again"
             )
@@ -116,7 +116,7 @@ class SubsystemSlave(Slave):
             sub = subsystem(self.card["origin"])
             variables = interface(sub, Values(**self.card["numbers"]))
             if fingerprint(variables) != self.card["fingerprint"]:
-                raise ModelError(
+                raise Problem(
                     f"{self.card['name']}: {self.card['origin']} in {sys.prefix} has other equations or "
                     "variables than the FMU was built from: build the FMU again"
                 )

@@ -23,13 +23,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fmus.contract import ModelError, Subsystem
+from fmus.contract import Subsystem
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance, told
 from fmus.export.python.user_model import Model, Stepwise, sealed
 from fmus.export.python.user_model import face as face_of
 from fmus.solver import Array
+from orchestrator.base.errors import Problem
 
 
 def origin(sub: Subsystem) -> str:
@@ -43,7 +44,7 @@ def origin(sub: Subsystem) -> str:
         if value is sub
     ]
     if not found:
-        raise ModelError(
+        raise Problem(
             f"{sub.name}: no module has this subsystem under a name, expected one such as "
             '"package.module:NAME" to find it again where the FMU runs'
         )
@@ -64,16 +65,16 @@ def subsystem(where: str) -> Subsystem:
     module, _, path = where.partition(":")
     name, _, key = path.partition(".")
     if not name:
-        raise ModelError(f'"{where}" is no name of a subsystem, expected one such as "package.module:NAME"')
+        raise Problem(f'"{where}" is no name of a subsystem, expected one such as "package.module:NAME"')
     try:
         found = getattr(importlib.import_module(module), name)
         found = found[key] if key else found
     except (ImportError, AttributeError, KeyError, TypeError) as problem:
-        raise ModelError(
+        raise Problem(
             f"{where} is not in the Python of {sys.prefix}: {type(problem).__name__}: {problem}"
         ) from None
     if not isinstance(found, Subsystem):
-        raise ModelError(f"{where} is {type(found).__name__}, expected a Subsystem")
+        raise Problem(f"{where} is {type(found).__name__}, expected a Subsystem")
     return found
 
 
@@ -106,7 +107,7 @@ def load(path: Path) -> Model:
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, place)
         if spec is None or spec.loader is None:
-            raise ModelError(f"{path.name} is no Python file")
+            raise Problem(f"{path.name} is no Python file")
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         try:
@@ -121,7 +122,7 @@ def load(path: Path) -> Model:
     ]
     if len(found) != 1:
         names = ", ".join(c.__name__ for c in found) or "none"
-        raise ModelError(f"{path.name} defines {names}, expected one class of Model")
+        raise Problem(f"{path.name} defines {names}, expected one class of Model")
     if not found[0].name:
         found[0].name = path.stem
     return sealed(found[0]())
@@ -129,11 +130,11 @@ def load(path: Path) -> Model:
 
 def _read(path: Path) -> ast.Module:
     if not path.is_file():
-        raise ModelError(f"{path}: there is no such file")
+        raise Problem(f"{path}: there is no such file")
     try:
         return ast.parse(path.read_text(encoding="utf-8"), path.name)
     except (OSError, ValueError, SyntaxError) as problem:
-        raise ModelError(told(problem, path.parent)) from None
+        raise Problem(told(problem, path.parent)) from None
 
 
 def refuse_neighbours(path: Path) -> None:
@@ -148,7 +149,7 @@ def refuse_neighbours(path: Path) -> None:
                 continue  # a file in the root of a checkout has the package itself beside it
             beside = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
             if name.startswith(".") or any(p.is_file() for p in beside):
-                raise ModelError(
+                raise Problem(
                     f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module beside the file, "
                     "which would collide with that of another FMU: put it into the file or into a package"
                 )
@@ -177,10 +178,10 @@ def structure(model: Model, face: Interface) -> Unknowns:
     known = {v.name for v in (*face.states, *face.outputs) if v.output or v.kind == "CALCULATED_STATE"}
     for name, on in model.depends.items():
         if name not in known:
-            raise ModelError(f"{model.name}: depends names {name}, expected an output or a computed state")
+            raise Problem(f"{model.name}: depends names {name}, expected an output or a computed state")
         if isinstance(on, str) or not set(on) <= set(inputs):
             wrong = on if isinstance(on, str) else min(set(on) - set(inputs))
-            raise ModelError(f"{model.name}: depends[{name!r}] names {wrong!r}, expected a list of inputs")
+            raise Problem(f"{model.name}: depends[{name!r}] names {wrong!r}, expected a list of inputs")
 
     def declared(name: str) -> list[str]:
         return list(model.depends.get(name, inputs))
@@ -220,7 +221,7 @@ def tried(path: Path, step: float) -> tuple[Model, Interface]:
         _check_replay(behaviour.model.name, run, step)
         _check_dependencies(behaviour, run)
     except (Exception, SystemExit) as problem:
-        raise ModelError(told(problem, path.parent)) from None
+        raise Problem(told(problem, path.parent)) from None
     return model, face
 
 
@@ -234,7 +235,7 @@ def _check_replay(name: str, instance: Instance, step: float) -> None:
             instance.advance(step)
         ends.append((instance.save(), instance.get([v.reference for v in instance.variables])))
     if ends[0] != ends[1]:
-        raise ModelError(
+        raise Problem(
             f"{name}: steps repeated from a saved state give other values: something is kept "
             "beside State (in a list, a global, a random number)"
         )
@@ -257,7 +258,7 @@ def _check_dependencies(behaviour: Stepwise, run: Instance) -> None:
                 wrong = [n for n, a, b in pairs if a != b and math.isfinite(a) and math.isfinite(b)]
                 wrong = [n for n in wrong if name not in model.depends.get(n, index)]
                 if wrong:
-                    raise ModelError(
+                    raise Problem(
                         f"{model.name}: {wrong[0]} changes with {name}, "
                         f"which depends[{wrong[0]!r}] does not name"
                     )

@@ -30,10 +30,11 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from fmus.contract import ModelError, Quantity, Symbolic, quantities
+from fmus.contract import Quantity, Symbolic, quantities
 from fmus.export.interface import Interface, Variable, assembled
 from fmus.export.python.behaviour import sizes
 from fmus.solver import Array, Motion
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def some(name: str, group: type[Any], *variables: str) -> type[Any]:
     for variable in variables:
         if variable not in known:
             there = ", ".join(get_close_matches(variable, known)) or ", ".join(known)
-            raise ModelError(f"{name}: {group.__name__} has no {variable}, expected one such as {there}")
+            raise Problem(f"{name}: {group.__name__} has no {variable}, expected one such as {there}")
     return make_dataclass(name, [(v, Annotated[float, known[v]]) for v in variables], frozen=True)
 
 
@@ -91,14 +92,14 @@ class Model:
 
     def __setattr__(self, name: str, value: object) -> None:
         if "_sealed" in self.__dict__:
-            raise ModelError(
+            raise Problem(
                 f"{_caller()}self.{name} = ... keeps a value beside State, where a saved state misses it: "
                 "declare it in State and give it back from step()"
             )
         object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
-        raise ModelError(f"{_caller()}del self.{name}: a model does not change while it runs")
+        raise Problem(f"{_caller()}del self.{name}: a model does not change while it runs")
 
 
 def _caller() -> str:
@@ -124,7 +125,7 @@ def face(model: Model) -> Interface:
     p, u, x, y = (_declared(model, name) for name in GROUPS)
     unknown = set(model.start) - set(u)
     if unknown:
-        raise ModelError(f"{model.name}: start names {min(unknown)}, expected inputs")
+        raise Problem(f"{model.name}: start names {min(unknown)}, expected inputs")
     start = {name: _defaults(getattr(model, name)) for name in GROUPS}
     first = _group(model.State, [start["State"].get(n, 0.0) for n in x])
     computed = model.initial(
@@ -166,11 +167,11 @@ _NO_EQUATIONS = Symbolic(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, (), _NONE, ()
 def _declared(model: Model, name: str) -> Mapping[str, Quantity]:
     group = getattr(model, name)
     if not (isinstance(group, type) and is_dataclass(group)):
-        raise ModelError(f"{model.name}: {name} is {group!r}, expected a dataclass")
+        raise Problem(f"{model.name}: {name} is {group!r}, expected a dataclass")
     try:
         return quantities(group)
     except (AttributeError, NameError) as problem:
-        raise ModelError(
+        raise Problem(
             f'{model.name}: a field of {name} is not declared as Annotated[float, Quantity("unit", "text")] '
             f"({problem})"
         ) from None
@@ -186,10 +187,10 @@ def _group(group: type[Any], values: Sequence[float]) -> Any:
 
 def _names(model: Model, method: str, found: object, allowed: Mapping[str, Quantity]) -> set[str]:
     if not isinstance(found, Mapping):
-        raise ModelError(f"{model.name}: {method}() gave {type(found).__name__}, expected a dictionary")
+        raise Problem(f"{model.name}: {method}() gave {type(found).__name__}, expected a dictionary")
     unknown = set(found) - set(allowed)
     if unknown:
-        raise ModelError(f"{model.name}: {method}() gave {min(unknown)}, expected names of states")
+        raise Problem(f"{model.name}: {method}() gave {min(unknown)}, expected names of states")
     return set(found)
 
 
@@ -218,7 +219,7 @@ class Stepwise:
         computed = self.model.initial(*self._groups(x, u, p))
         allowed = {v.name: v.quantity for v in self.face.states if v.kind == "CALCULATED_STATE"}
         if _names(self.model, "initial", computed, allowed) != set(allowed):
-            raise ModelError(f"{self.model.name}: initial() gave other states than at the build")
+            raise Problem(f"{self.model.name}: initial() gave other states than at the build")
         found = [computed.get(v.name, x[i]) for i, v in enumerate(self.face.states)]
         return np.array(
             [self._number("initial", v.name, n) for v, n in zip(self.face.states, found, strict=True)]
@@ -233,7 +234,7 @@ class Stepwise:
         y = self._values("observe", self.model.observe(*self._groups(x, u, p), t), self.model.Outputs)
         for i, state in self._merged:
             if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
-                raise ModelError(
+                raise Problem(
                     f"{self.model.name}: observe() gave {self._outputs[i]} = {y[i]:.9g}, which as a state is "
                     f"{x[state]:.9g}"
                 )
@@ -245,9 +246,7 @@ class Stepwise:
         if not isinstance(found, Mapping) or (
             "statements" in vars(self) and set(found) != set(self.statements)
         ):
-            raise ModelError(
-                f"{self.model.name}: require() gave {found!r}, expected always the same statements"
-            )
+            raise Problem(f"{self.model.name}: require() gave {found!r}, expected always the same statements")
         return {statement: self._number("require", statement, n) for statement, n in found.items()}
 
     def advance(
@@ -266,21 +265,21 @@ class Stepwise:
         self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]:
         """A model by hand has no derivatives."""
-        raise ModelError("a model written by hand offers no derivatives")
+        raise Problem("a model written by hand offers no derivatives")
 
     def _values(self, method: str, found: object, group: type[Any]) -> Array:
         if not isinstance(found, group):
-            raise ModelError(
+            raise Problem(
                 f"{self.model.name}: {method}() gave {type(found).__name__}, expected {group.__name__}"
             )
         return np.array([self._number(method, f.name, getattr(found, f.name)) for f in fields(group)])
 
     def _number(self, method: str, name: str, value: Any) -> float:
         if isinstance(value, str | bytes | bool) or np.ndim(value) != 0:
-            raise ModelError(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
+            raise Problem(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise ModelError(
+            raise Problem(
                 f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number"
             ) from None

@@ -38,7 +38,6 @@ import numpy as np
 import statsmodels.api as sm
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.known_values import filled, noise_of, tank_pressure, training
@@ -63,6 +62,7 @@ from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 SIZES = (ORDER + 1, 9, 21)  # samples of the derivative filter to compare
@@ -194,7 +194,7 @@ def joint_damping(
     records = tuple(s for _, s in moving)
     if not records:
         where = ", ".join(str(r.source) for r in recordings)
-        raise ModelError(f"{where}: the {contact.joint} stands, expected it to move: no damping to see")
+        raise Problem(f"{where}: the {contact.joint} stands, expected it to move: no damping to see")
     solution = solve(records, [contact.joint], (contact.theta,), p)
     arms = [levers(contact.joint, s.q, p) for s in records]
     speed, resistance = _cloud(records, arms, solution)
@@ -375,7 +375,7 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Fi
     own = training(recordings, "damping", dict.fromkeys(ANGLES, "rad"))
     for r in own:
         if r.word("joint") not in CONTACTS:
-            raise ModelError(
+            raise Problem(
                 f"{r.source}: [experiment] joint is {r.word('joint')!r}, expected {', '.join(CONTACTS)}"
             )
         require(r, dict.fromkeys(PRESSURES[r.word("joint")], "Pa"))

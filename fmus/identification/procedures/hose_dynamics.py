@@ -46,7 +46,6 @@ from numpy.typing import NDArray
 from scipy import sparse, stats
 
 from fmus.components import hose
-from fmus.contract import ModelError
 from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.procedures.known_values import denser, hose_size, noise_of, training, value
@@ -66,6 +65,7 @@ from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -242,7 +242,7 @@ def fits(name: str, equations: Sequence[Equation], start: Start, files: Sequence
     """All groups together and each; the pooled interval is widened to the groups' scatter if they differ."""
     for equation, file in zip(equations, files, strict=True):
         if equation.y.size < LEAST:
-            raise ModelError(
+            raise Problem(
                 f"{file}: {equation.y.size} windows without a bad sample (gap, clipped, dead zone), "
                 f"expected at least {LEAST}"
             )
@@ -251,7 +251,7 @@ def fits(name: str, equations: Sequence[Equation], start: Start, files: Sequence
     probability = differ(values, sds) if len(each) > 1 else 1.0
     pooled = _fit(name, equations, start)
     if pooled[name] < -SURE * pooled.sd(name):
-        raise ModelError(
+        raise Problem(
             f"{', '.join(files)}: {name} is {pooled[name]:.3g}, expected positive: turn the sign of the "
             "flows or the order of the pressures"
         )
@@ -404,11 +404,9 @@ def _check_flows(group: Recording) -> None:
     there = np.isfinite(ends[0]) & np.isfinite(ends[1])
     inlet, outlet = (flow[there] for flow in ends)
     if inlet.size and not np.ptp(inlet) > 0:
-        raise ModelError(
-            f"{group.source}: flow_in does not change, expected fast changes of flow and pressure"
-        )
+        raise Problem(f"{group.source}: flow_in does not change, expected fast changes of flow and pressure")
     if inlet @ outlet < 0:
-        raise ModelError(
+        raise Problem(
             f"{group.source}: flow_in and flow_out have opposite signs, expected both positive from inlet to "
             "outlet"
         )
@@ -417,7 +415,7 @@ def _check_flows(group: Recording) -> None:
 def _check_rate(group: Recording, limit: float) -> None:
     rate = uniform_rate(group)
     if rate < SAMPLES * limit:
-        raise ModelError(
+        raise Problem(
             f"{group.source}: {rate:.0f} samples per second, expected {SAMPLES * limit:.0f} or more: the "
             f"hose itself swings at up to {limit:.0f} Hz, which would be folded into what is slow"
         )

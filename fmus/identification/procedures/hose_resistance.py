@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.components import hose
-from fmus.contract import ModelError
 from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures.known_values import (
     NEEDED,
@@ -46,6 +45,7 @@ from fmus.identification.procedures.known_values import (
 from fmus.identification.procedures.regression import SURE, Guess, Regression, fit, misfit_remark, symmetrical
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Drop = Callable[[Array, Mapping[str, float]], Array]
@@ -105,9 +105,7 @@ def steps(recordings: Sequence[Recording]) -> StepMeans:
 def _of_one(recording: Recording) -> StepMeans:
     parts = standing(recording, ["flow"])
     if not parts:
-        raise ModelError(
-            f"{recording.source}: expected flows that stand for {NEEDED:g} s or longer, found none"
-        )
+        raise Problem(f"{recording.source}: expected flows that stand for {NEEDED:g} s or longer, found none")
     return step_means(recording, parts)
 
 
@@ -116,7 +114,7 @@ def fit_laws(given: StepMeans, transition_flow: float) -> HoseFit:
     good = given.measured
     if good.flow.size < LEAST:
         lost = left_out(given.dead, given.clipped, given.good)
-        raise ModelError(
+        raise Problem(
             f"hose_resistance: {good.flow.size} steady steps are measured, expected at least {LEAST}; "
             f"left out of {given.flow.size} steps: {lost or 'none'}"
         )
@@ -127,7 +125,7 @@ def _fitted_laws(given: StepMeans, transition_flow: float) -> HoseFit:
     turbulent = given.flow * np.abs(given.flow)
     start = float(np.cov(turbulent, given.drop)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
     if start <= 0:
-        raise ModelError(
+        raise Problem(
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
             "turn the sign of the flow or the order of the pressures"
         )

@@ -37,7 +37,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError, quantities, symbols
+from fmus.contract import quantities, symbols
 from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures import momentum_balance, momentum_fit
 from fmus.identification.procedures.known_values import training
@@ -55,6 +55,7 @@ from fmus.identification.recordings.recording import Recording
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 MOMENTS = {"m": "kg", "m x": "kg.m", "m z": "kg.m", "S_xx": "kg.m2", "S_xz": "kg.m2", "S_zz": "kg.m2"}
@@ -252,9 +253,7 @@ def _usable(recordings: Sequence[Recording]) -> list[Recording]:
         if any(r.procedure == procedure and r.use == "train" for r in recordings):
             return list(training(recordings, procedure, SIGNALS))
     there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
-    raise ModelError(
-        f"inertia: expected a recording of the machine or of a joint to train with, found {there}"
-    )
+    raise Problem(f"inertia: expected a recording of the machine or of a joint to train with, found {there}")
 
 
 def _solve(records: Sequence[Samples], names: Sequence[str], p: Array) -> Solution:

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import median_abs_deviation
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.clock import evenly, stretches
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import averages, dead, good, noise
 from fmus.identification.recordings.reading import require
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 ALIKE = 1e-3  # relative difference of two tape measures of one hose
@@ -34,9 +34,7 @@ def training(
     own = tuple(r for r in recordings if r.procedure == procedure and r.use == "train")
     if not own:
         there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
-        raise ModelError(
-            f"{procedure}: expected a recording with this procedure to train with, found {there}"
-        )
+        raise Problem(f"{procedure}: expected a recording with this procedure to train with, found {there}")
     for recording in own:
         require(recording, signals)
     return tuple(map(evenly, own))
@@ -58,7 +56,7 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
         size = first.number(name)
         for other in recordings[1:]:
             if abs(other.number(name) / size - 1) > ALIKE:
-                raise ModelError(
+                raise Problem(
                     f"{other.source}: [experiment] {name} is {other.number(name):g} m, expected {size:g} m "
                     f"as in {first.source.name}: identify one hose at a time"
                 )
@@ -76,7 +74,7 @@ def denser(recordings: Sequence[Recording], known: Mapping[str, Number]) -> floa
 def number(known: Mapping[str, Number], name: str) -> Number:
     """A number that is known."""
     if name not in known:
-        raise ModelError(f"{name} is needed to identify, expected among the known parameters, found nothing")
+        raise Problem(f"{name} is needed to identify, expected among the known parameters, found nothing")
     return known[name]
 
 
@@ -159,7 +157,7 @@ class StepMeans:
 def step_means(recording: Recording, parts: Sequence[slice]) -> StepMeans:
     """Means of pressure_in - pressure_out and of flow over stretches."""
     if not parts:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: expected steps that stand for {SETTLE + SHORTEST:g} s or longer, found none"
         )
     found = averages(recording, NAMES, parts)

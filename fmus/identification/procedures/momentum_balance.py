@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import ModelError, Subsystem, quantities, symbolic, symbols
+from fmus.contract import Subsystem, quantities, symbolic, symbols
 from fmus.identification.procedures.known_values import filled, noise_of, tank_pressure
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
@@ -47,6 +47,7 @@ from fmus.manipulator.model import Design, forces
 from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -301,7 +302,7 @@ def samples(
     kernels = filters(uniform_rate(recording), smoothing, window, every)
     needed = [n for j in joints for n in PRESSURES[j]]
     if recording.time.size < 2 * kernels.loss + 10:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more: "
             "the filters take them"
         )
@@ -316,7 +317,7 @@ def samples(
     half = kernels.smooth.size // 2
     good = spread(unusable | ends, kernels.bump.size)
     if not good.any():
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: expected {2 * kernels.loss * kernels.step / every:.2g} s without a gap or "
             f"clipped sample in {', '.join((*ANGLES, *needed))}, found none"
         )
@@ -345,7 +346,7 @@ def numbers(known: Mapping[str, Number]) -> Array:
     """The machine's parameters in the order of `motion.PARAMETERS`."""
     missing = [n for n in PARAMETERS if n not in known]
     if missing:
-        raise ModelError(f"known parameters: {missing[0]} is missing, expected all of the lumped machine")
+        raise Problem(f"known parameters: {missing[0]} is missing, expected all of the lumped machine")
     return np.array([known[n].value for n in PARAMETERS])
 
 

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-from fmus.contract import ModelError
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.momentum_balance import (
     JOINTS,
@@ -39,6 +38,7 @@ from fmus.identification.procedures.momentum_balance import (
     motion,
 )
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 SETTLED = 2  # rounds: weights by residuals hardly move theta
@@ -116,7 +116,7 @@ def normal_step(equations: Sequence[Equation], weights: Array, theta: tuple[str,
     right = np.array(sum(np.einsum("mrt,r,rt->m", e.slope, weights, e.error) for e in equations))
     scale = np.sqrt(np.diag(normal))
     if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > SINGULAR:
-        raise ModelError("the motion recorded does not tell apart " + ", ".join(theta))
+        raise Problem("the motion recorded does not tell apart " + ", ".join(theta))
     return normal, -np.linalg.solve(normal, right)
 
 

@@ -24,13 +24,13 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures.known_values import NEEDED, standing, tank_pressure, training, value
 from fmus.identification.procedures.regression import SURE, WIDTH, Regression, linear, misfit_remark
 from fmus.identification.recordings.masks import averages
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 SIGNALS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
@@ -70,7 +70,7 @@ def points(recordings: Sequence[Recording]) -> Points:
     table = np.concatenate([_points(r, k) for k, r in enumerate(recordings)])
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) < 3:
-        raise ModelError(
+        raise Problem(
             f"{recordings[0].source}: {len(table)} stretches with steady pressures, expected 3 or more of "
             f"{NEEDED:g} s"
         )
@@ -80,7 +80,7 @@ def points(recordings: Sequence[Recording]) -> Points:
 def _points(recording: Recording, number: int) -> Array:
     """(n, 9) in the order of `Points`."""
     if recording.conditions.get("shaft", "locked") != "locked":
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: [experiment] shaft is {recording.conditions['shaft']!r}, expected 'locked'"
         )
     parts = standing(recording, PRESSURES)
@@ -179,7 +179,7 @@ def told(fit: Regression, which: str) -> bool:
 def _check_signs(fit: Regression) -> None:
     for which in WHICH:
         if fit[which] < -SURE * fit.sd(which):
-            raise ModelError(
+            raise Problem(
                 f"motor_leakage: the {which} leakage is {fit[which]:.3g} m3/(s.Pa), expected positive: turn "
                 "the sign of flow_a (positive into port A) or of drain_flow (positive out of the motor)"
             )

@@ -18,8 +18,8 @@ import statsmodels.api as sm
 from numpy.typing import NDArray
 from scipy import stats
 
-from fmus.contract import ModelError
 from fmus.identification.known import Estimate
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Residual = Callable[[Mapping[str, float]], Array]
@@ -143,7 +143,7 @@ def fit(residual: Residual, start: Mapping[str, Guess], what: str) -> Regression
 
     found = lmfit.minimize(scaled, search, scale_covar=False, nan_policy="propagate")
     if not found.success or getattr(found, "covar", None) is None:
-        raise ModelError(f"{what}: the fit of {', '.join(start)} did not converge on {found.ndata} values")
+        raise Problem(f"{what}: the fit of {', '.join(start)} did not converge on {found.ndata} values")
     scale = np.array(list(units.values()))
     values = scale * [found.params[name].value for name in units]
     return _regression(tuple(units), values, found.covar * np.outer(scale, scale), found.residual)
@@ -157,7 +157,7 @@ def linear(y: Array, columns: Mapping[str, Array], sd: Array, what: str) -> Regr
     matrix = np.column_stack(list(columns.values()))
     scale = np.linalg.norm(matrix, axis=0)
     if not (scale > 0).all() or np.linalg.cond(matrix / scale) > SINGULAR:
-        raise ModelError(f"{what}: the {len(y)} points do not tell apart {', '.join(columns)}")
+        raise Problem(f"{what}: the {len(y)} points do not tell apart {', '.join(columns)}")
     found = sm.WLS(y, matrix / scale, weights=1 / sd**2).fit()
     covariance = found.normalized_cov_params / np.outer(scale, scale)
     return _regression(tuple(columns), found.params / scale, covariance, found.resid / sd)

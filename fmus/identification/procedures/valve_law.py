@@ -31,12 +31,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.components import spool_valve
-from fmus.contract import ModelError, Scalar
+from fmus.contract import Scalar
 from fmus.identification.procedures.known_values import SETTLE, SHORTEST, filled, left_out, step_means, value
 from fmus.identification.procedures.regression import UNLIKELY, Guess, Regression, fit
 from fmus.identification.recordings.masks import steady
 from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -94,7 +95,7 @@ class Points:
             own = self.of(edge)
             voltages = np.unique(own.measured.command).size
             if voltages < STEP_VOLTAGES:
-                raise ModelError(
+                raise Problem(
                     f"valve {edge}: flow is measured at {voltages} voltages, expected at least {STEP_VOLTAGES}; "
                     f"left out of {own.command.size} steps: {own.left_out or 'none'}"
                 )
@@ -149,10 +150,10 @@ def _opens(recording: Recording) -> int:
     """Sign of the commands that open the edge."""
     edge, command = recording.word("edge"), recording["command"]
     if edge not in OPENS:
-        raise ModelError(f"{recording.source}: [experiment] edge is {edge!r}, expected {', '.join(OPENS)}")
+        raise Problem(f"{recording.source}: [experiment] edge is {edge!r}, expected {', '.join(OPENS)}")
     if not (command * OPENS[edge] > 0).any():
         expected = "positive" if OPENS[edge] > 0 else "negative"
-        raise ModelError(f"{recording.source}: expected {expected} commands, which open {edge}, found none")
+        raise Problem(f"{recording.source}: expected {expected} commands, which open {edge}, found none")
     return OPENS[edge]
 
 
@@ -160,7 +161,7 @@ def _check_direction(recording: Recording, most: Array) -> None:
     """Refuse a meter that counts against the drop; `most`: the largest flow along it that noise allows."""
     against = int(np.count_nonzero(most < 0))
     if against > most.size / 2:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: flow is against the drop pressure_in - pressure_out in {against} of "
             f"{most.size} steps, expected along it: turn the sign of the flow or the order of the pressures"
         )

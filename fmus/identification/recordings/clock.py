@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.signal
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.masks import NOISY, at_ends, equal_by_chance, good, step_and_noise
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
+from orchestrator.base.errors import Problem
 
 # SI unit -> what the largest magnitude in a recording lies between
 USUAL: Mapping[str, tuple[float, float]] = {
@@ -54,11 +54,11 @@ def uniform_rate(recording: Recording) -> float:
     """Samples per second [Hz]; refuses a clock that is not uniform, which `resample` makes uniform."""
     time = recording.time
     if len(time) < 2:
-        raise ModelError(f"{recording.source}: expected two or more samples, found {len(time)}")
+        raise Problem(f"{recording.source}: expected two or more samples, found {len(time)}")
     off = periods_off(time)
     worst = int(np.argmax(off))
     if off[worst] > UNEVEN:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off"
             f" a uniform clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
         )
@@ -86,9 +86,7 @@ def resample(
     time = recording.time
     if rate <= 0 or len(time) < 2:
         found = f"{rate:g} Hz and {len(time)} samples"
-        raise ModelError(
-            f"{recording.source}: expected a rate above 0 and two or more samples, found {found}"
-        )
+        raise Problem(f"{recording.source}: expected a rate above 0 and two or more samples, found {found}")
     old = 1 / period(time)
     clock = time[0] + np.arange(1 + int((time[-1] - time[0]) * rate * (1 + 1e-12) + 1e-9)) / rate
     longest = MISSED / old if bridge is None else bridge
@@ -334,11 +332,11 @@ def bridged(recording: Recording, name: str, longest: float = LONGEST) -> Array:
     values, time = recording[name], recording.time
     there = np.isfinite(values)
     if not there.any():
-        raise ModelError(f"{recording.source}: {name} has no sample, expected one to simulate with")
+        raise Problem(f"{recording.source}: {name} has no sample, expected one to simulate with")
     for gap in stretches(~there):
         first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
         if time[last] - time[first] > longest:
-            raise ModelError(
+            raise Problem(
                 f"{recording.source}: {name} has no sample from {time[gap.start]:.6g} s to"
                 f" {time[gap.stop - 1]:.6g} s, expected gaps of at most {longest:g} s:"
                 " leave that part out with start or stop of [time]"

@@ -18,9 +18,9 @@ import scipy.interpolate
 import scipy.optimize
 import scipy.signal
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.clock import period, stretches, uniform_rate
 from fmus.identification.recordings.recording import Array, Mask, Recording
+from orchestrator.base.errors import Problem
 
 HIGHEST = 2  # order of derivative
 
@@ -54,7 +54,7 @@ class SavitzkyGolay:
 
     def __post_init__(self) -> None:
         if self.degree < HIGHEST or self.size <= self.degree:
-            raise ModelError(
+            raise Problem(
                 f"filter: window of {self.window:g} s at {self.rate:g} Hz is {self.size} samples,"
                 f" expected more than the degree {self.degree}, and a degree of {HIGHEST} or more"
             )
@@ -138,7 +138,7 @@ def delay(recording: Recording, first: str, second: str, longest: float) -> Dela
     x, y = recording[first], recording[second]
     most = min(int(np.ceil(longest * rate)), len(x) // 2)
     if most < 1 or not (np.nanstd(x) > 0 and np.nanstd(y) > 0):
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: no delay of {second} behind {first}: expected signals that move"
             f" and a longest delay of one sample or more, found {longest:g} s"
         )

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Array, Sensor
 from fmus.identification.recordings.table import Table
-from fmus.units import parse, spelled
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import parse, spelled
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -32,26 +32,26 @@ def load(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise ModelError(
+        raise Problem(
             f"{path}: expected a TOML file that describes the columns, found no such file"
         ) from None
     except OSError as error:
-        raise ModelError(f"{path}: expected a TOML file, found {error.strerror}") from None
+        raise Problem(f"{path}: expected a TOML file, found {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: cannot be read as TOML: {error}") from None
+        raise Problem(f"{path}: cannot be read as TOML: {error}") from None
 
 
 def keys(table: Any, known: Mapping[str, Any], where: str) -> None:
     """Refuse what is not a table, an unknown key and a value of the wrong type."""
     if not isinstance(table, dict):
-        raise ModelError(f"{where}: expected a table, found {table!r}")
+        raise Problem(f"{where}: expected a table, found {table!r}")
     for key, value in table.items():
         if key not in known:
-            raise ModelError(f"{where}: unknown key {key!r}, expected one of {', '.join(known)}")
+            raise Problem(f"{where}: unknown key {key!r}, expected one of {', '.join(known)}")
         if not isinstance(value, known[key]) or isinstance(value, bool):
             kinds = known[key] if isinstance(known[key], tuple) else (known[key],)
             wanted = " or ".join(kind.__name__ for kind in kinds)
-            raise ModelError(f"{where}: {key} is {value!r}, expected {wanted}")
+            raise Problem(f"{where}: {key} is {value!r}, expected {wanted}")
 
 
 # "" is a recording that no experiment claims.
@@ -119,7 +119,7 @@ def read_meta(path: Path) -> Meta:
     procedure, use = _which(experiment, f"{path}: [experiment]") if "experiment" in tables else ("", "train")
     signals = tables.get("signals", {})
     if not signals:
-        raise ModelError(f"{path}: expected at least one table [signals.NAME], found none")
+        raise Problem(f"{path}: expected at least one table [signals.NAME], found none")
     for name, spec in signals.items():
         _check_signal(spec, f"{path}: [signals.{name!r}]")
     title = about.get("title", path.stem)
@@ -131,16 +131,14 @@ def _which(experiment: dict[str, Any], where: str) -> tuple[str, str]:
     """Procedure and use, taken out of the table; the rest are numbers with a unit, or words."""
     procedure, use = experiment.pop("procedure", None), experiment.pop("use", "train")
     if procedure not in PROCEDURES:
-        raise ModelError(f"{where}: procedure is {procedure!r}, expected one of {', '.join(PROCEDURES)}")
+        raise Problem(f"{where}: procedure is {procedure!r}, expected one of {', '.join(PROCEDURES)}")
     if use not in USES:
-        raise ModelError(f"{where}: use is {use!r}, expected one of {', '.join(USES)}")
+        raise Problem(f"{where}: use is {use!r}, expected one of {', '.join(USES)}")
     for name, value in experiment.items():
         if isinstance(value, str):
             continue
         if not isinstance(value, dict) or set(value) != set(_VALUE):
-            raise ModelError(
-                f'{where}: {name} is {value!r}, expected {{ value = 1.0, unit = "..." }} or a word'
-            )
+            raise Problem(f'{where}: {name} is {value!r}, expected {{ value = 1.0, unit = "..." }} or a word')
         keys(value, _VALUE, f"{where} {name}")
         unit(value["unit"], f"{where} {name}")
     return procedure, use
@@ -150,25 +148,25 @@ def _check_signal(spec: Any, where: str) -> None:
     """One [signals.NAME]: known keys, a known unit, an instrument that can exist."""
     keys(spec, _SIGNAL, where)
     if "unit" not in spec:
-        raise ModelError(f"{where}: expected a unit, found none")
+        raise Problem(f"{where}: expected a unit, found none")
     unit(spec["unit"], where)
     for key in ("noise", "resolution", "dead_zone"):
         if spec.get(key, 0.0) < 0:
-            raise ModelError(f"{where}: {key} is {spec[key]}, expected 0 or more")
+            raise Problem(f"{where}: {key} is {spec[key]}, expected 0 or more")
     span = spec.get("span", [0.0, 1.0])
     numbers = len(span) == 2 and all(isinstance(v, _NUMBER) and not isinstance(v, bool) for v in span)
     if not numbers or span[0] >= span[1]:
-        raise ModelError(f"{where}: span is {span}, expected [lowest, highest]")
+        raise Problem(f"{where}: span is {span}, expected [lowest, highest]")
     if spec.get("factor", 1.0) == 0:
-        raise ModelError(f"{where}: factor is 0, expected another number")
+        raise Problem(f"{where}: factor is 0, expected another number")
 
 
 def unit(text: str, where: str) -> str:
     """The unit in our spelling, checked."""
     try:
         parse(spelled(text))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
+    except Problem as error:
+        raise Problem(f"{where}: {error}") from None
     return spelled(text)
 
 
@@ -177,17 +175,17 @@ def seconds(table: Table, column: str, meta: Meta, data: Path) -> Array:
     raw, where = table.columns[column], f"{data}: {table.rows} {{}}: column {column!r}"
     scale = parse(unit(meta.time.get("unit", "s"), f"{meta.path}: [time]"))
     if scale.exponents != parse("s").exponents:
-        raise ModelError(
+        raise Problem(
             f"{meta.path}: [time]: unit is {meta.time['unit']!r}, expected one of time such as s or ms"
         )
     empty = np.flatnonzero(np.isnan(raw))
     if len(empty):
-        raise ModelError(f"{where.format(table.row[empty[0]])}: expected a time, found none")
+        raise Problem(f"{where.format(table.row[empty[0]])}: expected a time, found none")
     back = np.flatnonzero(np.diff(raw) <= 0)
     if len(back):
         k = back[0]
         found = f"{raw[k + 1]:.10g} after {raw[k]:.10g}"
-        raise ModelError(f"{where.format(table.row[k + 1])}: expected increasing times, found {found}")
+        raise Problem(f"{where.format(table.row[k + 1])}: expected increasing times, found {found}")
     time: Array = scale.factor * raw + float(meta.time.get("offset", 0.0))
     return time
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
+from orchestrator.base.errors import Problem
 
 ORDER = 6  # of the difference: passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
 MAD = 0.6744897501960817  # median of |x| over the sd of a normal x
@@ -287,7 +287,7 @@ class Averages:
 def averages(recording: Recording, names: Sequence[str], parts: Sequence[slice]) -> Averages:
     """Means over stretches, such as those of `steady`, of the good samples only."""
     if not parts:
-        raise ModelError(f"{recording.source}: expected stretches to average over, found none")
+        raise Problem(f"{recording.source}: expected stretches to average over, found none")
     mean: dict[str, Array] = {}
     error: dict[str, Array] = {}
     share: dict[str, Array] = {}

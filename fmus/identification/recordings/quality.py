@@ -22,7 +22,7 @@ from fmus.identification.recordings.masks import (
     step,
 )
 from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
-from fmus.units import display
+from orchestrator.base.units import display
 
 LOUD = 2.0  # times what is told, from which noise is more than told
 COARSE, FINE = 1.5, 0.67  # of the told step

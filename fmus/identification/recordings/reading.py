@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.description import (
     Meta,
     conditions,
@@ -30,7 +29,8 @@ from fmus.identification.recordings.description import (
 )
 from fmus.identification.recordings.recording import Array, Recording
 from fmus.identification.recordings.table import DATA, GAPS, read_table, read_text
-from fmus.units import in_si, parse
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import in_si, parse
 
 __all__ = ["left_out", "read", "read_folder", "read_series", "require"]
 
@@ -39,9 +39,9 @@ def read(path: Path | str) -> Recording:
     """One recording, by its data file or its meta file."""
     path = Path(path)
     if path.suffix.lower() not in (*DATA, ".toml"):
-        raise ModelError(f"{path}: expected a file that ends in {', '.join((*DATA, '.toml'))}")
+        raise Problem(f"{path}: expected a file that ends in {', '.join((*DATA, '.toml'))}")
     if not path.is_file():
-        raise ModelError(f"{path}: expected a recording, found {_what(path)}")
+        raise Problem(f"{path}: expected a recording, found {_what(path)}")
     meta = read_meta(path if path.suffix == ".toml" else path.with_suffix(".toml"))
     data = _data(meta) if path.suffix == ".toml" else path
     clock = meta.time.get("column", "time")
@@ -69,12 +69,12 @@ def read_folder(folder: Path | str) -> list[Recording]:
     """All recordings of a folder whose meta file has a table [experiment], sorted by the name of the file."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise ModelError(f"{folder}: expected a folder of recordings, found {_what(folder)}")
+        raise Problem(f"{folder}: expected a folder of recordings, found {_what(folder)}")
     metas = [path for path in sorted(folder.glob("*.toml")) if "experiment" in load(path)]
     if not metas:
         beside = ", ".join(path.name for path in _data_files(folder)[:3])
         found = f"none, only {beside}" if beside else "none"
-        raise ModelError(f"{folder}: expected .toml files with a table [experiment], found {found}")
+        raise Problem(f"{folder}: expected .toml files with a table [experiment], found {found}")
     return [read(path) for path in metas]
 
 
@@ -98,7 +98,7 @@ def require(recording: Recording, signals: Mapping[str, str]) -> None:
     for name, wanted in signals.items():
         recording[name]
         if parse(recording.units[name]).exponents != parse(wanted).exponents:
-            raise ModelError(
+            raise Problem(
                 f"{recording.source}: signal {name} is in {recording.unit_in_words(name)}, expected {wanted}"
             )
 
@@ -110,7 +110,7 @@ def _data(meta: Meta) -> Path:
     there = [meta.path.with_suffix(end) for end in DATA if meta.path.with_suffix(end).is_file()]
     if len(there) != 1:
         found = ", ".join(path.name for path in there) or "none"
-        raise ModelError(
+        raise Problem(
             f"{meta.path}: expected one data file {meta.path.stem}.csv, .parquet or .mat, found {found}"
         )
     return there[0]
@@ -122,7 +122,7 @@ def _inside(recording: Recording, start: float, stop: float) -> Recording:
     if kept.all():
         return recording
     if kept.sum() < 2:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: expected samples from {start:g} s to {stop:g} s,"
             f" found {recording.time[0]:g} s to {recording.time[-1]:g} s"
         )
@@ -160,7 +160,7 @@ def read_series(
     stray = [name for name in units if name not in columns]
     if stray or not columns or rate <= 0:
         found = f"a unit of {stray[0]}" if stray else f"{len(columns)} columns and a rate of {rate:g} Hz"
-        raise ModelError(f"{path}: expected columns, their units and a rate above 0, found {found}")
+        raise Problem(f"{path}: expected columns, their units and a rate above 0, found {found}")
     spelling = {name: unit(units.get(name, "1"), f"{path}: {name}") for name in columns}
     raw = _plain(path, columns, delimiter, decimal, skip_lines)
     size = len(next(iter(raw.values())))
@@ -183,7 +183,7 @@ def _plain(
     kind, names = path.suffix.lower(), {str(place) for place in columns.values()}
     by_place = [place for place in columns.values() if isinstance(place, int)]
     if by_place and (kind in (".mat", ".parquet") or len(by_place) < len(columns)):
-        raise ModelError(f"{path}: expected the names of columns, found place {by_place[0]}")
+        raise Problem(f"{path}: expected the names of columns, found place {by_place[0]}")
     if kind in (".mat", ".parquet"):
         table = read_table(path, names, {})
     else:
@@ -200,7 +200,7 @@ def _first_lines(path: Path, skip_lines: int) -> list[str]:
     """Those that tell how the file is written, the first with names or numbers."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
-        raise ModelError(f"{path}: expected a file of numbers, found {found}")
+        raise Problem(f"{path}: expected a file of numbers, found {found}")
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         return [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST)]
 
@@ -224,7 +224,7 @@ def _refuse_names(path: Path, line: str, delimiter: str, number: int) -> None:
     mark = delimiter if len(delimiter) > 1 else re.escape(delimiter)
     cells = [cell.strip(' "') for cell in re.split(mark, line)]
     if all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAPS for cell in cells):
-        raise ModelError(
+        raise Problem(
             f"{path}: line {number}: expected numbers, found names: give those of the columns, "
             f"such as {cells[0]!r}, not their places"
         )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,7 +75,7 @@ class Recording:
         """One signal, shape (n,)."""
         if name not in self.signals:
             there = ", ".join(self.signals)
-            raise ModelError(
+            raise Problem(
                 f"{self.source}: signal {name} is missing, expected for {self.procedure}; has {there}"
             )
         return self.signals[name]
@@ -95,9 +95,7 @@ class Recording:
         value = self.conditions.get(name)
         if not isinstance(value, float):
             found = "nothing" if value is None else repr(value)
-            raise ModelError(
-                f"{self.source}: [experiment] {name} is {found}, expected a number with its unit"
-            )
+            raise Problem(f"{self.source}: [experiment] {name} is {found}, expected a number with its unit")
         return value
 
     def word(self, name: str) -> str:
@@ -105,7 +103,7 @@ class Recording:
         value = self.conditions.get(name)
         if not isinstance(value, str):
             found = "nothing" if value is None else repr(value)
-            raise ModelError(f"{self.source}: [experiment] {name} is {found}, expected a word")
+            raise Problem(f"{self.source}: [experiment] {name} is {found}, expected a word")
         return value
 
 
@@ -120,7 +118,7 @@ def window(recording: Recording, start: float = -np.inf, stop: float = np.inf) -
     part = take(recording, (recording.time >= start) & (recording.time < stop))
     if not len(part.time):
         there = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
-        raise ModelError(f"{recording.source}: no samples from {start:g} s to {stop:g} s, found {there}")
+        raise Problem(f"{recording.source}: no samples from {start:g} s to {stop:g} s, found {there}")
     return part
 
 
@@ -135,7 +133,7 @@ def add(recording: Recording, name: str, values: Array, unit: str, sensor: Senso
     unit   SI
     """
     if values.shape != recording.time.shape:
-        raise ModelError(
+        raise Problem(
             f"{recording.source}: signal {name} has shape {values.shape}, expected {recording.time.shape}"
         )
     sensors = {key: known for key, known in recording.sensors.items() if key != name}

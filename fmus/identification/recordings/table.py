@@ -30,8 +30,8 @@ import pyarrow.parquet
 import scipy.io
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Array
+from orchestrator.base.errors import Problem
 
 
 class Table(NamedTuple):
@@ -51,7 +51,7 @@ def finite(values: Array, rows: NDArray[np.int64], where: str) -> Array:
     endless = np.flatnonzero(np.isinf(values))
     if len(endless):
         k = endless[0]
-        raise ModelError(f"{where.format(rows[k])}: expected a finite number, found {values[k]:g}")
+        raise Problem(f"{where.format(rows[k])}: expected a finite number, found {values[k]:g}")
     return values
 
 
@@ -60,8 +60,8 @@ def place(name: str, header: Sequence[str], path: Path) -> int:
     if list(header).count(name) == 1:
         return list(header).index(name)
     if name in header:
-        raise ModelError(f"{path}: column {name!r} expected once, found {list(header).count(name)} times")
-    raise ModelError(f"{path}: column {name!r} expected, found {near(name, header)}")
+        raise Problem(f"{path}: column {name!r} expected once, found {list(header).count(name)} times")
+    raise Problem(f"{path}: column {name!r} expected, found {near(name, header)}")
 
 
 def near(name: str, names: Sequence[str]) -> str:
@@ -120,25 +120,23 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ModelError(f"{path}: expected a file of numbers, found no such file") from None
+        raise Problem(f"{path}: expected a file of numbers, found no such file") from None
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         found = error.object[error.start]
-        raise ModelError(
-            f"{path}: line {line}: expected text in UTF-8, found the byte 0x{found:02x}"
-        ) from None
+        raise Problem(f"{path}: line {line}: expected text in UTF-8, found the byte 0x{found:02x}") from None
     except OSError as error:
-        raise ModelError(f"{path}: expected a file of numbers, found {error.strerror}") from None
+        raise Problem(f"{path}: expected a file of numbers, found {error.strerror}") from None
 
 
 def _marks(path: Path, delimiter: str, decimal: str, origin: str) -> None:
     """Refuse marks that cannot be, or that cannot be told apart; origin: where the delimiter is from."""
     if decimal not in (".", ","):
-        raise ModelError(f"{path}: [file] decimal is {decimal!r}, expected '.' or ','")
+        raise Problem(f"{path}: [file] decimal is {decimal!r}, expected '.' or ','")
     if len(delimiter) != 1 and delimiter != r"\s+":
-        raise ModelError(f"{path}: [file] delimiter is {delimiter!r}, expected one character such as ';'")
+        raise Problem(f"{path}: [file] delimiter is {delimiter!r}, expected one character such as ';'")
     if delimiter == decimal:
-        raise ModelError(
+        raise Problem(
             f"{path}: [file] decimal is {decimal!r}, expected another delimiter than it,"
             f' found {delimiter!r} ({origin}): set delimiter = ";"'
         )
@@ -150,7 +148,7 @@ def _separated(text: str, path: Path, delimiter: str, skip_lines: int, origin: s
     found = next((mark for mark in ";\t," if mark in row), None)
     if found and len(delimiter) == 1 and delimiter not in row:
         shown = found.replace("\t", r"\t")
-        raise ModelError(
+        raise Problem(
             f"{path}: line {skip_lines + 1}: expected cells separated by {delimiter!r} ({origin}),"
             f' found {found!r}: set delimiter = "{shown}" in [file]'
         )
@@ -169,26 +167,26 @@ def _cells(text: str, path: Path, delimiter: str, skip_lines: int) -> pd.DataFra
             skip_blank_lines=False,
         )
     except pd.errors.EmptyDataError:
-        raise ModelError(f"{path}: expected two or more rows of numbers, found an empty file") from None
+        raise Problem(f"{path}: expected two or more rows of numbers, found an empty file") from None
     except pd.errors.ParserError as error:
         found = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
         if not found:
-            raise ModelError(f"{path}: expected a text file of columns, found {first_line(error)}") from None
+            raise Problem(f"{path}: expected a text file of columns, found {first_line(error)}") from None
         wanted, line, saw = found.groups()
-        raise ModelError(f"{path}: line {line}: expected {wanted} cells, found {saw}") from None
+        raise Problem(f"{path}: line {line}: expected {wanted} cells, found {saw}") from None
 
 
 def _whole_rows(text: str, frame: pd.DataFrame, lines: NDArray[np.int64], delimiter: str, path: Path) -> None:
     """A row that stops early, such as the last one of a logger that lost power, is an error, not a gap."""
     rows, columns = frame.shape
     if rows < 2:
-        raise ModelError(f"{path}: expected two or more rows of numbers, found {rows}")
+        raise Problem(f"{path}: expected two or more rows of numbers, found {rows}")
     written = text.split("\n")
     for line in lines[(frame[columns - 1] == "").to_numpy()]:
         row = written[line - 1]
         there = len(row.split()) if len(delimiter) > 1 else len(next(csv.reader([row], delimiter=delimiter)))
         if there < columns:
-            raise ModelError(f"{path}: line {line}: expected {columns} cells, found {there}")
+            raise Problem(f"{path}: line {line}: expected {columns} cells, found {there}")
 
 
 def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: str) -> Array:
@@ -204,7 +202,7 @@ def numbers(cells: NDArray[Any], rows: NDArray[np.int64], decimal: str, where: s
         found = repr(cells[bad].strip())
         if decimal == "." and _number(cells[bad].replace(",", ".")) is not None:
             found += ': set decimal = "," in [file]'
-        raise ModelError(f"{where.format(rows[bad])}: expected a number, found {found}")
+        raise Problem(f"{where.format(rows[bad])}: expected a number, found {found}")
     return finite(np.array(values, dtype=np.float64), rows, where)
 
 
@@ -226,14 +224,14 @@ def read_mat(path: Path, names: Collection[str]) -> Table:
     there = dict(_flat("", _variables(path)))
     for name in names:
         if name not in there:
-            raise ModelError(f"{path}: column {name!r} expected, found {near(name, list(there))}")
+            raise Problem(f"{path}: column {name!r} expected, found {near(name, list(there))}")
     columns = {name: _numbers(there[name], path, name) for name in sorted(names)}
     sizes = {name: len(values) for name, values in columns.items()}
     if len(set(sizes.values())) > 1:
         found = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise ModelError(f"{path}: expected columns of one length, found {found}")
+        raise Problem(f"{path}: expected columns of one length, found {found}")
     if min(sizes.values()) < 2:
-        raise ModelError(f"{path}: expected two or more samples, found {min(sizes.values())}")
+        raise Problem(f"{path}: expected two or more samples, found {min(sizes.values())}")
     rows = np.arange(1, 1 + min(sizes.values()))
     for name, values in columns.items():
         finite(values, rows, f"{path}: row {{}}: column {name!r}")
@@ -243,7 +241,7 @@ def read_mat(path: Path, names: Collection[str]) -> Table:
 def _variables(path: Path) -> dict[str, Any]:
     """Arrays by name, structs as dictionaries, whichever version."""
     if not path.is_file():
-        raise ModelError(f"{path}: expected a MATLAB file, found no such file")
+        raise Problem(f"{path}: expected a MATLAB file, found no such file")
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path, "r") as file:
@@ -251,7 +249,7 @@ def _variables(path: Path) -> dict[str, Any]:
         return dict(scipy.io.loadmat(path, simplify_cells=True))
     except (ValueError, TypeError, OSError, NotImplementedError, scipy.io.matlab.MatReadError) as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise ModelError(f"{path}: expected a MATLAB file, found {first}") from None
+        raise Problem(f"{path}: expected a MATLAB file, found {first}") from None
 
 
 def _group(group: Any) -> dict[str, Any]:
@@ -300,7 +298,7 @@ def _numbers(values: Any, path: Path, name: str) -> NDArray[np.float64]:
     """Real numbers; text and complex numbers are refused."""
     if isinstance(values, str) or values.dtype.kind not in "fiub":
         found = repr(values[:40]) if isinstance(values, str) else f"{values.dtype} such as {values[0]!r}"
-        raise ModelError(f"{path}: row 1: column {name!r}: expected numbers, found {found}")
+        raise Problem(f"{path}: row 1: column {name!r}: expected numbers, found {found}")
     numbers: NDArray[np.float64] = values.astype(np.float64)
     return numbers
 
@@ -314,7 +312,7 @@ def read_parquet(path: Path, names: Collection[str]) -> Table:
                 place(name, header, path)
             table = file.read(columns=sorted(names))
     except (pyarrow.ArrowInvalid, OSError) as error:
-        raise ModelError(f"{path}: expected a Parquet file, found {first_line(error)}") from None
+        raise Problem(f"{path}: expected a Parquet file, found {first_line(error)}") from None
     rows = np.arange(1, table.num_rows + 1)
     columns = {name: _arrow(table.column(name), rows, path, name) for name in sorted(names)}
     return Table(columns, rows)
@@ -328,7 +326,7 @@ def _arrow(column: Any, rows: NDArray[np.int64], path: Path, name: str) -> Array
         return finite(column.cast(pyarrow.float64()).to_pandas().to_numpy(np.float64), rows, where)
     if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind):
         return numbers(np.array([v or "" for v in column.to_pylist()], object), rows, ".", where)
-    raise ModelError(f"{path}: row 1: column {name!r}: expected numbers, found {kind}")
+    raise Problem(f"{path}: row 1: column {name!r}: expected numbers, found {kind}")
 
 
 DATA = (".csv", ".parquet", ".mat")

@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.signal import savgol_filter
 
-from fmus.contract import ModelError, Subsystem, quantities, symbolic
+from fmus.contract import Subsystem, quantities, symbolic
 from fmus.identification.recordings.clock import bridged
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import Run
 from fmus.identification.refinement.simulation import Failed, Simulator
 from fmus.parameters import Values, values
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def input_matrix(run: Run, simulator: Simulator) -> Array:
     """Inputs in the simulator's order, shape (n, nu)."""
     missing = [name for name in simulator.inputs if name not in run.inputs]
     if missing:
-        raise ModelError(f"{run.name}: input {missing[0]} is missing, expected for the simulation")
+        raise Problem(f"{run.name}: input {missing[0]} is missing, expected for the simulation")
     columns = [run.inputs[name] for name in simulator.inputs]
     return np.column_stack(columns) if columns else np.zeros((len(run.time), 0))
 
@@ -231,21 +232,21 @@ class Mapped:
         declared = {**quantities(self.sub.inputs), **quantities(self.sub.outputs)}
         if not any(self._name(name) in recording.signals for name in self.outputs):
             wanted = ", ".join(self._name(name) for name in self.outputs)
-            raise ModelError(f"{recording.source}: nothing to compare is measured, expected one of {wanted}")
+            raise Problem(f"{recording.source}: nothing to compare is measured, expected one of {wanted}")
         for name in shown:
             if name not in quantities(self.sub.outputs):
-                raise ModelError(
+                raise Problem(
                     f"{recording.source}: {name} is to be fitted, expected an output of {self.sub.name}"
                 )
         for name, q in declared.items():
             if recording.units.get(self._name(name), q.unit) != q.unit:
                 found = recording.unit_in_words(self._name(name))
-                raise ModelError(f"{recording.source}: {self._name(name)} is in {found}, expected {q.unit}")
+                raise Problem(f"{recording.source}: {self._name(name)} is in {found}, expected {q.unit}")
 
     def _sd(self, recording: Recording, name: str) -> float:
         told = self.sd.get(name, recording.sensor(self._name(name)).sd)
         if not told > 0:
-            raise ModelError(
+            raise Problem(
                 f"{recording.source}: {self._name(name)} has no noise and no resolution, expected one of them"
             )
         return told

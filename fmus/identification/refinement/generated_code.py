@@ -37,12 +37,13 @@ from pathlib import Path
 
 import casadi as ca
 
-from fmus.contract import ModelError, Quantity, Symbolic, column
+from fmus.contract import Quantity, Symbolic, column
 from fmus.export.c_code import Routine, generated, hoist, native_sources, routine
 from fmus.export.compile import store
 from fmus.export.elimination import Elimination, Place, eliminate, nonzeros
 from fmus.export.interface import Interface, Kind, Variable, assembled
 from fmus.identification.refinement.reduced import Reduced
+from orchestrator.base.errors import Problem
 
 WIDTH = 8  # columns at once: a cache line, one to four registers of the processors of today
 
@@ -303,7 +304,7 @@ def _made(code: Mapping[str, str], kept: Path) -> Path:
         if run.returncode:
             told = run.stderr.strip().splitlines() or ["it says nothing"]
             reason = next((line for line in told if "error: " in line), told[-1])
-            raise ModelError(f"the C compiler failed with exit status {run.returncode}: {reason}")
+            raise Problem(f"the C compiler failed with exit status {run.returncode}: {reason}")
         with suppress(OSError):  # somebody else was faster, and uses it already
             made.replace(kept)
     return kept

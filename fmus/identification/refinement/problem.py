@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.composition import declared, flat_names
-from fmus.contract import ModelError, Subsystem, quantities
+from fmus.contract import Subsystem, quantities
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Values, numbers, values
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Problem:
+class EstimationProblem:
     """A subsystem, its free parameters, the runs to fit and the runs held out; `fixed` are its numbers."""
 
     sub: Subsystem
@@ -138,7 +139,7 @@ def free_parameters(
     declared, given, priors = quantities(sub.parameters), (numbers or values(sub)).p, priors or {}
     unknown = [n for n in (*names, *priors) if n not in declared]
     if unknown:
-        raise ModelError(f"{sub.name}: {unknown[0]} is to be refined, expected a parameter of it")
+        raise Problem(f"{sub.name}: {unknown[0]} is to be refined, expected a parameter of it")
     found = []
     for name in names:
         q = declared[name]
@@ -146,7 +147,7 @@ def free_parameters(
         low = -math.inf if q.minimum is None else q.minimum
         high = math.inf if q.maximum is None else q.maximum
         if not low <= value <= high or (sd is not None and not sd > 0):
-            raise ModelError(
+            raise Problem(
                 f"{sub.name}: {name} starts from {value:g} {q.unit} with sd {sd}, "
                 f"expected {low:g} to {high:g} and a positive sd"
             )

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
-from fmus.identification.refinement.problem import Problem, Run
+from fmus.identification.refinement.problem import EstimationProblem, Run
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.simulation import Simulator
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -102,18 +102,18 @@ def from_random_starts(
 
 
 def _compared(
-    problem: Problem, z: Array, best: Refined, search: Callable[[Array], Refined]
+    problem: EstimationProblem, z: Array, best: Refined, search: Callable[[Array], Refined]
 ) -> tuple[Start, Array | None]:
     begun = dict(zip(problem.names, problem.values_of(z).tolist(), strict=True))
     try:
         one = search(z)
-    except ModelError:  # the model cannot be simulated from there
+    except Problem:  # the model cannot be simulated from there
         return Start(begun, {}, float("inf"), float("nan"), 0), None
     apart = float(np.max(np.abs(one.z - best.z) / best.statistics.sd(best.robust)))
     return Start(begun, one.values, apart, one.history[-1].residual, len(one.history)), one.z
 
 
-def random_start(problem: Problem, rng: np.random.Generator, spread: float) -> Array:
+def random_start(problem: EstimationProblem, rng: np.random.Generator, spread: float) -> Array:
     """z drawn evenly from a range about the value, or from a prior that reaches farther, inside the bounds.
 
     A narrow prior pulls the search back all the same; starts as narrow would say nothing about the search.
@@ -129,7 +129,7 @@ def random_start(problem: Problem, rng: np.random.Generator, spread: float) -> A
     return np.asarray(np.clip(drawn, low, high))
 
 
-def coarse(problem: Problem, every: int) -> Problem:
+def coarse(problem: EstimationProblem, every: int) -> EstimationProblem:
     """The same problem on every so many samples."""
 
     def thinned(run: Run) -> Run:

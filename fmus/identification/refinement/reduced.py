@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fmus.contract import ModelError, Quantity, Subsystem, column, quantities, symbolic
+from fmus.contract import Quantity, Subsystem, column, quantities, symbolic
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduc
     y = column(*(sym.y[i] for i in rows))
     states = _needed(sym.dx, y, sym.x)
     if not states:
-        raise ModelError(f"{sub.name}: {', '.join(outputs)} depend on no state, expected outputs that do")
+        raise Problem(f"{sub.name}: {', '.join(outputs)} depend on no state, expected outputs that do")
     x, dx, start = (column(*(v[i] for i in states)) for v in (sym.x, sym.dx, sym.start))
     inputs = sorted(_arguments(column(dx, y, start), sym.u))
     u = column(*(sym.u[i] for i in inputs))
@@ -81,9 +82,9 @@ def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduc
 def _check(model: str, kind: str, names: Sequence[str], declared: Collection[str]) -> None:
     for name in names:
         if name not in declared:
-            raise ModelError(f"{model}: {name} is no {kind}, expected one of {', '.join(declared)}")
+            raise Problem(f"{model}: {name} is no {kind}, expected one of {', '.join(declared)}")
         if list(names).count(name) > 1:
-            raise ModelError(f"{model}: {kind} {name} is asked for twice, expected once")
+            raise Problem(f"{model}: {kind} {name} is asked for twice, expected once")
 
 
 def _needed(dx: ca.SX, y: ca.SX, x: ca.SX) -> list[int]:

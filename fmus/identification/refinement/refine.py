@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options, Progress, Solution, minimise
-from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.residuals import simulated, whiteness
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.shooting import Shooting, cut
 from fmus.identification.refinement.simulation import Failed, Model, Simulator, parallel
 from fmus.identification.refinement.statistics import by_inputs, statistics, unidentified
 from fmus.identification.refinement.weights import Loss, Priors, priors
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _AT_BOUND = 1e-9  # of z
 
 
 def refine(
-    problem: Problem,
+    problem: EstimationProblem,
     simulator: Simulator | None = None,
     *,
     segment: float = SEGMENT,
@@ -87,13 +87,13 @@ def refine(
     )
 
 
-def compiled(problem: Problem, tolerance: float = 1e-6) -> Model:
+def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Model:
     """The problem's subsystem with exact sensitivities, compiled on first use."""
     return Model(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
 
 
 def _searched(
-    problem: Problem,
+    problem: EstimationProblem,
     simulator: Simulator,
     segment: float,
     horizon: float,
@@ -120,18 +120,18 @@ def _searched(
             z = before.evaluated.point.z
         solution = minimise(shooting, shooting.guessed(z), known, options or Options(), progress, before)
     except Failed as failed:
-        raise ModelError(
+        raise Problem(
             f"{problem.sub.name}: cannot be simulated with the values to start from: {failed}"
         ) from None
     return shooting, solution, known
 
 
-def _check(problem: Problem, simulator: Simulator) -> None:
+def _check(problem: EstimationProblem, simulator: Simulator) -> None:
     for found, expected, what in (
         (simulator.outputs, problem.outputs, "outputs"),
         (simulator.free, problem.names, "free parameters"),
     ):
         if tuple(found) != tuple(expected):
-            raise ModelError(f"{problem.sub.name}: {what} of the simulator are {found}, expected {expected}")
+            raise Problem(f"{problem.sub.name}: {what} of the simulator are {found}, expected {expected}")
     if not problem.training:
-        raise ModelError(f"{problem.sub.name}: no recording to fit, expected at least one")
+        raise Problem(f"{problem.sub.name}: no recording to fit, expected at least one")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fmus.identification.known import Estimate
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, STUCK, Progress
-from fmus.identification.refinement.problem import Free, Problem
+from fmus.identification.refinement.problem import EstimationProblem, Free
 from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.statistics import VAGUE, Statistics
 
@@ -38,7 +38,7 @@ class Refined:
     starts         per run: the first state, by name
     """
 
-    problem: Problem
+    problem: EstimationProblem
     z: Array
     converged: bool
     reason: str

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.refinement.data import first_states
-from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator, parallel
 from fmus.identification.refinement.weights import Loss, Scales
 
@@ -197,7 +197,7 @@ class Segment:
 class Evaluated:
     """The segments of each run at a point."""
 
-    problem: Problem
+    problem: EstimationProblem
     point: Point
     runs: tuple[tuple[Segment, ...], ...]
 
@@ -229,7 +229,7 @@ class Shooting:
     loose    segments start from what is measured and need not meet: prediction over their length
     """
 
-    problem: Problem
+    problem: EstimationProblem
     simulator: Simulator
     inputs: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]

@@ -19,11 +19,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError, Subsystem
+from fmus.contract import Subsystem
 from fmus.identification.refinement.generated_code import WIDTH, library, sources
 from fmus.identification.refinement.reduced import reduce
 from fmus.parameters import Values
 from fmus.parameters import values as numbers
+from orchestrator.base.errors import Problem
 
 
 class Failed(Exception):
@@ -213,9 +214,9 @@ class Model:
         ):
             if np.shape(found) != expected:
                 told = f"{what} have the shape {np.shape(found)}, expected {expected}"
-                raise ModelError(f"{told}, of {', '.join(names)}" if names else told)
+                raise Problem(f"{told}, of {', '.join(names)}" if names else told)
         if time.ndim != 1 or time.size == 0 or not (np.diff(time) > 0).all():
-            raise ModelError("times of the samples do not increase, expected that they do")
+            raise Problem("times of the samples do not increase, expected that they do")
 
     def _all(self, p: Array) -> Array:
         """All parameters, in the order of their declaration."""

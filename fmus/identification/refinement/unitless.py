@@ -12,11 +12,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from fmus.contract import ModelError, Quantity, Scalar, Subsystem, quantities
+from fmus.contract import Quantity, Scalar, Subsystem, quantities
 from fmus.identification.recordings.recording import Recording, add
 from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.problem import Problem, free_parameters
+from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Scalar]]
 
@@ -37,14 +38,14 @@ def unitless(
     """
     bad = [n for n, value in parameters.items() if not value > 0]
     if bad:
-        raise ModelError(f"{name}: {bad[0]} starts from {parameters[bad[0]]:g}, expected more than 0")
+        raise Problem(f"{name}: {bad[0]} starts from {parameters[bad[0]]:g}, expected more than 0")
     numbers = {n: Number(float(value), "1", "assumed", "to start from") for n, value in parameters.items()}
     state, output = _group("States", states), _group("Outputs", states)
 
     def dynamics(x: Any, u: Any, p: Any) -> Any:
         found = rates(x, u, p)
         if set(found) != set(states):
-            raise ModelError(f"{name}: rates of {', '.join(found)}, expected those of {', '.join(states)}")
+            raise Problem(f"{name}: rates of {', '.join(found)}, expected those of {', '.join(states)}")
         return state(**found)
 
     def observe(x: Any, *_: Any) -> Any:
@@ -78,14 +79,16 @@ def in_peaks(recording: Recording) -> tuple[Recording, dict[str, float]]:
     for name, signal in recording.signals.items():
         peak = float(np.nanmax(np.abs(signal))) if np.isfinite(signal).any() else 0.0
         if not peak > 0:
-            raise ModelError(f"{recording.source}: {name} is 0 throughout or a gap, expected one that moves")
+            raise Problem(f"{recording.source}: {name} is 0 throughout or a gap, expected one that moves")
         peaks[name] = peak if np.nansum(recording[first] * signal) >= 0 else -peak
     for name, peak in peaks.items():
         recording = add(recording, name, recording[name] / peak, "1")
     return recording, peaks
 
 
-def all_free(model: Subsystem, training: Recording, *held_out: Recording, sd: float = 0.05) -> Problem:
+def all_free(
+    model: Subsystem, training: Recording, *held_out: Recording, sd: float = 0.05
+) -> EstimationProblem:
     """All parameters of a model, fitted to all its outputs that the recording has.
 
     sd   standard deviation of the outputs, to begin with: intervals come from what is left after the fit
@@ -94,7 +97,7 @@ def all_free(model: Subsystem, training: Recording, *held_out: Recording, sd: fl
     mapped = Mapped(model, outputs, sd=dict.fromkeys(outputs, sd))
     free = free_parameters(model, list(quantities(model.parameters)))
     unseen = tuple(mapped.run(recording) for recording in held_out)
-    return Problem(model, tuple(outputs), free, (mapped.run(training),), unseen)
+    return EstimationProblem(model, tuple(outputs), free, (mapped.run(training),), unseen)
 
 
 def _group(title: str, names: Sequence[str] | Mapping[str, float], minimum: float | None = None) -> type[Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from fmus.identification.refinement.problem import Problem, Run
+from fmus.identification.refinement.problem import EstimationProblem, Run
 from fmus.identification.refinement.simulation import Simulator
 
 Array = NDArray[np.float64]
@@ -141,7 +141,7 @@ class Priors:
         return np.hstack([np.diag(weight), residual[:, None]])[known]
 
 
-def priors(problem: Problem, simulator: Simulator, firsts: list[Array]) -> Priors:
+def priors(problem: EstimationProblem, simulator: Simulator, firsts: list[Array]) -> Priors:
     """Priors of a problem; `firsts` are the first states per run, in nominal values."""
 
     def spread(run: Run) -> Array:

@@ -37,9 +37,9 @@ import statsmodels.api as sm
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fmus.contract import ModelError
 from fmus.identification.report.prediction import Array as Array_of_prediction
 from fmus.identification.report.prediction import Drive, Signals, predict
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
@@ -257,7 +257,7 @@ def slopes(
 def _moved(numbers: Mapping[str, float], name: str) -> dict[str, float]:
     own = [key for key in numbers if name in (key, key.partition(".")[2])]
     if not own:
-        raise ModelError(f"{name}: expected its number among those of the machine")
+        raise Problem(f"{name}: expected its number among those of the machine")
     return {key: value * (1 + STEP) if key in own else value for key, value in numbers.items()}
 
 

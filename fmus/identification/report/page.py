@@ -23,7 +23,7 @@ from fmus.identification.known import Finding
 from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import SignalQuality, examine
 from fmus.identification.recordings.recording import Recording
-from fmus.identification.refinement.problem import Problem
+from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.random_starts import Start as Begun
 from fmus.identification.refinement.random_starts import Starts
 from fmus.identification.refinement.result import Refined, advice
@@ -95,7 +95,7 @@ def _known(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _start(place: int, one: Begun, problem: Problem) -> Start:
+def _start(place: int, one: Begun, problem: EstimationProblem) -> Start:
     """Distances of where a search began and ended."""
     begun = np.array([f.search(one.begun[f.name]) for f in problem.free])
     away = float(np.sqrt(np.mean((begun - problem.search()) ** 2)))

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.clock import bridged
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.recording import Recording
 from fmus.machine.parts import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
+from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -53,9 +53,7 @@ def _at_rest(recording: Recording, name: str, rest: float) -> float:
     values = recording[name][recording.time <= recording.time[0] + rest]
     known = values[np.isfinite(values)]
     if not known.size:
-        raise ModelError(
-            f"{recording.source}: {name} has no sample in its first {rest:g} s, expected the pose"
-        )
+        raise Problem(f"{recording.source}: {name} has no sample in its first {rest:g} s, expected the pose")
     return float(known.mean())
 
 
@@ -110,7 +108,7 @@ def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, s
     try:
         _, y = simulate(model, given.time, u, tolerance=TOLERANCE)
     except RuntimeError as error:
-        raise ModelError(f"machine with {dict(variants or {})}: the solver gave up: {_line(error)}") from None
+        raise Problem(f"machine with {dict(variants or {})}: the solver gave up: {_line(error)}") from None
     found = dict(zip(model.output_names, y.T, strict=True))
     return found | {signal: given.commands[name] for name, signal in COMMANDS.items()}
 
@@ -129,7 +127,7 @@ def _set(known: Mapping[str, Values], numbers: Mapping[str, float], *, any_part:
         found[part] = replace(own, p=p)
     lost = sorted(set(numbers) - used)
     if lost and not any_part:
-        raise ModelError(f"{lost[0]} is given, expected a parameter of the machine")
+        raise Problem(f"{lost[0]} is given, expected a parameter of the machine")
     return found
 
 

@@ -21,7 +21,7 @@ from fmus.identification.known import Array
 from fmus.identification.report.figures import heading
 from fmus.identification.report.panels import DOTS, PALETTE, WIDTH, decimate, frame
 from fmus.identification.report.wording import footer
-from fmus.units import display
+from orchestrator.base.units import display
 
 # Below this share of the largest value the range of a signal that stands still is not shown.
 REST = 1e-9

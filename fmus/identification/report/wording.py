@@ -15,7 +15,7 @@ import numpy as np
 from fmus.identification.known import Estimate, Finding
 from fmus.identification.refinement.result import Refined
 from fmus.identification.report.panels import pretty, raised
-from fmus.units import display
+from orchestrator.base.units import display
 
 NONE = "–"  # noqa: RUF001
 WIDE = 0.5  # of a value: an interval with a larger half is told as a factor

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
 
-from fmus.contract import ModelError
 from fmus.identification.procedures.damping import CONTACTS, identify, least_squares
 from fmus.identification.procedures.momentum_balance import numbers, samples
 from fmus.identification.procedures.momentum_fit import solve
 from fmus.identification.recordings.recording import Sensor
+from orchestrator.base.errors import Problem
 
 JOINTS = tuple(CONTACTS)
 P = numbers(KNOWN)
@@ -183,7 +183,7 @@ def test_noise_that_is_not_told_is_seen():
 )
 def test_what_is_wrong_is_told_in_one_line(change, words):
     """A wrong joint, none, no recording at all, only one that is held out."""
-    with pytest.raises(ModelError, match=words) as error:
+    with pytest.raises(Problem, match=words) as error:
         identify([replace(recording("boom"), **change)], KNOWN)
     assert "\n" not in str(error.value)
 
@@ -192,10 +192,8 @@ def test_a_missing_signal_and_a_motion_that_tells_nothing_are_refused():
     """The signal's name and file; a joint that stands has no damping to show."""
     record = recording("boom")
     without = {n: x for n, x in record.signals.items() if "rod" not in n}
-    with pytest.raises(
-        ModelError, match=r"damping_boom\.csv: signal boom_stick\.boom_rod_pressure is missing"
-    ):
+    with pytest.raises(Problem, match=r"damping_boom\.csv: signal boom_stick\.boom_rod_pressure is missing"):
         identify([replace(record, signals=without)], KNOWN)
     still = {n: np.full_like(x, x[0]) for n, x in record.signals.items()}
-    with pytest.raises(ModelError, match="the boom stands"):
+    with pytest.raises(Problem, match="the boom stands"):
         identify([replace(record, signals=still, sensors={"manipulator.boom_angle": ENCODER})], KNOWN)

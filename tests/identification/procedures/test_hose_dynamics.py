@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
-from fmus.contract import ModelError
 from fmus.identification.procedures import hose_dynamics
 from fmus.identification.procedures import hose_dynamics as hose_equations
 from fmus.identification.procedures.hose_dynamics import fits, inertance_start
+from orchestrator.base.errors import Problem
 
 SEEDS = 24
 
@@ -143,5 +143,5 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     assert cut.count > 100
     assert not touched.any()
     still = dataclasses.replace(group, signals={**group.signals, "flow_out": 0 * flow})
-    with pytest.raises(ModelError, match=r"^hose_dynamics.csv: 0 windows[^\n]*$"):
+    with pytest.raises(Problem, match=r"^hose_dynamics.csv: 0 windows[^\n]*$"):
         hose_dynamics.identify([still], bench.KNOWN)

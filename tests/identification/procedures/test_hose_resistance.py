@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
-from fmus.contract import ModelError
 from fmus.identification.procedures import hose_resistance
 from fmus.identification.procedures.hose_resistance import scaled
+from orchestrator.base.errors import Problem
 
 SEEDS = 30
 
@@ -100,5 +100,5 @@ def test_dead_zone_is_masked_and_said(findings):
 
 def test_too_few_steps_are_refused():
     """Three flows are not enough for laws and their comparison: one line says so."""
-    with pytest.raises(ModelError, match=r"^hose_resistance: 3 steady steps[^\n]*at least 4[^\n]*$"):
+    with pytest.raises(Problem, match=r"^hose_resistance: 3 steady steps[^\n]*at least 4[^\n]*$"):
         hose_resistance.identify(bench.steady_hose(0, square, (50.0, 100.0, 200.0)), bench.KNOWN)

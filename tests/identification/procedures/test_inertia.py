@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, recording
 
-from fmus.contract import ModelError
 from fmus.identification.procedures.inertia import FREE, STANDARD, grouping, identify, regressor, standard
 from fmus.identification.procedures.momentum_balance import PARAMETERS, numbers
+from orchestrator.base.errors import Problem
 
 P = numbers(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}
@@ -129,5 +129,5 @@ def test_what_the_motion_does_not_tell_stays_and_is_named():
 def test_without_a_recording_that_moves_it_is_refused():
     """One line, with what there is."""
     bench = replace(recording("boom"), procedure="valve")
-    with pytest.raises(ModelError, match="to train with, found valve"):
+    with pytest.raises(Problem, match="to train with, found valve"):
         identify([bench], KNOWN)

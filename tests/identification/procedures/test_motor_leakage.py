@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from identification.procedures.lumped_machine import KNOWN, measured
 
-from fmus.contract import ModelError
 from fmus.identification.procedures.motor_leakage import identify
 from fmus.identification.recordings.recording import Recording, Sensor
+from orchestrator.base.errors import Problem
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
 TRUTH = {"internal_leakage_resistance": R_IN, "external_leakage_resistance": R_EX}
@@ -138,7 +138,7 @@ def test_zeros_of_meters_and_transducers_are_taken_off():
 def test_a_meter_that_counts_backwards_is_told():
     """A drain flow of the other sign is no negative leakage, but a mistake: one line."""
     turned = [replace(r, signals={**r.signals, "drain_flow": -r["drain_flow"]}) for r in recordings(1)]
-    with pytest.raises(ModelError, match=r"leakage is -[^\n]*turn the sign[^\n]*$"):
+    with pytest.raises(Problem, match=r"leakage is -[^\n]*turn the sign[^\n]*$"):
         identify(turned, KNOWN)
 
 
@@ -175,7 +175,7 @@ def test_ripple_of_the_pump_hides_no_step():
 )
 def test_what_is_wrong_is_told_in_one_line(change, words):
     """A free shaft, no recording, no signal, another quantity."""
-    with pytest.raises(ModelError, match=words) as error:
+    with pytest.raises(Problem, match=words) as error:
         identify([replace(r, **change) for r in recordings()], KNOWN)
     assert "\n" not in str(error.value)
 
@@ -186,5 +186,5 @@ def test_pressures_that_never_stand_are_refused():
     for r in recordings(2):
         x = 1e6 + 1e6 * r.time
         ramps.append(replace(r, signals={**r.signals, "pressure_a": x, "pressure_b": x}))
-    with pytest.raises(ModelError, match="0 stretches with steady pressures, expected 3 or more"):
+    with pytest.raises(Problem, match="0 stretches with steady pressures, expected 3 or more"):
         identify(ramps, KNOWN)

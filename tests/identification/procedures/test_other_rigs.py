@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
-from fmus.contract import ModelError
 from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
 from fmus.identification.recordings.recording import Sensor
+from orchestrator.base.errors import Problem
 
 HOSE = ("hose_resistance", "hose_dynamics")
 TRUTH = {
@@ -162,7 +162,7 @@ def test_an_offset_of_a_pressure_is_taken_off_and_said(name):
 )
 def test_what_cannot_be_right_is_told_in_one_line(name, change, words):
     """Signs, units, clocks, clipped and short recordings: file or edge, what is expected."""
-    with pytest.raises(ModelError, match=words) as error:
+    with pytest.raises(Problem, match=words) as error:
         found(name, change)
     assert "\n" not in str(error.value)
 
@@ -173,7 +173,7 @@ def test_two_hoses_are_not_taken_for_one(name):
     procedure, recordings = BENCHES[name]
     own = recordings()
     other = replace(own[0], conditions={**own[0].conditions, "length": 2.0})
-    with pytest.raises(ModelError, match=r"length is 2 m, expected 4 m as in [^\n]*$"):
+    with pytest.raises(Problem, match=r"length is 2 m, expected 4 m as in [^\n]*$"):
         procedure.identify([*own, other], bench.KNOWN)
 
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from identification.procedures import bench
 
-from fmus.contract import ModelError
 from fmus.identification.procedures import valve
 from fmus.identification.procedures.valve_law import Constants, Law, resistance
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 
 SEEDS = 30
 
@@ -138,9 +138,9 @@ def test_mistakes_have_one_line():
     """A missing parameter, no recording, too few voltages: each is told in one line that names it."""
     some = bench.edges(0)
     unknown = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}
-    with pytest.raises(ModelError, match=r"^boom_stick\.density is needed[^\n]*$"):
+    with pytest.raises(Problem, match=r"^boom_stick\.density is needed[^\n]*$"):
         valve.identify(some, unknown)
-    with pytest.raises(ModelError, match=r"^valve: expected a recording[^\n]*$"):
+    with pytest.raises(Problem, match=r"^valve: expected a recording[^\n]*$"):
         valve.identify([], bench.KNOWN)
-    with pytest.raises(ModelError, match=r"^valve P-A: [^\n]* at 2 voltages[^\n]*$"):
+    with pytest.raises(Problem, match=r"^valve P-A: [^\n]* at 2 voltages[^\n]*$"):
         valve.identify([bench.edge("P-A", 0, steps=(0.5, 3.0, 5.0))], bench.KNOWN)

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.reading import read, read_folder, require
+from orchestrator.base.errors import Problem
 
 
 def refused(path, *parts):
     """Reading fails with one line that has all the parts in order."""
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(Problem) as caught:
         read(path)
     message = str(caught.value)
     assert "\n" not in message
@@ -87,7 +87,7 @@ def test_the_message_on_a_wrong_dimension_has_the_word_of_the_file(csv):
     """A flow in lpm3: the reader looks for that word, not for the SI unit that it became."""
     meta = csv.with_suffix(".toml")
     meta.write_text(meta.read_text(encoding="utf-8").replace("L/min", "lpm3"), encoding="utf-8")
-    with pytest.raises(ModelError, match=r"signal flow is in lpm3 \(m9/s3\), expected m3/s"):
+    with pytest.raises(Problem, match=r"signal flow is in lpm3 \(m9/s3\), expected m3/s"):
         require(read(csv), {"flow": "m3/s"})
 
 
@@ -170,9 +170,7 @@ def test_files_that_are_not_there(csv):
     refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, found a.csv, a.mat")
     csv.with_suffix(".toml").unlink()
     refused(csv, "a.toml", "describes the columns", "no such file")
-    with pytest.raises(
-        ModelError, match=r"\.toml files with a table \[experiment\], found none, only a\.csv"
-    ):
+    with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], found none, only a\.csv"):
         read_folder(csv.parent)
-    with pytest.raises(ModelError, match="expected a folder of recordings, found a file"):
+    with pytest.raises(Problem, match="expected a folder of recordings, found a file"):
         read_folder(csv)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.clock import bridged, evenly, thinned, uniform_rate
 from fmus.identification.recordings.recording import Sensor, take
+from orchestrator.base.errors import Problem
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):
@@ -25,11 +25,9 @@ def test_a_long_gap_is_refused_with_its_time(recording):
     """What a lever did in half a second is not guessed."""
     holes = np.ones(400)
     holes[100:200] = np.nan
-    with pytest.raises(
-        ModelError, match=r"u has no sample from 0\.5 s to 0\.995 s, expected gaps of at most"
-    ):
+    with pytest.raises(Problem, match=r"u has no sample from 0\.5 s to 0\.995 s, expected gaps of at most"):
         bridged(recording(u=holes), "u")
-    with pytest.raises(ModelError, match="u has no sample, expected one"):
+    with pytest.raises(Problem, match="u has no sample, expected one"):
         bridged(recording(u=np.full(10, np.nan)), "u")
 
 

@@ -8,9 +8,9 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.masks import averages, good, good_all, standard_error, steady
 from fmus.identification.recordings.recording import Sensor, add, blank, split, take, window
+from orchestrator.base.errors import Problem
 
 
 def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
@@ -65,7 +65,7 @@ def test_averages_of_good_samples_over_stretches(recording):
     assert found.share["x"].tolist() == [0.7, 0.4, 1.0]
     # the middle of samples 0 to 99 at 200 Hz; exact but for rounding
     assert found.time[0] == pytest.approx(49.5 / 200)
-    with pytest.raises(ModelError, match="expected stretches to average over, found none"):
+    with pytest.raises(Problem, match="expected stretches to average over, found none"):
         averages(made, ["x"], [])
 
 
@@ -99,7 +99,7 @@ def test_parts_of_a_recording_keep_everything_else(recording):
     more = add(made, "v", np.zeros(100), "m/s")
     assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
     assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
-    with pytest.raises(ModelError, match=r"no samples from 3 s to 4 s, found 0 s to 0\.495 s"):
+    with pytest.raises(Problem, match=r"no samples from 3 s to 4 s, found 0 s to 0\.495 s"):
         window(made, 3, 4)
-    with pytest.raises(ModelError, match=r"signal v has shape \(3,\), expected \(100,\)"):
+    with pytest.raises(Problem, match=r"signal v has shape \(3,\), expected \(100,\)"):
         add(made, "v", np.zeros(3), "m/s")

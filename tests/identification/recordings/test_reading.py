@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.reading import left_out, read, read_folder, require
+from orchestrator.base.errors import Problem
 
 
 def parquet(path, columns):
@@ -140,9 +140,9 @@ def test_required_signals_have_their_dimension(csv):
     """A procedure that needs a pressure refuses a flow under that name, and a signal that is not there."""
     found = read(csv)
     require(found, {"pressure_in": "Pa", "flow": "m3/s"})
-    with pytest.raises(ModelError, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
+    with pytest.raises(Problem, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
         require(found, {"flow": "Pa"})
-    with pytest.raises(ModelError, match=r"a\.csv: signal pressure_out is missing.*has command, pressure_in"):
+    with pytest.raises(Problem, match=r"a\.csv: signal pressure_out is missing.*has command, pressure_in"):
         require(found, {"pressure_out": "Pa"})
 
 

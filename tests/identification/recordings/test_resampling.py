@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.clock import resample, uniform_rate
 from fmus.identification.recordings.recording import Sensor
+from orchestrator.base.errors import Problem
 
 
 @given(rate=st.floats(20, 2000), slope=st.floats(-5, 5), jitter=st.floats(0, 0.2), seed=st.integers(0, 1000))
@@ -89,9 +89,9 @@ def test_uniform_rate_refuses_a_clock_that_is_not_uniform(recording):
     assert uniform_rate(made) == pytest.approx(200.0, rel=1e-12)
     time = made.time.copy()
     time[40:] += 0.005
-    with pytest.raises(ModelError, match=r"memory\.csv: time 0\.\d+ s is \d+ % of a period off.*resample"):
+    with pytest.raises(Problem, match=r"memory\.csv: time 0\.\d+ s is \d+ % of a period off.*resample"):
         uniform_rate(replace(made, time=time))
-    with pytest.raises(ModelError, match="two or more samples, found 1"):
+    with pytest.raises(Problem, match="two or more samples, found 1"):
         uniform_rate(recording(x=np.zeros(1)))
-    with pytest.raises(ModelError, match="a rate above 0 and two or more samples"):
+    with pytest.raises(Problem, match="a rate above 0 and two or more samples"):
         resample(made, 0.0)

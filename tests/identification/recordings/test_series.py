@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy.io
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.reading import read_series
+from orchestrator.base.errors import Problem
 
 VALUES = np.stack([np.linspace(-1, 1, 1024), np.sin(np.linspace(0, 20, 1024))], axis=1)
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     """One line says what is wrong with the file or the call."""
     path = tmp_path / "plain.txt"
     path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(Problem) as caught:
         read_series(path, columns, **options)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fmus.contract import Quantity, Scalar, Subsystem
 from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.problem import Problem, Run, free_parameters
+from fmus.identification.refinement.problem import EstimationProblem, Run, free_parameters
 from fmus.identification.refinement.simulation import Model
 from fmus.parameters import Values
 
@@ -130,8 +130,8 @@ def problem(
     off: float = 1.2,
     priors: dict[str, tuple[float, float | None]] | None = None,
     held_out: tuple[Run, ...] = (),
-) -> Problem:
+) -> EstimationProblem:
     """The oscillator against runs, started from `off` times the truth."""
     start = {name: (off * TRUTH[name], None) for name in free}
     parameters = free_parameters(OSCILLATOR, free, start | (priors or {}), NUMBERS)
-    return Problem(OSCILLATOR, ("position",), parameters, runs, held_out, NUMBERS)
+    return EstimationProblem(OSCILLATOR, ("position",), parameters, runs, held_out, NUMBERS)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 
-from fmus.contract import ModelError
 from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.differences import BlackBox, Differences
 from fmus.identification.refinement.gauss_newton import Options, Progress
 from fmus.identification.refinement.refine import compiled, refine
+from orchestrator.base.errors import Problem
 
 SENSOR_ONLY = Options(model_error=False)
 
@@ -146,11 +146,11 @@ def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
 
 def test_mistakes_are_told() -> None:
     """What is no parameter, what has no noise, what starts outside: one line each."""
-    with pytest.raises(ModelError, match="oscillator: friction is to be refined"):
+    with pytest.raises(Problem, match="oscillator: friction is to be refined"):
         problem(run(recording()), priors={"friction": (1.0, None)})
-    with pytest.raises(ModelError, match=r"damping starts from 4 1/s .* expected 0 to 3"):
+    with pytest.raises(Problem, match=r"damping starts from 4 1/s .* expected 0 to 3"):
         problem(run(recording()), priors={"damping": (4.0, None)})
-    with pytest.raises(ModelError, match="position has no noise and no resolution"):
+    with pytest.raises(Problem, match="position has no noise and no resolution"):
         run(replace(recording(), sensors={}))
-    with pytest.raises(ModelError, match="no recording to fit"):
+    with pytest.raises(Problem, match="no recording to fit"):
         refine(problem())

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from fmus.contract import ModelError, Quantity, Scalar, Subsystem
+from fmus.contract import Quantity, Scalar, Subsystem
 from fmus.identification.refinement import generated_code
 from fmus.identification.refinement.simulation import Failed, Model
 from fmus.parameters import Values
+from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -219,20 +220,20 @@ def test_failure_tells_the_time_and_the_reason() -> None:
 )
 def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], told: str) -> None:
     """Names that are not there are told with those that are."""
-    with pytest.raises(ModelError, match=told):
+    with pytest.raises(Problem, match=told):
         Model(TOY, outputs, free, NUMBERS)
 
 
 def test_samples_are_checked() -> None:
     """Arrays of another shape, which C would read beyond, and clocks that stand still are refused."""
     toy, x0 = model(), np.array([0.1, 0.8])
-    with pytest.raises(ModelError, match=r"inputs have the shape \(35, 2\), expected \(35, 1\), of drive"):
+    with pytest.raises(Problem, match=r"inputs have the shape \(35, 2\), expected \(35, 1\), of drive"):
         toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
-    with pytest.raises(ModelError, match=r"states have the shape \(1,\), expected \(2,\), of lag, size"):
+    with pytest.raises(Problem, match=r"states have the shape \(1,\), expected \(2,\), of lag, size"):
         toy.segment(x0[:1], toy.p0, TIME, DRIVE[:, None])
-    with pytest.raises(ModelError, match=r"parameters have the shape \(4,\), expected \(5,\), of seed"):
+    with pytest.raises(Problem, match=r"parameters have the shape \(4,\), expected \(5,\), of seed"):
         toy.segment(x0, toy.p0[:4], TIME, DRIVE[:, None])
-    with pytest.raises(ModelError, match="do not increase"):
+    with pytest.raises(Problem, match="do not increase"):
         toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from identification.refinement.oscillator import TRUTH, problem, recording, run
 
-from fmus.contract import ModelError
 from fmus.identification import machine
 from fmus.identification.known import nominal
 from fmus.identification.recordings.recording import Recording, Sensor, window
 from fmus.identification.refinement.problem import signals
 from fmus.identification.refinement.refine import refine
+from orchestrator.base.errors import Problem
 
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
@@ -64,7 +64,7 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
 )
 def test_what_says_nothing_is_told(recordings: list[Recording], told: str) -> None:
     """No output measured, nothing to train with: one line."""
-    with pytest.raises(ModelError, match=told):
+    with pytest.raises(Problem, match=told):
         machine.problem(recordings, nominal())
 
 
@@ -72,5 +72,5 @@ def test_a_command_has_to_be_recorded() -> None:
     """A drive without its command would be taken to stand still; the line says which one."""
     read = still("swing_pressure_a")
     less = {n: s for n, s in read.signals.items() if n != signals()["boom_command"]}
-    with pytest.raises(ModelError, match=r"boom_stick\.boom_command is missing"):
+    with pytest.raises(Problem, match=r"boom_stick\.boom_command is missing"):
         machine.problem([replace(read, signals=less)], nominal())

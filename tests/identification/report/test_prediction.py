@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from fmus.contract import ModelError
 from fmus.identification.recordings.recording import Recording
 from fmus.identification.report.attribution import shown, slopes
 from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.scenarios import Move
+from orchestrator.base.errors import Problem
 
 ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
@@ -62,7 +62,7 @@ def test_a_number_of_one_part_counts_more_than_that_of_all():
 
 def test_an_unknown_number_is_refused():
     """A misspelt parameter is not lost."""
-    with pytest.raises(ModelError, match="valve_aera is given, expected a parameter of the machine"):
+    with pytest.raises(Problem, match="valve_aera is given, expected a parameter of the machine"):
         predict(a_drive(), {"valve_aera": 1e-5})
 
 
@@ -102,10 +102,10 @@ def test_gaps_of_a_command_are_bridged_or_refused():
     # straight lines through the samples may be off by this
     np.testing.assert_allclose(drive(recording).commands["boom_command"], ramp, atol=STRAIGHT)
     long = replace(recording, signals={**signals, COMMANDS["boom_command"]: lost["long"]})
-    with pytest.raises(ModelError, match=r"boom_command has no sample from 1 s to 1\.495 s"):
+    with pytest.raises(Problem, match=r"boom_command has no sample from 1 s to 1\.495 s"):
         drive(long)
     unseen = np.where(time < 1.0, np.nan, 0.0)
-    with pytest.raises(ModelError, match="swing_angle has no sample in its first"):
+    with pytest.raises(Problem, match="swing_angle has no sample in its first"):
         drive(replace(recording, signals={**signals, "manipulator.swing_angle": unseen}))
 
 
@@ -125,7 +125,7 @@ def test_slopes_move_all_numbers_of_a_name():
     assert np.ptp(both[signal]) > 0
     # same numerics: the swing stands still
     np.testing.assert_allclose(both[signal], own[signal], atol=1e-3 * np.ptp(both[signal]))
-    with pytest.raises(ModelError, match="valve_aera"):
+    with pytest.raises(Problem, match="valve_aera"):
         slopes(a_drive(0.8), given_, ["valve_aera"])
 
 

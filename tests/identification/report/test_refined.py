@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmus.identification.recordings.recording import Recording, Sensor
-from fmus.identification.refinement.problem import Free, Problem, Run
+from fmus.identification.refinement.problem import EstimationProblem, Free, Run
 from fmus.identification.refinement.random_starts import Start, Starts
 from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.result import Refined
@@ -35,7 +35,7 @@ def refined(**more) -> Refined:
     """A result, put together by hand."""
     free = tuple(Free(name, 2.0, log=True) for name in NAMES)
     training = (traces("a", 0.03), traces("b", 0.04))
-    problem = Problem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
+    problem = EstimationProblem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
     quiet = Whiteness(np.nan, np.nan, {}, np.nan)
     given = {
