@@ -1,17 +1,9 @@
-"""The process of a live machine: reads its setup, opens the FMUs, and goes frame by frame in real time.
-
-`python -m orchestrator.realtime.child`, started by `process.py` only; ends when its standard input does.
-"""
+"""The process of a machine in real time: reads its setup, opens the FMUs, and goes frame by frame."""
 
 from __future__ import annotations
 
 import json
-import os
-import pickle
-import shutil
-import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -22,6 +14,7 @@ from orchestrator.realtime.frames import Hand, Limits, Linger
 from orchestrator.realtime.pace import Pace, bin_of, urgent
 from orchestrator.realtime.process import Task
 from orchestrator.realtime.shared_memory import attach
+from orchestrator.worker.main import Channel
 
 if TYPE_CHECKING:
     from orchestrator.realtime.frames import Engine
@@ -31,35 +24,19 @@ LOOK = 0.01  # [s] between two looks at the orders while the machine is paused
 SECOND = 1.0  # [s] over which the load is averaged
 
 
-def main() -> None:
-    """Run until the parent closes the pipe, or is gone."""
-    try:
-        task: Task = pickle.load(sys.stdin.buffer)
-    except (EOFError, pickle.UnpicklingError):  # the parent was interrupted before it could say
-        return
-    parent = os.getppid()
-    tempfile.tempdir = task.folder  # where the FMUs are unpacked
+def main(channel: Channel) -> None:
+    """Run until the parent does not need this process any more."""
+    task: Task = channel.get()
+    channel.grace = GRACE
+    tempfile.tempdir = str(channel.folder)  # where the FMUs are unpacked
     board = b.Board(attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows)
-    end = threading.Event()
-    threading.Thread(target=_watch, args=[end], daemon=True).start()
     said: dict[str, Any] = {}
     try:
-        _live(task, board, said, lambda: not end.is_set() and os.getppid() == parent)
+        _live(task, board, said, lambda: not channel.ended.is_set())
     except Exception as problem:
         text = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
         board.say("failed", json.dumps(said | {"message": " ".join(text.split())}))
-    while os.getppid() == parent and not end.wait(1.0):
-        pass  # the parent closes the pipe when nobody needs the process any more
-    shutil.rmtree(task.folder, ignore_errors=True)
-
-
-def _watch(end: threading.Event) -> None:
-    """Wait for the end of the pipe, which comes even when the parent is killed."""
-    while os.read(0, 1):
-        pass
-    end.set()
-    time.sleep(GRACE)
-    os._exit(1)
+    channel.ended.wait()
 
 
 def _live(task: Task, board: b.Board, said: dict[str, Any], wanted: Callable[[], bool]) -> None:
@@ -117,7 +94,3 @@ def _tell(board: b.Board, number: int, pace: Pace, began: float, length: float) 
         counts[b.MISSED] += latency > length
         reals[b.LOAD] += (load - reals[b.LOAD]) * min(length / SECOND, 1.0)
         reals[b.WORST], reals[b.SLIPPED] = max(reals[b.WORST], latency), pace.slipped
-
-
-if __name__ == "__main__":
-    main()

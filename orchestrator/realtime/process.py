@@ -1,25 +1,12 @@
-"""What the process of a live machine is told when it starts.
-
-The process of a live machine as its parent sees it: started, read, ended.
-"""
+"""The process of a machine in real time as its parent sees it: started, asked, ended."""
 
 from __future__ import annotations
 
-import os
-import pickle
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import weakref
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from orchestrator.realtime.setup import Setup
 from orchestrator.realtime.shared_memory import Memory
+from orchestrator.worker.process import Worker
 
 
 @dataclass(frozen=True)
@@ -30,7 +17,6 @@ class Task:
     rows      frames that it holds
     first     number of the first frame
     serial    of the last command that is not for this session
-    folder    for temporary files
     """
 
     setup: Setup
@@ -38,7 +24,6 @@ class Task:
     rows: int
     first: int
     serial: int
-    folder: str
 
 
 PATIENCE = 3.0  # [s] for an orderly end, then it is killed
@@ -49,59 +34,18 @@ class Process:
 
     def __init__(self, setup: Setup, memory: Memory, rows: int, first: int, serial: int) -> None:
         """See `Task`."""
-        folder = tempfile.mkdtemp(prefix="live-")
-        self._child = _start(memory)
-        self.end = weakref.finalize(self, _end, self._child, folder)
-        task = Task(setup, memory.address, rows, first, serial, folder)
+        target = "orchestrator.realtime.child:main"
+        self._worker = Worker(target, "live", PATIENCE, descriptors=memory.descriptors)
+        self.end = self._worker.close
         memory.handed_over()
-        with suppress(BrokenPipeError):  # then it ended at once, which `fate` tells
-            pipe: Any = self._child.stdin
-            pickle.dump(task, pipe)
-            pipe.flush()
+        self._worker.put(Task(setup, memory.address, rows, first, serial))
 
     @property
     def pid(self) -> int:
         """Its number."""
-        return self._child.pid
+        return self._worker.pid
 
     @property
     def fate(self) -> str:
         """How the process ended; empty while it lives."""
-        code = self._child.poll()
-        if code is None:
-            return ""
-        if code < 0:
-            with suppress(ValueError):
-                return f"the process of the machine was ended by {signal.Signals(-code).name}"
-        return f"the process of the machine ended with exit status {code}"
-
-
-def _start(memory: Memory) -> subprocess.Popen[bytes]:
-    """A Python of its own, which imports nothing of this one.
-
-    In a session of its own: Ctrl-C in the terminal does not reach it, and Linux shares out processors among
-    sessions first, so that a browser with many threads takes less from it.
-    """
-    roots = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
-    apart: dict[str, Any] = {"start_new_session": True, "pass_fds": memory.descriptors}
-    if sys.platform == "win32":
-        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-    return subprocess.Popen(
-        [sys.executable, "-m", "orchestrator.realtime.child"],
-        stdin=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(roots)},
-        **apart,
-    )
-
-
-def _end(child: subprocess.Popen[bytes], folder: str) -> None:
-    """Close the pipe, wait, kill if need be, and leave nothing behind."""
-    with suppress(OSError):
-        if child.stdin is not None:
-            child.stdin.close()
-    try:
-        child.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.wait()
-    shutil.rmtree(folder, ignore_errors=True)
+        return self._worker.ending and f"the process of the machine ended: {self._worker.ending}"

@@ -1,25 +1,14 @@
-"""All that a worker needs to run a study, as one piece: no file of the study has to be where it runs.
+"""The processes that run the samples of a study: an FMU may take one down without harm.
 
-The processes that one Dask worker runs samples in, and what is told of one that dies.
-
-A process that runs samples and nothing else: an FMU may take it down without harm.
-
-It reads a packet and then samples from its standard input, pickled one after the other, and answers each with
-a row; it ends when its input does.
+A packet is all that such a process needs, as one piece: no file of the study has to be where it runs. Each Dask worker
+keeps processes of its own, as many as it has threads.
 """
 
 from __future__ import annotations
 
 import io
-import os
 import pickle
 import queue
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
 import time
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -27,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
@@ -37,6 +26,8 @@ from orchestrator.engine.native import compiled
 from orchestrator.studies.cases import Case, Options
 from orchestrator.studies.single_run import Row, Sample, failed, row
 from orchestrator.studies.study import Study
+from orchestrator.worker.main import Channel
+from orchestrator.worker.process import Worker
 
 
 @dataclass(frozen=True)
@@ -115,76 +106,44 @@ def _archive(source: Location) -> bytes:
 
 # one thread each: there is a process on every core
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
-# Ctrl-C is for who started this one, who ends it; it may come before the process could ignore it
-APART: dict[str, Any] = {"process_group": 0}
-if sys.platform == "win32":
-    APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-LAST = 200  # characters of what a process said before it died
 
 
-class Hand:
+class Runner:
     """One process that runs samples, one after the other."""
 
     def __init__(self, packet: bytes) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="sweep-"))
         one = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        with (self._folder / "errors").open("wb") as errors:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "orchestrator.studies.worker", str(self._folder)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                env={**os.environ, **one},
-                **APART,
-            )
-        self._put(packet)
-        if self._next() is None:
-            told = self._ended()
+        self._process = Worker("orchestrator.studies.worker:main", "sweep", environment=one)
+        self._process.put(packet)
+        try:
+            self._process.get()
+        except EOFError:
+            message = self._ended()
             self.close()
-            raise Problem(f"a process for runs could not be started: {told}")
+            raise Problem(f"a process for runs could not be started: {message}") from None
 
     def run(self, study: Any, sample: Sample) -> Row:
         """The row of a sample; the process may have died of it."""
-        self._put(pickle.dumps(sample))
-        found = self._next()
-        return found if isinstance(found, Row) else failed(study, sample.run, self._ended())
+        self._process.put(sample)
+        try:
+            found: Row = self._process.get()
+        except EOFError:
+            return failed(study, sample.run, self._ended())
+        return found
 
     @property
     def alive(self) -> bool:
-        return self._process.poll() is None
+        return self._process.alive
 
     def close(self) -> None:
         """End the process, whatever it does, and remove its files."""
-        for pipe in filter(None, (self._process.stdin, self._process.stdout)):
-            with suppress(OSError):
-                pipe.close()
-        with suppress(OSError):
-            self._process.kill()
-        self._process.wait()
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _next(self) -> Any:
-        """What the process answers; None if it ends instead."""
-        assert self._process.stdout
-        try:
-            return pickle.load(self._process.stdout)
-        except (EOFError, ValueError, pickle.UnpicklingError):
-            return None
-
-    def _put(self, data: bytes) -> None:
-        assert self._process.stdin
-        with suppress(BrokenPipeError):  # what is read next tells of it
-            self._process.stdin.write(data)
-            self._process.stdin.flush()
+        self._process.close()
 
     def _ended(self) -> str:
         """How the process ended."""
-        status = self._process.wait()
-        if status < 0:
-            return f"the process ended by signal {-status} ({signal.Signals(-status).name})"
-        said = (self._folder / "errors").read_text(errors="replace").strip().splitlines()
-        told = f": {said[-1][:LAST]}" if said else ""
-        return f"the process ended with status {status}{told}"
+        last = self._process.last_words
+        message = f"the process ended: {self._process.ending}"
+        return f"{message}: {last}" if last else message
 
 
 class Crew(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
@@ -193,41 +152,41 @@ class Crew(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def __init__(self, name: str, packet: bytes) -> None:
         """name: of the study in this cluster."""
         self.name, self._packet = name, packet
-        self._idle: queue.SimpleQueue[Hand]
-        self._hands: set[Hand]
+        self._idle: queue.SimpleQueue[Runner]
+        self._runners: set[Runner]
 
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """On the worker."""
         packet: Packet = pickle.loads(self._packet)
-        self._study, self._idle, self._hands = packet.study, queue.SimpleQueue(), set()
+        self._study, self._idle, self._runners = packet.study, queue.SimpleQueue(), set()
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """End the processes, also those that are at work."""
-        for hand in tuple(self._hands):
-            self._dismiss(hand)
+        for runner in tuple(self._runners):
+            self._dismiss(runner)
 
     def work(self, batch: Sequence[Sample]) -> list[Row]:
         """Run samples; where one of them ends the process, another process goes on."""
         rows: list[Row] = []
         for sample in batch:
-            hand = self._hand()
-            rows.append(hand.run(self._study, sample))
-            if hand.alive:
-                self._idle.put(hand)
+            runner = self._runner()
+            rows.append(runner.run(self._study, sample))
+            if runner.alive:
+                self._idle.put(runner)
             else:
-                self._dismiss(hand)
+                self._dismiss(runner)
         return rows
 
-    def _hand(self) -> Hand:
+    def _runner(self) -> Runner:
         with suppress(queue.Empty):
             return self._idle.get_nowait()
-        hand = Hand(self._packet)
-        self._hands.add(hand)
-        return hand
+        runner = Runner(self._packet)
+        self._runners.add(runner)
+        return runner
 
-    def _dismiss(self, hand: Hand) -> None:
-        hand.close()
-        self._hands.discard(hand)
+    def _dismiss(self, runner: Runner) -> None:
+        runner.close()
+        self._runners.discard(runner)
 
 
 def work(name: str, batch: Sequence[Sample]) -> list[Row]:
@@ -238,22 +197,18 @@ def work(name: str, batch: Sequence[Sample]) -> list[Row]:
     return crew.work(batch)
 
 
-def main(folder: Path) -> None:
-    """folder: for unpacked FMUs; this process removes it when it ends by itself."""
+def main(channel: Channel) -> None:
+    """In the process: a packet comes first, then samples, each answered with a row."""
     compiled.CORES = 1  # there is a process on every core
-    answers = _own_output()
-    requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    reader = threading.Thread(target=_read, args=(sys.stdin.buffer, requests, folder), daemon=True)
-    reader.start()
-    packet: Packet = requests.get()
-    cases = packet.unpacked(folder / "fmus")
+    packet: Packet = channel.get()
+    cases = packet.unpacked(channel.folder / "fmus")
     true = {str(c.source): name for name, c in _sources(packet, cases)}
-    _answer(answers, "ready")
+    channel.put("ready")
     while True:
-        sample = requests.get()
+        sample = channel.get()
         began = time.perf_counter()
         found = row(packet.study, cases[sample.options], sample)
-        _answer(answers, replace(found, reason=_told(found, true), wall=time.perf_counter() - began))
+        channel.put(replace(found, reason=_told(found, true), wall=time.perf_counter() - began))
 
 
 def _sources(packet: Packet, cases: Any) -> list[tuple[str, Any]]:
@@ -270,30 +225,3 @@ def _told(found: Row, true: dict[str, str]) -> str:
     for here, there in true.items():
         found = replace(found, reason=found.reason.replace(here, there))
     return found.reason
-
-
-def _own_output() -> IO[bytes]:
-    """Standard output for the answers alone; what an FMU prints goes nowhere."""
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    return answers
-
-
-def _answer(answers: IO[bytes], found: Row | str) -> None:
-    pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
-    answers.flush()
-
-
-def _read(source: IO[bytes], requests: queue.SimpleQueue[Any], folder: Path) -> None:
-    """Hand over what is asked; at the end of the input end at once, also in the middle of a run."""
-    try:
-        while True:
-            requests.put(pickle.load(source))
-    except (EOFError, pickle.UnpicklingError, OSError):
-        shutil.rmtree(folder, ignore_errors=True)
-        os._exit(0)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

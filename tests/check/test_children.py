@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from check.test_probes import apply, opened
-from orchestrator.check.child.beacon import Beacon
 from orchestrator.check.probes import parent
 from orchestrator.check.probes.parent import Limits, limits
+from orchestrator.worker.beacon import Beacon
+from orchestrator.worker.process import MOST, Worker
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
@@ -47,9 +48,13 @@ def group(leader: int) -> list[str]:
 def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypatch):
     """A process that the FMU has left behind does not outlive the probe."""
     started = []
-    monkeypatch.setattr(
-        parent, "_kill", lambda child, kill=parent._kill: (started.append(child.pid), kill(child))
-    )
+
+    class Noted(parent.Worker):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            started.append(self.pid)
+
+    monkeypatch.setattr(parent, "Worker", Noted)
     with limits(Limits(call=PATIENCE, work=2.0)):
         apply(oscillators.make(fault="starts"), tmp_path, "default")
     assert started
@@ -65,33 +70,31 @@ def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
     assert ("error", text) in [(f.severity, f.text) for f in found]
 
 
-def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(tmp_path):
+@pytest.fixture
+def sleeper(monkeypatch):
+    """A child that never ends by itself."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1] / "worker"))
+    child = Worker("jobs:sleep")
+    yield child
+    child.close()
+
+
+def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     """What a child has written to stderr is thrown away when it is more than anybody would read."""
-    errors = tmp_path / "errors"
-    errors.write_bytes(bytes(parent.MESSAGES + 1))
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
-    beacon = Beacon(tmp_path / "beacon")
-    beacon.call("fmi2DoStep")
-    try:
-        with limits(Limits(call=0.2)):
-            end, late = parent._watch(child, beacon, errors)
-    finally:
-        child.kill()
-        child.wait()
+    errors = sleeper.folder / "errors"
+    errors.write_bytes(bytes(MOST + 1))
+    Beacon(sleeper.folder / "beacon").call("fmi2DoStep")
+    with limits(Limits(call=0.2)):
+        end, late = parent._watch(sleeper, parent.Outcome())
     assert end == "hang: no return within 0.2 s in fmi2DoStep"
     assert not late
     assert errors.stat().st_size == 0
 
 
-def test_a_python_that_starts_slowly_is_no_hang(tmp_path):
+def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
-    try:
-        with limits(Limits(call=0.1, probe=0.3)):
-            end, late = parent._watch(child, Beacon(tmp_path / "beacon"), tmp_path)
-    finally:
-        child.kill()
-        child.wait()
+    with limits(Limits(call=0.1, probe=0.3)):
+        end, late = parent._watch(sleeper, parent.Outcome())
     assert (end, late) == ("not done within 0.3 s, stopped before the first call", True)
 
 

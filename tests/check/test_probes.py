@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.check.child.beacon import Beacon
 from orchestrator.check.child.description import read
 from orchestrator.check.child.main import Bench
 from orchestrator.check.child.tasks import leaks, solver
@@ -17,6 +16,7 @@ from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
 from orchestrator.check.probes.parent import Limits, current, limits
 from orchestrator.check.subject import Subject
+from orchestrator.worker.beacon import Beacon
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 

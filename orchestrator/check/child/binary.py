@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.child.beacon import Beacon
 from orchestrator.check.child.description import Declared
+from orchestrator.worker.beacon import Beacon
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4

@@ -1,27 +1,19 @@
-"""What a probe has at hand in the child process.
-
-Runs one probe in a process of its own: `python -m orchestrator.check.child.main JOB_FOLDER`.
-
-The folder holds job.json and the beacon; findings are appended to said.jsonl one by one, so that those
-before a crash are kept.
-"""
+"""What a probe has at hand in the child process, and how one is run there; `probes.parent` starts it."""
 
 from __future__ import annotations
 
-import json
-import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.child.beacon import Beacon
 from orchestrator.check.child.binary import Binary, Crashed, Missing, Refused, find
 from orchestrator.check.child.description import Declared, read
 from orchestrator.check.child.instance import Spent
 from orchestrator.check.child.player import Player, difference, movable, scalars, watched
+from orchestrator.worker.beacon import Beacon
+from orchestrator.worker.main import Channel
 
 SHOWN = 5  # inputs in a message
 Said = tuple[str, str]  # severity, text
@@ -93,51 +85,41 @@ class Bench:
         return f"{text}, while {', '.join(moved[:SHOWN])}{more} moved"
 
 
-def main(folder: Path) -> None:
-    """Do the job and leave at once: what an FMU does at the exit of the process is no longer of interest."""
-    job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
-    with (folder / "said.jsonl").open("a", encoding="utf-8") as out:
-
-        def write(**line: Any) -> None:
-            out.write(json.dumps(line) + "\n")
-            out.flush()
-
-        bench = Bench(
-            folder=Path(job["folder"]),
-            declared=read(Path(job["folder"])),
-            side=job["side"],
-            beacon=Beacon(folder / "beacon"),
-            seconds=job["seconds"],
-            **job["habits"],
-            payload=job["payload"],
-            first=job["first"],
-            at=lambda stage: write(stage=stage),
-        )
-        module, _, name = job["task"].partition(":")
-        task: Task = getattr(import_module(f"orchestrator.check.child.tasks.{module}"), name)
-        try:
-            for severity, text in task(bench):
-                write(severity=severity, text=text)
-        except Spent:
-            pass  # the rest of the task needs another instance
-        except (Refused, Missing) as problem:
-            write(severity="error", text=str(problem))
-        except Crashed as problem:
-            write(crash=str(problem))
-        except OSError as problem:
-            write(severity="error", text=f"the binary cannot be loaded: {_first(problem)}")
-        except Exception as problem:  # ours, not the FMU's: said as such, and the other probes go on
-            write(severity="warning", text=f"could not be tried (a defect of this check): {problem!r}")
-        write(done=True, result=bench.result)
-    sys.stdout.flush()
-    os._exit(0)
+def main(channel: Channel) -> None:
+    """Do the job that the parent sends, and tell each finding at once."""
+    job = channel.get()
+    folder = Path(job["folder"])
+    bench = Bench(
+        folder=folder,
+        declared=read(folder),
+        side=job["side"],
+        beacon=channel.beacon,
+        seconds=job["seconds"],
+        **job["habits"],
+        payload=job["payload"],
+        first=job["first"],
+        at=lambda stage: channel.put({"stage": stage}),
+    )
+    module, _, name = job["task"].partition(":")
+    task: Task = getattr(import_module(f"orchestrator.check.child.tasks.{module}"), name)
+    try:
+        for severity, text in task(bench):
+            channel.put({"severity": severity, "text": text})
+    except Spent:
+        pass  # the rest of the task needs another instance
+    except (Refused, Missing) as problem:
+        channel.put({"severity": "error", "text": str(problem)})
+    except Crashed as problem:
+        channel.put({"crash": str(problem)})
+    except OSError as problem:
+        channel.put({"severity": "error", "text": f"the binary cannot be loaded: {_first(problem)}"})
+    except Exception as problem:  # ours, not the FMU's: said as such, and the other probes go on
+        text = f"could not be tried (a defect of this check): {problem!r}"
+        channel.put({"severity": "warning", "text": text})
+    channel.put({"done": True, "result": bench.result})
 
 
 def _first(problem: OSError) -> str:
     """The message without the path of the temporary folder."""
     words = str(problem).split(": ", 1)
     return words[-1] if len(words) > 1 and "/" in words[0] else str(problem)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.child.beacon import Beacon, Sighting
+from orchestrator.worker.process import Worker, machine_memory
 
 POLL = 0.01  # s between looks at the child
-MESSAGES = 1 << 20  # bytes that a child may write to stderr before they are thrown away
-WORDS = {
-    "SIGSEGV": "segmentation fault",
-    "SIGBUS": "bus error",
-    "SIGABRT": "abort",
-    "SIGFPE": "arithmetic exception",
-    "SIGILL": "illegal instruction",
-    "SIGKILL": "killed by the system (out of memory?)",
-}
+UNFINISHED = "unfinished"
 
 
 @dataclass(frozen=True)
@@ -81,6 +67,16 @@ class Outcome:
     result: Any = None
     stage: int = -1
 
+    def take(self, line: Mapping[str, Any]) -> None:
+        """A message of the child."""
+        if "severity" in line:
+            self.said.append((line["severity"], line["text"]))
+        self.stage = line.get("stage", self.stage)
+        if "crash" in line:
+            self.end = line["crash"]
+        if "done" in line and self.end == UNFINISHED:
+            self.end, self.result = "", line["result"]
+
 
 def run(
     folder: Path, side: str, task: str, habits: Mapping[str, bool] | None = None, payload: Any = None
@@ -107,83 +103,39 @@ def run(
 
 def _child(job: Mapping[str, Any]) -> Outcome:
     """Start, watch and read one child."""
-    with tempfile.TemporaryDirectory(prefix="probe-", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
-        (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        beacon = Beacon(folder / "beacon")
-        roots = [str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(roots)}
-        with (folder / "errors").open("ab") as errors:
-            child = subprocess.Popen(
-                [sys.executable, "-m", "orchestrator.check.child.main", name],
-                cwd=name,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=errors,
-                start_new_session=True,
-            )
-            try:
-                end, late = _watch(child, beacon, folder / "errors")
-            finally:
-                _kill(child)
-        outcome = _read(folder)
-        seen = beacon.read()
-        beacon.close()
-        tail = (folder / "errors").read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-        outcome.end, outcome.late = end or _ending(child.returncode, outcome, seen, tail), late
+    child = Worker("orchestrator.check.child.main:main", "probe", inside=True)
+    try:
+        child.put(job)
+        outcome = Outcome(end=UNFINISHED)
+        end, late = _watch(child, outcome)
+        outcome.end, outcome.late = end or _ending(child, outcome), late
         return outcome
+    finally:
+        child.close()
 
 
-def _watch(child: subprocess.Popen[bytes], beacon: Beacon, errors: Path) -> tuple[str, bool]:
-    """Wait; why the child has to be stopped and where it stood, and whether only its time is over."""
+def _watch(child: Worker, outcome: Outcome) -> tuple[str, bool]:
+    """Read until the end; why the child has to be stopped and where it stood, and whether only its time is over."""
     begin = moved = time.monotonic()
-    count, most = -1, current().memory or _memory() / 4
+    count, most = -1, current().memory or machine_memory() / 4
     while True:
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(POLL)
+        try:
+            outcome.take(child.get(POLL))
+        except TimeoutError:
+            child.quieten()
+        except EOFError:
             return "", False
-        if errors.stat().st_size > MESSAGES:
-            with suppress(OSError):  # refused where a file in use is locked
-                os.truncate(errors, 0)
-        seen, now = beacon.read(), time.monotonic()
+        seen, now = child.seen, time.monotonic()
         if seen.count != count:
             count, moved = seen.count, now
         if count and now - moved > current().call:  # before the first call it is Python that starts
             return f"hang: no return within {current().call:g} s {seen}", False
-        if _used(child.pid) > most:
+        if child.memory > most:
             return f"takes more than {most / 1e9:.3g} GB of memory, stopped {seen}", False
         if now - begin > current().probe:
             return f"not done within {current().probe:g} s, stopped {seen}", True
         if _halt.is_set():
             return "interrupted", True
-
-
-def _memory() -> float:
-    """Memory of this machine [bytes]; infinite where it is not told."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return float("inf")
-
-
-def _used(pid: int) -> float:
-    """Memory that a process takes [bytes]; 0 where it is not told."""
-    try:
-        pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
-    except (OSError, IndexError):
-        return 0.0
-    return float(pages) * os.sysconf("SC_PAGE_SIZE")
-
-
-def _kill(child: subprocess.Popen[bytes]) -> None:
-    """The child, if it still runs, and what the FMU has started and left behind."""
-    if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, signal.SIGKILL)
-    if child.poll() is None:
-        child.kill()
-        child.wait()
 
 
 def side_by_side(work: Callable[[str], Outcome], sides: Sequence[str]) -> list[Outcome]:
@@ -199,28 +151,10 @@ def side_by_side(work: Callable[[str], Outcome], sides: Sequence[str]) -> list[O
         _halt.clear()
 
 
-def _read(folder: Path) -> Outcome:
-    outcome = Outcome(end="unfinished")
-    path = folder / "said.jsonl"
-    for text in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
-        line = json.loads(text)
-        if "severity" in line:
-            outcome.said.append((line["severity"], line["text"]))
-        outcome.stage = line.get("stage", outcome.stage)
-        if "crash" in line:
-            outcome.end = line["crash"]
-        if "done" in line and outcome.end == "unfinished":
-            outcome.end, outcome.result = "", line["result"]
-    return outcome
-
-
-def _ending(code: int, outcome: Outcome, seen: Sighting, tail: str) -> str:
+def _ending(child: Worker, outcome: Outcome) -> str:
     """How the child ended, in words; empty when it did its job."""
-    if outcome.end != "unfinished":
+    if outcome.end != UNFINISHED:
         return outcome.end
-    more = f' ("{tail[:120]}")' if tail else ""
-    if code < 0:
-        known = {int(s): s.name for s in signal.Signals}
-        name = known.get(-code, f"signal {-code}")
-        return f"{WORDS.get(name, name)} {seen}{more}"
-    return f"the process ended with exit status {code} {seen}{more}"
+    more = f' ("{child.last_words[:120]}")' if child.last_words else ""
+    how = child.ending.replace("exit status", "the process ended with exit status")
+    return f"{how} {child.seen}{more}"

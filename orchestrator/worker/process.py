@@ -1,0 +1,209 @@
+"""The parent's side of a worker process."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from orchestrator.worker.beacon import Beacon, Sighting
+
+LOOK = 0.5  # [s] at most between two looks at whether the process lives
+LAST = 200  # characters of what a process wrote before it died
+MOST = 1 << 20  # bytes that a process may write to stderr before they are thrown away
+WORDS = {
+    "SIGSEGV": "segmentation fault",
+    "SIGBUS": "bus error",
+    "SIGABRT": "abort",
+    "SIGFPE": "arithmetic exception",
+    "SIGILL": "illegal instruction",
+    "SIGKILL": "killed by the system (out of memory?)",
+}
+# Ctrl-C in the terminal is for this process, which ends the other. A session of its own also means that Linux shares
+# out processors between the two first, so that a browser with many threads takes less from a machine in real time.
+APART: dict[str, Any] = {"start_new_session": True}
+if sys.platform == "win32":
+    APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+_NOTHING = object()
+
+
+class Worker:
+    """One process, from its start until `close` is called or nobody knows it any more.
+
+    target        "package.module:function"; it is called with a `main.Channel`
+    name          of the folder for its temporary files, which is removed at the end
+    patience      [s] for an orderly end, then it is killed
+    environment   variables that differ from those of this process
+    descriptors   open files that it inherits (POSIX)
+    inside        it works in its folder: files that an FMU writes go there
+    """
+
+    def __init__(
+        self,
+        target: str,
+        name: str = "worker",
+        patience: float = 0.0,
+        environment: Mapping[str, str] | None = None,
+        descriptors: Sequence[int] = (),
+        inside: bool = False,
+    ) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
+        self._beacon = Beacon(self.folder / "beacon")
+        options = {"cwd": self.folder} if inside else {}
+        self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
+        self._messages: SimpleQueue[Any] = SimpleQueue()
+        reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
+        reader.start()
+        self.close = weakref.finalize(self, _end, self._child, reader, self._beacon, self.folder, patience)
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        return self._child.pid
+
+    @property
+    def alive(self) -> bool:
+        """Does it still run?"""
+        return self._child.poll() is None
+
+    @property
+    def seen(self) -> Sighting:
+        """What it was doing last, if it tells by its beacon."""
+        return self._beacon.read()
+
+    @property
+    def memory(self) -> float:
+        """Memory that it takes [bytes]; 0 where the system does not tell."""
+        try:
+            pages = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[1]
+        except (OSError, IndexError):
+            return 0.0
+        return float(pages) * os.sysconf("SC_PAGE_SIZE")
+
+    @property
+    def last_words(self) -> str:
+        """The last line that it wrote to stderr."""
+        with suppress(OSError):
+            text = (self.folder / "errors").read_text(encoding="utf-8", errors="replace")
+            return text.strip().rpartition("\n")[2][:LAST]
+        return ""
+
+    @property
+    def ending(self) -> str:
+        """How the process ended, such as "segmentation fault" or "exit status 1"; empty while it lives."""
+        code = self._child.poll()
+        if code is None:
+            return ""
+        if code >= 0:
+            return f"exit status {code}"
+        name = {int(s): s.name for s in signal.Signals}.get(-code, f"signal {-code}")
+        return WORDS.get(name, name)
+
+    def put(self, message: Any) -> None:
+        """Send something that can be pickled, or that is pickled (bytes); nothing where the process is gone."""
+        data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        assert self._child.stdin is not None
+        with suppress(BrokenPipeError, OSError):  # what is read next tells of it
+            self._child.stdin.write(data)
+            self._child.stdin.flush()
+
+    def get(self, timeout: float | None = None) -> Any:
+        """The next message.
+
+        Raises TimeoutError when none came in time, EOFError when the process has ended and all were read.
+        """
+        until = math.inf if timeout is None else time.monotonic() + timeout
+        while True:
+            dead = not self.alive  # then what it sent is on its way, unless an orphan of it holds the pipe
+            try:
+                message = self._messages.get(
+                    timeout=LOOK if dead else max(0.0, min(LOOK, until - time.monotonic()))
+                )
+            except Empty:
+                if dead:
+                    raise EOFError(self.ending) from None
+                if time.monotonic() >= until:
+                    raise TimeoutError from None
+                continue
+            if message is not _NOTHING:
+                return message
+            self._messages.put(_NOTHING)
+            self._child.wait()
+            raise EOFError(self.ending)
+
+    def quieten(self) -> None:
+        """Throw away what it wrote to stderr, if that is a lot."""
+        errors = self.folder / "errors"
+        with suppress(OSError):  # refused where a file in use is locked
+            if errors.stat().st_size > MOST:
+                os.truncate(errors, 0)
+
+
+def machine_memory() -> float:
+    """Memory of this machine [bytes]; infinite where it is not told."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
+
+
+def _start(
+    target: str, folder: Path, environment: Mapping[str, str], **options: Any
+) -> subprocess.Popen[bytes]:
+    """A Python of its own, which imports nothing of this one."""
+    roots = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    variables = {**os.environ, "PYTHONPATH": os.pathsep.join(roots), **environment}
+    with (folder / "errors").open("ab") as errors:
+        return subprocess.Popen(
+            [sys.executable, "-m", "orchestrator.worker.main", target, str(folder)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            env=variables,
+            **APART,
+            **options,
+        )
+
+
+def _read(source: Any, messages: SimpleQueue[Any]) -> None:
+    """All messages until the process ends; one that is cut off is none."""
+    with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError, AttributeError, ImportError):
+        while True:
+            messages.put(pickle.load(source))
+    messages.put(_NOTHING)
+
+
+def _end(
+    child: subprocess.Popen[bytes], reader: threading.Thread, beacon: Beacon, folder: Path, patience: float
+) -> None:
+    """Close the pipe, wait, kill what is left, also what an FMU has started, and remove the files."""
+    with suppress(OSError):
+        if child.stdin is not None:
+            child.stdin.close()
+    with suppress(subprocess.TimeoutExpired):
+        child.wait(patience)
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+    if child.poll() is None:
+        child.kill()
+    child.wait()
+    reader.join(1.0)
+    with suppress(OSError):
+        if child.stdout is not None:
+            child.stdout.close()
+    beacon.close()
+    shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,62 @@
+"""What the worker processes of these tests do."""
+
+import ctypes
+import os
+import sys
+import time
+
+
+def echo(channel):
+    """Every message back."""
+    while True:
+        channel.put(channel.get())
+
+
+def sleep(channel):  # noqa: ARG001
+    """Never ends by itself."""
+    time.sleep(1000)
+
+
+def end(channel):
+    """Ends as it is asked to, with some last words and a message before."""
+    how = channel.get()
+    print("nobody reads this", flush=True)
+    print("first line\nlast line", file=sys.stderr, flush=True)
+    channel.put("before the end")
+    channel.beacon.call("fmi2DoStep")
+    if how == "crash":
+        ctypes.string_at(0)
+    elif how == "abort":
+        os.abort()
+    elif how == "raise":
+        raise ValueError("expected another one")
+    elif isinstance(how, int):
+        os._exit(how)
+
+
+def graceful(channel):
+    """Writes a file when it is not needed any more."""
+    channel.grace = 10.0
+    path = channel.get()
+    channel.put("ready")
+    channel.ended.wait()
+    with open(path, "w") as file:
+        file.write("done")
+
+
+def orphan(channel):
+    """Ends and leaves a process behind that holds its output."""
+    if os.fork() == 0:
+        time.sleep(1000)
+    channel.put(os.getpid())
+
+
+def parent(channel):
+    """Starts a worker of its own and is killed before it can end it."""
+    from orchestrator.worker.process import Worker
+
+    child = Worker("jobs:echo", "grandchild")
+    child.put(1)
+    child.get()
+    channel.put((child.pid, str(child.folder)))
+    channel.get()
