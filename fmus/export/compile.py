@@ -1,31 +1,17 @@
-"""The machines that an FMU can hold a shared library for, and where in the FMU each one goes.
-
-Keeps what the compiler made, so that a second build of the same code takes seconds.
-
-The compiler has a cache of its own, but it knows a file by its place on the disk, not by what is in it.
-
-From the C of an FMU to a shared library for a platform, with the compiler of the package `ziglang`.
-"""
+"""Shared libraries of an FMU: for which machines, where in the FMU each one goes, and how they are compiled."""
 
 from __future__ import annotations
 
-import hashlib
-import os
 import platform
-import re
 import struct
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 import fmpy
 
+from orchestrator.base import compiler
+from orchestrator.base.compiler import CompilerError
 from orchestrator.base.errors import Problem
 
 
@@ -99,41 +85,6 @@ def universal(slices: Sequence[bytes]) -> bytes:
     return table.ljust(start, b"\0") + body
 
 
-@cache
-def store() -> Path:
-    """The folder of what is kept: in the cache of the compiler, so that who empties that empties this."""
-    command = [sys.executable, "-m", "ziglang", "env"]
-    told = subprocess.run(command, capture_output=True, text=True, check=False).stdout
-    found = re.search(r'global_cache_dir"?\s*[:=]\s*"([^"]+)"', told)  # JSON of old versions, ZON of new ones
-    root = Path(found[1].replace("\\\\", "\\")) if found else Path.home() / ".cache"
-    return root / "harvester-cosim"
-
-
-def kept(ingredients: Iterable[bytes], make: Callable[[], bytes]) -> bytes:
-    """What `make` makes of the ingredients, from the store if it is there."""
-    digest = hashlib.sha256()
-    for part in ingredients:
-        digest.update(len(part).to_bytes(8, "big") + part)
-    path = store() / digest.hexdigest()
-    if path.is_file():
-        return path.read_bytes()
-    data = make()
-    _keep(path, data)
-    return data
-
-
-def _keep(path: Path, data: bytes) -> None:
-    """Write the whole file or none; a store that cannot be written to keeps nothing."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            part.write_bytes(data)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-
-
 FLAGS = (
     *("-std=c99", "-O3", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
@@ -153,37 +104,18 @@ def shared_library(
 
     code        the files under sources/ by name
     compiled    those that the FMU tells an importer to compile
-    platform    a name of `platforms.PLATFORMS`
+    platform    a name of `PLATFORMS`
     libraries   of the system that it needs on Linux
     """
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS]
-    command += ["-isystem", str(HEADERS), *compiled, "-o", library]
-    command += _link(library, target.suffix, libraries)
-    return kept(
-        _ingredients(command, code), lambda: _compiled(f"{model}, {platform}", command, code, library)
-    )
-
-
-def _compiled(label: str, command: Sequence[str], code: Mapping[str, bytes], library: str) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        for name, data in code.items():
-            (Path(folder) / name).write_bytes(data)
-        # relative names in the folder: the library does not know where it was built
-        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if run.returncode:
-            raise Problem(f"{label}: the C compiler failed with exit status {run.returncode}\n{run.stderr}")
-        return (Path(folder) / library).read_bytes()
-
-
-def _ingredients(command: Sequence[str], code: Mapping[str, bytes]) -> Iterator[bytes]:
-    """All that a library follows from."""
-    yield version("ziglang").encode()
-    yield from (word.encode() for word in command)
-    for name in sorted(code):
-        yield from (name.encode(), code[name])
-    yield from (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
+    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
+    arguments += _link(library, target.suffix, libraries)
+    headers = (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
+    try:
+        return compiler.shared_library(library, code, arguments, headers).read_bytes()
+    except CompilerError as error:
+        raise Problem(f"{model}, {platform}: {error}") from None
 
 
 def _link(library: str, suffix: str, libraries: Sequence[str]) -> list[str]:

@@ -21,7 +21,9 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
         scratch = tmp_path / place / "scratch"
         scratch.mkdir(parents=True)
         monkeypatch.setattr("tempfile.tempdir", str(scratch))
-        monkeypatch.setattr("fmus.export.compile.store", lambda place=place: tmp_path / place / "store")
+        monkeypatch.setattr(
+            "orchestrator.base.compiler.cache_folder", lambda place=place: tmp_path / place / "store"
+        )
         built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
         assert not list(scratch.iterdir())  # nothing is left of the compilers' files
     assert built[0] == built[1]
@@ -29,7 +31,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
 
 def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     """The same code, flags and platform: the library is the one that was kept."""
-    monkeypatch.setattr("fmus.export.compile.store", lambda: tmp_path / "store")
+    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
     sub, numbers = toys["gain"]
     first = build(sub, tmp_path / "first", numbers=numbers).read_bytes()
     assert build(sub, tmp_path / "other", numbers=numbers, step=0.5).read_bytes() != first
@@ -37,7 +39,7 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     def compiler(*_, **__):
         raise AssertionError("the compiler was called")
 
-    monkeypatch.setattr("fmus.export.compile.subprocess.run", compiler)
+    monkeypatch.setattr("orchestrator.base.compiler.subprocess.run", compiler)
     assert build(sub, tmp_path / "second", numbers=numbers).read_bytes() == first
     for other in ({"fmi": 3}, {"platforms": ("aarch64-linux",)}):
         with pytest.raises(AssertionError, match="compiler was called"):
@@ -50,7 +52,7 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
     """A read-only home is no reason not to build."""
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr("fmus.export.compile.store", lambda: tmp_path / "file" / "store")
+    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
     sub, numbers = toys["gain"]
     assert build(sub, tmp_path, numbers=numbers).is_file()
 

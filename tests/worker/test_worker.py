@@ -49,7 +49,8 @@ def test_messages_go_there_and_back(start):
     for message in messages:
         worker.put([message])
     assert [worker.get(SOON) for _ in messages] == [[m] for m in messages]
-    assert worker.alive and not worker.ending
+    assert worker.alive
+    assert not worker.ending
 
 
 def test_no_message_is_a_timeout(start):
@@ -87,14 +88,15 @@ def test_a_worker_tells_how_it_ended(start, how, ending):
 def test_closing_ends_it_and_removes_its_files(start):
     """Also one that never reads."""
     worker = start("sleep", "named")
-    assert worker.folder.name.startswith("named-") and worker.folder.is_dir()
+    assert worker.folder.name.startswith("named-")
+    assert worker.folder.is_dir()
     worker.close()
     assert not worker.alive
     assert not worker.folder.exists()
     worker.close()  # once more does no harm
 
 
-def test_a_worker_that_nobody_knows_ends(start):
+def test_a_worker_that_nobody_knows_ends():
     """No reference, no process."""
     worker = Worker("jobs:sleep")
     pid, folder = worker.pid, worker.folder

@@ -20,30 +20,22 @@ C to a shared library for this computer, compiled once and kept in the user's ca
 
 from __future__ import annotations
 
-import atexit
 import ctypes
-import hashlib
-import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
 from importlib.resources import files
-from pathlib import Path
 
 import casadi as ca
 
 from fmus.contract import Quantity, Symbolic, column
 from fmus.export.c_code import Routine, generated, hoist, native_sources, routine
-from fmus.export.compile import store
 from fmus.export.elimination import Elimination, Place, eliminate, nonzeros
 from fmus.export.interface import Interface, Kind, Variable, assembled
 from fmus.identification.refinement.reduced import Reduced
-from orchestrator.base.errors import Problem
+from orchestrator.base.compiler import SUFFIX, shared_library
 
 WIDTH = 8  # columns at once: a cache line, one to four registers of the processors of today
 
@@ -257,7 +249,6 @@ FLAGS = (
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
     "-mcpu=native",  # the widest registers; what is kept is kept by processor
 )
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 ORDER = ("model.c", "motion.c", "rosenbrock.c", "kutta.c", "solver.c", "slopes.c", "sensitivities.c")
 
 
@@ -268,46 +259,9 @@ def library(generated: Mapping[str, str]) -> ctypes.CDLL:
     own = files("fmus.identification.refinement") / "native" / "sensitivities.c"
     code |= {"sensitivities.c": own.read_text(encoding="utf-8"), **generated}
     code["all.c"] = "".join(f'#include "{name}"\n' for name in ORDER)
-    return ctypes.CDLL(str(_file(code)))
-
-
-def _file(code: Mapping[str, str]) -> Path:
-    """The compiled library, made unless it was made before."""
-    digest = hashlib.sha256(" ".join((version("ziglang"), sys.platform, *FLAGS, _processor())).encode())
-    for name in sorted(code):
-        digest.update(f"{name}\0{code[name]}\0".encode())
-    name = f"refined-{digest.hexdigest()[:32]}{SUFFIX}"
-    try:
-        return _made(code, store() / name)
-    except OSError:  # a store that cannot be written to keeps nothing
-        return _made(code, _own() / name)
-
-
-@cache
-def _own() -> Path:
-    """A folder for this process alone."""
-    folder = Path(tempfile.mkdtemp(prefix="harvester-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
-
-
-def _made(code: Mapping[str, str], kept: Path) -> Path:
-    if kept.is_file():
-        return kept
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
-        for name, text in code.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        made = Path(folder) / kept.name
-        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "all.c", "-o", kept.name, "-lm"]
-        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if run.returncode:
-            told = run.stderr.strip().splitlines() or ["it says nothing"]
-            reason = next((line for line in told if "error: " in line), told[-1])
-            raise Problem(f"the C compiler failed with exit status {run.returncode}: {reason}")
-        with suppress(OSError):  # somebody else was faster, and uses it already
-            made.replace(kept)
-    return kept
+    encoded = {name: text.encode() for name, text in code.items()}
+    arguments = [*FLAGS, "all.c", "-lm"]
+    return ctypes.CDLL(str(shared_library(f"refined{SUFFIX}", encoded, arguments, [_processor().encode()])))
 
 
 @cache

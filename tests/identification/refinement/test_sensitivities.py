@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fmus.contract import Quantity, Scalar, Subsystem
-from fmus.identification.refinement import generated_code
 from fmus.identification.refinement.simulation import Failed, Model
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
@@ -240,5 +239,5 @@ def test_samples_are_checked() -> None:
 def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:
     """Where the store should be is a file: the model is compiled all the same, for this process."""
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(generated_code, "store", lambda: tmp_path / "file" / "store")
+    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
     assert model(("lag",)).segment(np.zeros(1), model().p0, TIME, DRIVE[:, None]).steps > 0
