@@ -7,7 +7,7 @@ With the error e = simulation - reference y over n common samples:
     NRMSE           RMSE / (max y - min y)              over the range of the whole reference
     fit             100 (1 - ||e|| / ||y - mean y||)    [%]
     VAF             100 (1 - var e / var y)             [%]  variance accounted for: blind to an offset
-    ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope, by objective-rating-metrics
+    ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope: iso18571.py
 
 A constant reference has no range: NRMSE then falls back to the magnitude of the reference, fit and VAF
 are None, and a note says so.
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.results import iso18571
 
 Array = NDArray[np.float64]
 
@@ -133,19 +134,13 @@ def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
         return Rating(reason=f"{len(time)} samples are fewer than {ISO_MINIMUM}")
     if np.array_equal(simulation, reference):
         return Rating(1.0, 1.0, 1.0, 1.0, 1.0)
-    # Loading the library costs seconds (it compiles its time warping): wait until a rating is asked for.
-    from objective_rating_metrics.rating import ISO18571
-
     even = np.linspace(time[0], time[-1], ISO_SAMPLES)
-    curves = [np.column_stack((even, np.interp(even, time, y))) for y in (reference, simulation)]
-    with np.errstate(all="ignore"):  # a part of a signal may stand still: the library then divides 0 by 0
-        rated = ISO18571(*curves, dt=float(even[1] - even[0]))
-        parts = ("overall", "corridor", "phase", "magnitude", "slope")
-        values = [float(getattr(rated, f"{part}_rating")(-1)) for part in parts]
-    if not np.all(np.isfinite(values)):
+    curves = (np.interp(even, time, y) for y in (simulation, reference))
+    with np.errstate(all="ignore"):  # a part of a signal may stand still: 0 divided by 0
+        parts = iso18571.rate(*curves)
+    if not np.all(np.isfinite(parts)):
         return Rating(reason="the shifted reference stands still, its slope cannot be rated")
-    overall, corridor, phase, magnitude, slope = values
-    return Rating(overall, corridor, phase, magnitude, slope)
+    return Rating(*parts)
 
 
 def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:

@@ -1,0 +1,99 @@
+"""How alike two curves are, by ISO/TS 18571:2014: four ratings from 0 to 1, and their weighted sum.
+
+For a simulated curve C and a reference T, N samples each at equal steps:
+
+    corridor    Z = mean of 1 inside 0.05 max |T|, 0 outside 0.5 max |T|, between them by the square of the distance
+    phase       E_P = 1 - n / (0.2 N), where a shift by n samples correlates best; at least 80 % must overlap
+    magnitude   E_M = 1 - eps / 0.5,   eps = |C* - T*|_1 / |T*|_1 of the shifted curves, warped in time
+    slope       E_S = 1 - eps / 2,     eps = |C' - T'|_1 / |T'|_1 of the shifted curves' smoothed derivatives
+    overall     R = 0.4 Z + 0.2 (E_P + E_M + E_S)
+
+Made for crash pulses: it compares shapes, and says little of signals at rest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+INNER, OUTER = 0.05, 0.5  # of max |T|, half widths of the corridors
+SHIFT = 0.2  # of N, the largest shift
+WINDOW = 0.1  # of N, how far time may be warped
+MAGNITUDE, SLOPE = 0.5, 2.0  # errors that are rated 0
+SMOOTH = 4  # samples on each side of the moving average
+
+
+class Parts(NamedTuple):
+    """The ratings; NaN where a reference that stands still leaves one undefined."""
+
+    overall: float
+    corridor: float
+    phase: float
+    magnitude: float
+    slope: float
+
+
+def rate(simulation: Array, reference: Array) -> Parts:
+    """Ratings of two curves of shape (n,) each, n at least 2 SMOOTH + 2."""
+    shift, c, t = _aligned(simulation, reference)
+    corridor = _corridor(simulation, reference)
+    phase = max(0.0, 1.0 - shift / (SHIFT * len(reference)))
+    magnitude = _score(*_warped(c, t), MAGNITUDE)
+    slope = _score(_derivative(c), _derivative(t), SLOPE)
+    return Parts(0.4 * corridor + 0.2 * (phase + magnitude + slope), corridor, phase, magnitude, slope)
+
+
+def _corridor(c: Array, t: Array) -> float:
+    size = float(np.max(np.abs(t)))
+    share = (OUTER * size - np.abs(c - t)) / ((OUTER - INNER) * size)
+    return float(np.mean(np.clip(share, 0.0, 1.0) ** 2))
+
+
+def _aligned(c: Array, t: Array) -> tuple[int, Array, Array]:
+    """The smallest shift in samples with the best correlation, and what of the curves overlaps then."""
+    best, found = _correlation(c, t), (0, c, t)
+    for n in range(1, int(SHIFT * len(c)) + 1):
+        for a, b in ((c[n:], t[:-n]), (c[:-n], t[n:])):  # the simulation is late, or early
+            if (now := _correlation(a, b)) > best:
+                best, found = now, (n, a, b)
+    return found
+
+
+def _correlation(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    return float(a @ b / np.sqrt((a @ a) * (b @ b)))
+
+
+def _score(c: Array, t: Array, worst: float) -> float:
+    return max(0.0, 1.0 - float(np.abs(c - t).sum() / np.abs(t).sum()) / worst)
+
+
+def _derivative(y: Array) -> Array:
+    """Central differences per sample, averaged over nine; towards the ends over fewer, as many on each side."""
+    n, at = len(y), np.arange(len(y))
+    half = np.minimum(SMOOTH, np.minimum(at, n - 1 - at))
+    total = np.concatenate([[0.0], np.cumsum(np.gradient(y))])
+    return (total[at + half + 1] - total[at - half]) / (2 * half + 1)
+
+
+def _warped(c: Array, t: Array) -> tuple[Array, Array]:
+    """Both curves along the path of least squared distance [dynamic time warping, Sakoe and Chiba 1978]."""
+    n = len(c)
+    band = int(np.ceil(WINDOW * n)) - 1
+    cost = np.full((n + 1, n + 1), np.inf)  # cost[i, j]: of the best path to the samples i - 1 and j - 1
+    cost[0, 0] = 0.0
+    for k in range(2, 2 * n + 1):  # along i + j = k every cell follows from those before
+        i = np.arange(max(1, k - n, (k - band + 1) // 2), min(n, k - 1, (k + band) // 2) + 1)
+        j = k - i
+        before = np.minimum(np.minimum(cost[i - 1, j], cost[i, j - 1]), cost[i - 1, j - 1])
+        cost[i, j] = before + (c[i - 1] - t[j - 1]) ** 2
+    path = [(n, n)]
+    while path[-1] != (1, 1):
+        i, j = path[-1]
+        path.append(min(((i - 1, j - 1), (i - 1, j), (i, j - 1)), key=lambda place: cost[place]))
+    rows, columns = np.array(path).T - 1
+    return c[rows], t[columns]

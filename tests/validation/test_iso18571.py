@@ -1,0 +1,64 @@
+"""The rating of ISO/TS 18571 is that of an independent implementation, and of what the standard says by hand."""
+
+import numpy as np
+import pytest
+
+from orchestrator.results.iso18571 import rate
+
+N = 400
+TIME = np.linspace(0.0, 4.0, N)
+
+
+def theirs(simulation, reference):
+    """By the package of Openvt's ISO working group, unrounded."""
+    rating = pytest.importorskip("objective_rating_metrics.rating")
+    curves = [np.column_stack((TIME, y)) for y in (reference, simulation)]
+    rated = rating.ISO18571(*curves, dt=TIME[1])
+    parts = ("overall", "corridor", "phase", "magnitude", "slope")
+    return [getattr(rated, f"{part}_rating")(-1) for part in parts]
+
+
+def pulse(scale=1.0, delay=0.0, tail=0.0):
+    """A pulse and what swings after it."""
+    at = TIME - delay
+    return scale * np.exp(-((at - 1.2) ** 2) / 0.1) + tail * np.sin(7 * at) * np.exp(-0.4 * at)
+
+
+CASES = {
+    "scaled": (pulse(1.1, tail=0.2), pulse(tail=0.2)),
+    "late": (pulse(delay=0.15, tail=0.2), pulse(tail=0.2)),
+    "early and scaled": (pulse(0.8, -0.2, 0.1), pulse(tail=0.2)),
+    "too late": (pulse(delay=1.5), pulse()),
+    "another shape": (pulse(tail=0.6), pulse(tail=-0.3)),
+    "offset": (pulse(tail=0.2) + 0.3, pulse(tail=0.2)),
+    "upside down": (-pulse(tail=0.3), pulse(tail=0.3)),
+    "noisy": (pulse(tail=0.2) + np.random.default_rng(3).normal(0.0, 0.05, N), pulse(tail=0.2)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_part_is_that_of_another_implementation(case):
+    """Corridor, phase, magnitude and slope, from nearly equal curves to those that have nothing in common."""
+    # the same sums in another order: rounding
+    np.testing.assert_allclose(rate(*CASES[case]), theirs(*CASES[case]), rtol=1e-9, atol=1e-12)
+
+
+def test_equal_curves_are_rated_1():
+    """All parts."""
+    assert rate(pulse(), pulse()) == (1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_shift_costs_phase_alone():
+    """A curve that comes later by n of N samples has the phase rating 1 - n / (0.2 N), and equal shape."""
+    whole = np.sin(np.linspace(0.0, 9.0, N + 20)) * np.linspace(1.0, 2.0, N + 20)
+    found = rate(whole[:N], whole[20:])
+    # exact but for rounding
+    assert found.phase == pytest.approx(1 - 20 / (0.2 * N), rel=1e-12)
+    assert found.magnitude == pytest.approx(1.0, abs=1e-12)
+    assert found.slope == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_corridor_falls_by_the_square():
+    """Half way between the corridors of 0.05 and 0.5 a sample counts a quarter."""
+    reference = np.where(TIME < 2.0, 1.0, -1.0)
+    assert rate(reference + 0.275, reference).corridor == pytest.approx(0.25, rel=1e-12)
