@@ -15,11 +15,11 @@ from fmus.controller import CONTROLLER
 from fmus.export.python.build import build_python
 from fmus.export.reference_experiment import STEP, data_file
 from fmus.machine.parts import FAMILIES
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 
 EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()
-} | {LEVERS.name: LEVERS, CONTROLLER.name: CONTROLLER}
+} | {OPERATOR.name: OPERATOR, CONTROLLER.name: CONTROLLER}
 
 # machines that hold every variant of every part at least once
 MACHINES: tuple[dict[str, str], ...] = (
@@ -69,7 +69,7 @@ def native(name: str, folder: Path) -> Path:
     """The native FMU in a folder that `build_machine` filled."""
     return (
         folder / f"{name}.fmu"
-        if name in (LEVERS.name, CONTROLLER.name)
+        if name in (OPERATOR.name, CONTROLLER.name)
         else folder / "variants" / f"{name}.fmu"
     )
 

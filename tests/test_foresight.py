@@ -102,7 +102,7 @@ def test_the_fastest_component_steps_first(system, monkeypatch):
 
     monkeypatch.setattr(Sweep, "begin", noted)
     run(system, master=MASTER, step=1e-2, stop=0.01)
-    assert set(orders[0][:2]) == {"levers", "supply"}
+    assert set(orders[0][:2]) == {"operator", "supply"}
     assert orders[0][-1] == "manipulator"
 
 

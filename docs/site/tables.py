@@ -70,9 +70,9 @@ def _usual(p: Any) -> str:
 
 def _subsystems() -> list[Any]:
     from fmus.machine.parts import FAMILIES
-    from fmus.operator.model import LEVERS
+    from fmus.operator.model import OPERATOR
 
-    return [*(sub for family in FAMILIES.values() for sub in family.values()), LEVERS]
+    return [*(sub for family in FAMILIES.values() for sub in family.values()), OPERATOR]
 
 
 @cache

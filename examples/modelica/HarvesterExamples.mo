@@ -1,25 +1,25 @@
 package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md has the steps"
   extends Modelica.Icons.ExamplesPackage;
 
-  package Imported "harvester.fmu and levers.fmu by the tool's own import"
+  package Imported "harvester.fmu and operator.fmu by the tool's own import"
     extends Modelica.Icons.ExamplesPackage;
 
     // the classes that the tool made of the FMUs: the only lines to adapt
     // OpenModelica names them <model>_me_FMU, Dymola <model>_fmu
     model Machine = harvester_me_FMU "The whole machine: commands in, motion out";
-    model Levers = levers_me_FMU "Plays strokes of the levers";
+    model Operator = operator_me_FMU "Plays strokes of the levers";
 
     model OneBlock "The work cycle"
       extends Modelica.Icons.Example;
-      Levers levers;
+      Operator levers;
       Machine machine;
     equation
-      connect(levers.swing_command, machine.swing_command);
-      connect(levers.swing_command_rate, machine.swing_command_rate);
-      connect(levers.boom_command, machine.boom_command);
-      connect(levers.boom_command_rate, machine.boom_command_rate);
-      connect(levers.stick_command, machine.stick_command);
-      connect(levers.stick_command_rate, machine.stick_command_rate);
+      connect(operator.swing_command, machine.swing_command);
+      connect(operator.swing_command_rate, machine.swing_command_rate);
+      connect(operator.boom_command, machine.boom_command);
+      connect(operator.boom_command_rate, machine.boom_command_rate);
+      connect(operator.stick_command, machine.stick_command);
+      connect(operator.stick_command_rate, machine.stick_command_rate);
       // an open input is zero in the tool's class, not its start value
       machine.supply_pressure = 20.684e6 "Pa";
       machine.supply_pressure_rate = 0 "Pa/s";
@@ -60,14 +60,14 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
 
     model Flanges "The work cycle, connected at rods and shaft"
       extends Modelica.Icons.Example;
-      Harvester.FMUs.Levers levers;
+      Harvester.FMUs.Operator levers;
       Harvester.WithFlanges.Swing swing;
       Harvester.WithFlanges.BoomStick boom_stick;
       Harvester.WithFlanges.Manipulator arm;
     equation
-      connect(levers.swing_command, swing.swing_command);
-      connect(levers.boom_command, boom_stick.boom_command);
-      connect(levers.stick_command, boom_stick.stick_command);
+      connect(operator.swing_command, swing.swing_command);
+      connect(operator.boom_command, boom_stick.boom_command);
+      connect(operator.stick_command, boom_stick.stick_command);
       connect(swing.swing, arm.swing);
       connect(boom_stick.boom, arm.boom);
       connect(boom_stick.stick, arm.stick);

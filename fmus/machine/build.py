@@ -1,4 +1,4 @@
-"""Builds the machine: FMUs of its parts, levers and controller, their systems, and the machine in one FMU."""
+"""Builds the machine: FMUs of its parts, of operator and controller, systems, and the machine in one FMU."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def build_machine(
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
 ) -> list[Path]:
-    """Write all FMUs, of parts, whole, levers and controller, and both systems; their paths.
+    """Write all FMUs, of parts, whole, operator and controller, and both systems; their paths.
 
     versions    of FMI; the files of 2 go to `folder`, those of 3 to fmi3/ in it
     platforms   names of `fmus.export.compile`; by default the one this runs on

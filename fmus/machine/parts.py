@@ -12,7 +12,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.manipulator import MANIPULATOR
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 from fmus.supply import SUPPLY
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
@@ -24,9 +24,9 @@ FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
     "manipulator": manipulator.VARIANTS,
     "supply": supply.VARIANTS,
 }
-# the machine; and what is built: the machine, its supply and its levers
+# the machine; and what is built: the machine, its supply and its operator
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
-ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, LEVERS.name: LEVERS}
+ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}
 Wires: TypeAlias = tuple[tuple[str, str], ...]
 
 # power ports: what flows over each port and back
@@ -59,16 +59,16 @@ HOLDING: Wires = (
 
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
-# from the levers, each with its rate
+# from the operator, each with its rate
 COMMAND_WIRES: Wires = tuple(
-    (f"levers.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
+    (f"operator.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
 )
 
-# from the controller, where it stands in the place of the levers; and what it measures
+# from the controller, where it stands in the place of the operator; and what it measures
 CONTROL_WIRES: Wires = (
-    *((source.replace(LEVERS.name, CONTROLLER.name), target) for source, target in COMMAND_WIRES),
+    *((source.replace(OPERATOR.name, CONTROLLER.name), target) for source, target in COMMAND_WIRES),
     *(
         (f"manipulator.{axis}_{kind}", f"controller.{axis}_{kind}")
         for kind in ("angle", "speed")
@@ -94,7 +94,7 @@ SUPPLY_WIRES: Wires = (
     *((f"{d}.{v}", f"supply.{v}_{d}") for d in DRIVES for v in ("supply_flow", "return_flow")),
 )
 
-# inputs of the machine without levers and the component inputs they feed
+# inputs of the machine without operator and the component inputs they feed
 INPUTS: Mapping[str, tuple[str, ...]] = {
     **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),

@@ -55,7 +55,7 @@ def count(subs: Iterable[Subsystem], source: str | None = None) -> str:
 def show(name: str | None = None, source: str | None = None) -> None:
     """Print the table of one subsystem, or of the machine, or what has one source.
 
-    The levers' program is no number of the machine; it has a table of its own.
+    The operator's program is no number of the machine; it has a table of its own.
     """
     known = {
         **ALL,

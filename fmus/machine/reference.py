@@ -9,7 +9,7 @@ tool that sets the inputs at the communication points and holds them reproduces 
 does to the accuracy of a coupling. `python -m fmus.machine.reference` writes the files again, to be done whenever
 equations or numbers have changed.
 
-Makes work cycle, reference trace, levers' program, and the experiments that FMUs carry as their proof.
+Makes work cycle, reference trace, operator's program, and the experiments that FMUs carry as their proof.
 
     python -m fmus.machine.reference DATA_FOLDER
 
@@ -47,7 +47,7 @@ from fmus.machine.parts import (
 )
 from fmus.machine.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
 from fmus.monolith import join, simulate
-from fmus.operator.model import AXES, LEVERS
+from fmus.operator.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
 
 Array = NDArray[np.float64]
@@ -62,11 +62,11 @@ def machine() -> dict[str, Array]:
     """`component.variable` -> samples (n,) every STEP from 0 to STOP: all signals of the machine at work."""
     count = round(STOP / STEP)
     time = np.arange(2 * count + 1) * STEP / 2  # corners of the strokes lie on this grid, too
-    levers = symbolic(LEVERS).function().map(time.size)
-    p = np.tile(list(values(LEVERS).p.values()), (time.size, 1)).T
-    commands = np.asarray(levers(time[None, :], ca.DM(0, time.size), p)[1])
-    known = {f"levers.{n}": row for n, row in zip(quantities(LEVERS.outputs), commands, strict=True)}
-    known["levers.clock"] = time
+    commanded = symbolic(OPERATOR).function().map(time.size)
+    p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
+    commands = np.asarray(commanded(time[None, :], ca.DM(0, time.size), p)[1])
+    known = {f"operator.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)}
+    known["operator.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     sources = {end: known[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))
@@ -77,7 +77,7 @@ def machine() -> dict[str, Array]:
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
     known |= {target: known[source] for source, target in wires if source in known}
     known |= {f"controller.{n}": samples for n, samples in spells(time).items()}
-    known |= {f"controller.{n}_lever": known[f"levers.{n}_command"] for n in AXES}
+    known |= {f"controller.{n}_lever": known[f"operator.{n}_command"] for n in AXES}
     return {name: samples[::2] for name, samples in (known | driven).items()}
 
 
@@ -160,11 +160,11 @@ def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Arr
 
 
 def write_experiments() -> None:
-    """Write the experiments of all variants, of the levers and of the whole."""
+    """Write the experiments of all variants, of the operator and of the whole."""
     known = machine()
     for sub in (
         *(v for variants in FAMILIES.values() for v in variants.values()),
-        LEVERS,
+        OPERATOR,
         CONTROLLER,
         HARVESTER,
     ):
@@ -240,8 +240,8 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def main(folder: Path) -> None:
-    """Write scenario and trace below `folder`; the levers' program and experiments beside the models."""
-    write(LEVERS.values, program_numbers())
+    """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
+    write(OPERATOR.values, program_numbers())
     time, commands = work_cycle()
     write_csv(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10

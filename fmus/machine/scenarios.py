@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import quantities
-from fmus.operator.model import AXES, LEVERS, STROKES, WORDS, stroke_name
+from fmus.operator.model import AXES, OPERATOR, STROKES, WORDS, stroke_name
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -72,7 +72,7 @@ WORK_CYCLE: tuple[Move, ...] = (
 )
 WORK_CYCLE_STOP = 42.0  # s
 
-# programs of the levers by name; boom_up is also data/scenarios/boom_up.csv
+# programs of the operator by name; boom_up is also data/scenarios/boom_up.csv
 DEFAULT = "work_cycle"
 PROGRAMS: Mapping[str, tuple[Move, ...]] = {
     DEFAULT: WORK_CYCLE,
@@ -92,7 +92,7 @@ def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDA
 
 
 def program(moves: Sequence[Move]) -> dict[str, float]:
-    """The same moves as parameters of the levers; strokes that are not used are all zero."""
+    """The same moves as parameters of the operator; strokes that are not used are all zero."""
     values = {stroke_name(lever, n, word): 0.0 for lever in AXES for n in STROKES for word in WORDS}
     for lever in AXES:
         mine = [move for move in moves if move.axis == lever]
@@ -104,8 +104,8 @@ def program(moves: Sequence[Move]) -> dict[str, float]:
 
 
 def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
-    """The content of the levers' parameters.toml."""
-    units = {name: q.unit for name, q in quantities(LEVERS.parameters).items()}
+    """The content of the operator's parameters.toml."""
+    units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
     values = program(moves)
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
     notes = {True: "work cycle, fmus/machine/scenarios.py", False: "stroke not used"}

@@ -1,6 +1,6 @@
-"""harvester.ssp: the machine, its supply and its levers as connected FMUs, with poses and programs.
+"""harvester.ssp: the machine, its supply and its operator as connected FMUs, with poses and programs.
 
-harvester_control.ssp: the controller in the place of the levers, with poses and starts of paths.
+harvester_control.ssp: the controller in the place of the operator, with poses and starts of paths.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 
 NAME = "harvester"
 # some tools initialise in the order of the file: holding forces and supply pressure come first
-ORDER = ("manipulator", "supply", "boom_stick", "swing", "levers")
-COLUMNS = (("levers", "supply"), ("boom_stick", "swing"), ("manipulator",))
+ORDER = ("manipulator", "supply", "boom_stick", "swing", "operator")
+COLUMNS = (("operator", "supply"), ("boom_stick", "swing"), ("manipulator",))
 CONTROL = "harvester_control"
 CONTROL_STOP = 20.0  # s
 CONTROL_ORDER = (*ORDER[:-1], "controller")
@@ -78,8 +78,8 @@ def write_control(
 
 
 def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
-    """Poses and programs of the levers by name, each with its values by "component.variable"."""
+    """Poses and programs of the operator by name, each with its values by "component.variable"."""
     sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
     for name, moves in PROGRAMS.items():
-        sets[name] = {f"{LEVERS.name}.{p}": value for p, value in program(moves).items()}
+        sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
     return sets

@@ -1,5 +1,5 @@
-"""The levers: a program of lever strokes."""
+"""The operator: plays a program of lever strokes."""
 
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 
-__all__ = ["LEVERS"]
+__all__ = ["OPERATOR"]

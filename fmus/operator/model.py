@@ -107,8 +107,8 @@ def stroke_name(lever: str, number: int, word: str) -> str:
 
 
 # 150 parameters from one pattern; their numbers and sources are in parameters.toml
-LeversParameters: type[Any] = make_dataclass(
-    "LeversParameters",
+OperatorParameters: type[Any] = make_dataclass(
+    "OperatorParameters",
     [
         (stroke_name(lever, number, word), Annotated[Scalar, quantity], field())
         for lever in AXES
@@ -120,19 +120,19 @@ LeversParameters: type[Any] = make_dataclass(
 
 
 @dataclass(frozen=True)
-class LeversState:
+class OperatorState:
     """How far the program is."""
 
     clock: Annotated[Scalar, Quantity("s", "Time in the program; starts at 0, whatever the start time")]
 
 
 @dataclass(frozen=True)
-class LeversInputs:
+class OperatorInputs:
     """None."""
 
 
 @dataclass(frozen=True)
-class LeversOutputs:
+class OperatorOutputs:
     """Commands to the valves and their rates."""
 
     swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]
@@ -163,20 +163,20 @@ def _lever(which: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
     return sum(values), sum(rates)
 
 
-def dynamics(x: LeversState, u: LeversInputs, p: Any) -> LeversState:
+def dynamics(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorState:
     """Time derivative of the state."""
-    return LeversState(clock=1)
+    return OperatorState(clock=1)
 
 
-def observe(x: LeversState, u: LeversInputs, p: Any) -> LeversOutputs:
+def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
     """Outputs."""
     shown: dict[str, Scalar] = {}
     for which in AXES:
         shown[f"{which}_command"], shown[f"{which}_command_rate"] = _lever(which, x.clock, p)
-    return LeversOutputs(**shown)
+    return OperatorOutputs(**shown)
 
 
-def corner(x: LeversState, u: LeversInputs, p: Any) -> Scalar:
+def corner(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
     """Seconds to the next corner of a stroke: a solver at rest would step over a whole one."""
     found: Scalar = math.inf
     for which in AXES:
@@ -185,13 +185,13 @@ def corner(x: LeversState, u: LeversInputs, p: Any) -> Scalar:
     return found
 
 
-LEVERS = Subsystem(
-    name="levers",
-    text="Levers: a program of up to ten strokes on each of three levers",
-    parameters=LeversParameters,
-    states=LeversState,
-    inputs=LeversInputs,
-    outputs=LeversOutputs,
+OPERATOR = Subsystem(
+    name="operator",
+    text="Operator: a program of up to ten strokes on each of three levers",
+    parameters=OperatorParameters,
+    states=OperatorState,
+    inputs=OperatorInputs,
+    outputs=OperatorOutputs,
     dynamics=dynamics,
     observe=observe,
     corner=corner,

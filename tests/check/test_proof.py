@@ -18,7 +18,7 @@ from fmus.export.reference_experiment import BOUND, PAGE, PLACE, TOLERANCE, data
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from orchestrator.check.reference_experiment import Comparison, cases, compare
@@ -147,7 +147,7 @@ def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
 
 def test_an_experiment_without_inputs_has_no_stimuli():
     """The levers have no inputs: no file, and none in the experiment."""
-    files = proof(LEVERS)
+    files = proof(OPERATOR)
     assert f"{PLACE}/input.csv" not in files
     assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
     assert b"There are no inputs" in files[PAGE]

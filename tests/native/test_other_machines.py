@@ -14,7 +14,7 @@ from fmus.export.build import build_all
 from fmus.machine.build import STEP
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.scenarios import WORK_CYCLE_STOP
-from fmus.operator.model import LEVERS
+from fmus.operator.model import OPERATOR
 
 WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
@@ -32,10 +32,10 @@ def compare(
 ) -> None:
     """Both versions of the whole machine and the levers on the other platform, and on this one."""
     folders = {version: folder / str(version) for version in (2, 3)}
-    build_all([HARVESTER, LEVERS], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
+    build_all([HARVESTER, OPERATOR], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
     for version, built in folders.items():
         program = driver(version, folder, zig(platform), suffix=suffix)
-        for name in ("harvester", "levers"):
+        for name in ("harvester", "operator"):
             host = machines[version, name]
             other = unpack(built / f"{name}.fmu", built / name, platform)
             script = cycle(host, STOP) if name == "harvester" else [*begin(host), *moves(host, 0, 1000)]

@@ -31,7 +31,7 @@ from fmus.machine.scenarios import (
     program_numbers,
 )
 from fmus.machine.scenarios import sample as sampled
-from fmus.operator.model import AHEAD, AXES, LEVERS, STROKES, Stroke, sample
+from fmus.operator.model import AHEAD, AXES, OPERATOR, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem
 
@@ -88,7 +88,7 @@ def test_a_clock_of_an_hour_still_meets_the_corners():
 
 def test_the_rates_are_the_derivatives_of_the_commands():
     """Of the model's own expressions, at random instants of the work cycle."""
-    s, v = symbolic(LEVERS), values(LEVERS)
+    s, v = symbolic(OPERATOR), values(OPERATOR)
     rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:]])
     clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
     for t in clock:
@@ -101,21 +101,21 @@ def test_the_fmu_plays_the_work_cycle(fmu_dir):
     time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
     names = [f"{lever}_command" for lever in AXES]
     rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
-    with driving(fmu_dir / "levers.fmu") as levers:
+    with driving(fmu_dir / "operator.fmu") as operator:
         for n in range(len(time) - 1):
             # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
-            np.testing.assert_allclose(levers.get(*names), commands[n], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(operator.get(*names), commands[n], rtol=0, atol=1e-9)
             np.testing.assert_allclose(
-                levers.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
+                operator.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
             )
-            levers.step(1e-3, 5)
+            operator.step(1e-3, 5)
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_any_master_gets_the_same_commands(fmu_dir, kind):
     """In co-simulation and model exchange, whatever the start time: the clock begins with the run."""
     rows = simulate_fmu(
-        str(fmu_dir / "levers.fmu"),
+        str(fmu_dir / "operator.fmu"),
         fmi_type=kind,
         start_time=5.0,
         stop_time=12.0,
@@ -132,7 +132,7 @@ def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
     """In model exchange the FMU names the corners one by one, and no event after the last one."""
     corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
     for folder in (fmu_dir, fmi3_dir):
-        with exchanging(folder / "levers.fmu", 5.0) as following:
+        with exchanging(folder / "operator.fmu", 5.0) as following:
             assert [round(time, 9) for time in following] == sorted(corners)
 
 
@@ -146,7 +146,7 @@ def exchanging(path, start):
         guid=description.guid,
         unzipDirectory=folder,
         modelIdentifier=description.modelExchange.modelIdentifier,
-        instanceName="levers",
+        instanceName="operator",
     )
     fmu.instantiate()
     if kind is FMU2Model:
@@ -176,13 +176,13 @@ def exchanging(path, start):
 
 def test_no_event_is_lost_in_a_whole():
     """Components with corners cannot be joined: the FMU of the whole would not tell them."""
-    with pytest.raises(Problem, match="whole: levers has corners, expected components without"):
-        joined("whole", "Levers alone", {"levers": LEVERS}, (), {}, folder=LEVERS.values.parent)
+    with pytest.raises(Problem, match="whole: operator has corners, expected components without"):
+        joined("whole", "The operator alone", {"operator": OPERATOR}, (), {}, folder=OPERATOR.values.parent)
 
 
 def test_the_shipped_program_is_the_work_cycle():
     """parameters.toml is what `python -m fmus.machine.reference` writes."""
-    assert numbers(LEVERS)["parameters"] == program_numbers()["parameters"]
+    assert numbers(OPERATOR)["parameters"] == program_numbers()["parameters"]
 
 
 def test_programs_are_the_shipped_scenarios():
@@ -211,7 +211,7 @@ def test_a_program_that_is_too_long_is_refused():
 
 def test_the_default_sets_are_the_start_values():
     """The pose and the program that the system binds change nothing in the FMUs."""
-    assert program(PROGRAMS[DEFAULT]) == values(LEVERS).p
+    assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
     from fmus.machine.parts import SUBSYSTEMS
 
     for port, value in pose_set(POSES[NOMINAL]).items():
