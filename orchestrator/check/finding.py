@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
+    from orchestrator.fmi.model_description import DeclaredVariable
 
 Severity = Literal["error", "warning", "note"]
 LONGEST = 60  # characters of a name that are shown
@@ -53,6 +54,11 @@ def some(names: Sequence[str], shown: int = 5) -> str:
     """The first names, cut where they are endless, and how many more there are."""
     cut = [n if len(n) <= LONGEST else n[: LONGEST - 3] + "..." for n in names[:shown]]
     return ", ".join(cut) + (f" and {len(names) - shown} more" if len(names) > shown else "")
+
+
+def listed(variables: Sequence[DeclaredVariable]) -> str:
+    """Line of the first variable, and the names of all."""
+    return f"modelDescription.xml line {variables[0].line}: {some([v.name for v in variables])}"
 
 
 Check = Callable[["Subject"], Iterable[Finding]]

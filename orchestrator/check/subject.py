@@ -20,7 +20,7 @@ from orchestrator.check.finding import Finding
 
 if TYPE_CHECKING:
     from orchestrator.check.binary import Binary
-    from orchestrator.check.description import Model
+    from orchestrator.fmi.model_description import ModelDescription
 
 DESCRIPTION = "modelDescription.xml"
 MOST_BYTES = 2 << 30  # a description of half a million variables and five binaries stay far below
@@ -170,11 +170,11 @@ class Subject:
         return frozenset(p.relative_to(self.folder).as_posix() for p in there)
 
     @cached_property
-    def model(self) -> Model:
+    def model(self) -> ModelDescription:
         """What modelDescription.xml says, read without judging it."""
-        from orchestrator.check.description import read
+        from orchestrator.fmi.read_description import read_description
 
-        return read(self.root, self.major)
+        return read_description(self.root, self.major)
 
     @cached_property
     def binaries(self) -> tuple[Binary, ...]:

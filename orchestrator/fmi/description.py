@@ -1,27 +1,35 @@
-"""What an FMU declares about itself: variables, dependencies, abilities.
+"""What an importer needs to know of an FMU: its variables, their dependencies, and what it is able to do.
 
-Reading modelDescription.xml of an FMU, FMI 2.0 or 3.0.
+`read_interface` takes it from modelDescription.xml and refuses, in one line, what cannot be run here.
 """
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 from orchestrator.base.errors import Problem, Unsupported
 from orchestrator.base.files import Location
 from orchestrator.base.units import BASES, DeclaredUnit
+from orchestrator.base.xml import parse
+from orchestrator.fmi.model_description import (
+    FLOATS,
+    SIGNED,
+    UNSIGNED,
+    DeclaredVariable,
+    ModelDescription,
+    UnitDefinition,
+    Unknown,
+    whole,
+)
+from orchestrator.fmi.read_description import read_description
 
 Value = float | int | bool | str
 
-FLOATS = ("Real", "Float64", "Float32")
-INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 KINDS = {
     **dict.fromkeys(FLOATS, "Real"),
-    **dict.fromkeys(INTEGERS, "Integer"),
+    **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
 SHOWN = 5  # names in a list
@@ -168,6 +176,11 @@ class Interface:
 
 
 SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
+INTERFACES = {
+    "CoSimulation": "co-simulation",
+    "ModelExchange": "model exchange",
+    "ScheduledExecution": "scheduled execution",
+}
 
 
 def read_interface(fmu: Location, exchange: bool = False) -> Interface:
@@ -175,105 +188,94 @@ def read_interface(fmu: Location, exchange: bool = False) -> Interface:
 
     exchange   as an FMU for Model Exchange; else for Co-Simulation
     """
-    from fmpy import read_model_description
-
-    source: Any = str(fmu.path) if fmu.is_folder else io.BytesIO(fmu.read())
-    root = _root(fmu)
+    root = parse(fmu.member("modelDescription.xml"), "fmiModelDescription")
+    version = root.get("fmiVersion")
+    if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
+        raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
+    description = read_description(root, int(version[0]))
+    wanted = "ModelExchange" if exchange else "CoSimulation"
+    if wanted not in description.interfaces:
+        there = " and ".join(name for kind, name in INTERFACES.items() if kind in description.interfaces)
+        raise Problem(
+            f"{fmu}: expected an FMU for {INTERFACES[wanted]}, got one for {there or 'nothing'} only"
+        )
     try:
-        description = read_model_description(source, validate=False)
-    except Exception as error:  # FMPy raises plain exceptions
-        raise Problem(f"{fmu}: modelDescription.xml cannot be read: {error}") from error
-    _check_kind(fmu, description, exchange)
-    try:
-        return _interface(description, root, exchange)
+        return _interface(description, wanted)
     except Problem as problem:
         raise Problem(f"{fmu}: {problem}") from None
 
 
-def _check_kind(fmu: Location, description: Any, exchange: bool) -> None:
-    kinds = {
-        "co-simulation": description.coSimulation,
-        "model exchange": description.modelExchange,
-        "scheduled execution": description.scheduledExecution,
-    }
-    wanted = "model exchange" if exchange else "co-simulation"
-    if kinds[wanted] is None:
-        there = " and ".join(kind for kind, found in kinds.items() if found is not None)
-        raise Problem(f"{fmu}: expected an FMU for {wanted}, got one for {there or 'nothing'} only")
-
-
-def _root(fmu: Location) -> Any:
-    """The XML of the model description; its FMI version is checked before FMPy stumbles over another one."""
-    from lxml import etree
-
-    try:
-        root = etree.fromstring(fmu.member("modelDescription.xml").read())
-    except etree.XMLSyntaxError as error:
-        raise Problem(f"{fmu}: modelDescription.xml is not XML: {error}") from error
-    version = root.get("fmiVersion")
-    if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
-        raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
-    return root
-
-
-def _interface(description: Any, root: Any, exchange: bool) -> Interface:
-    fmi = int(root.get("fmiVersion")[0])
-    kind = root.find("ModelExchange" if exchange else "CoSimulation")
-    able = {name for name, value in kind.items() if value in ("true", "1")}
-    units = {u.name: _unit(u) for u in description.unitDefinitions}
-    declared = description.modelVariables
+def _interface(description: ModelDescription, kind: str) -> Interface:
+    fmi, able, about = description.major, description.interfaces[kind], description.attributes
+    units = {u.name: _unit(u) for u in description.units}
+    declared = list(_named(description))
     refused = {v.name: what for v in declared if (what := _refusal(v))}
-    variables = {v.name: _variable(v, units, fmi) for v in declared if v.name not in refused}
+    variables = {v.name: _variable(v, description, units) for v in declared if v.name not in refused}
     _check(variables, refused, declared)
     inputs = {name for name, v in variables.items() if v.causality == "input"}
-    tool = description.modelExchange if exchange else description.coSimulation
-    experiment = description.defaultExperiment
     feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
-    names = _names(variables.values(), fmi)
-    outputs = _dependencies(description.outputs, names)
+    outputs, derivatives, initial = (
+        _dependencies(description, description.structure[section])
+        for section in ("outputs", "derivatives", "initial")
+    )
+    exchange = "ModelExchange" in description.interfaces
+    needed = [*outputs.values(), *derivatives.values()]
+    silent = not exchange or None in needed
+    experiment = description.experiment.attributes if description.experiment else {}
+    indicators = description.structure["indicators"]
     return Interface(
         variables=variables,
         feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
-        initially=outputs | _dependencies(description.initialUnknowns, names),
-        identifier=tool.modelIdentifier,
-        guid=description.guid,
+        initially=outputs | initial,
+        identifier=able.get("modelIdentifier"),
+        guid=description.token,
         fmi=fmi,
         refused=refused,
-        interpolates="canInterpolateInputs" in able and fmi == 2,
-        rates=_rates(declared, root, variables),
-        slopes=int(getattr(tool, "maxOutputDerivativeOrder", 0) or 0),
-        rollback=bool(tool.canGetAndSetFMUstate),
-        serializes=bool(tool.canSerializeFMUstate),
-        only_one="canBeInstantiatedOnlyOncePerProcess" in able,
-        needs_tool="needsExecutionTool" in able,
-        indicators=int(description.numberOfEventIndicators or 0),
-        varies="canHandleVariableCommunicationStepSize" in able,
-        stateless=description.modelExchange is not None and not description.derivatives,
-        inert=frozenset(inputs - _needed(description, inputs)),
+        interpolates=able.is_true("canInterpolateInputs") and fmi == 2,
+        rates=_rates(declared, description, variables),
+        slopes=whole(able.get("maxOutputDerivativeOrder")) or 0,
+        rollback=able.is_true("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+        serializes=able.is_true("canSerializeFMUstate", "canSerializeFMUState"),
+        only_one=able.is_true("canBeInstantiatedOnlyOncePerProcess"),
+        needs_tool=able.is_true("needsExecutionTool"),
+        indicators=len(indicators) if fmi == 3 else whole(about.get("numberOfEventIndicators")) or 0,
+        varies=able.is_true("canHandleVariableCommunicationStepSize"),
+        stateless=exchange and not derivatives,
+        inert=frozenset() if silent else frozenset(inputs.difference(*(d for d in needed if d is not None))),
         states=_states(description, variables),
-        knowns=outputs | _dependencies(description.derivatives, names),
-        directional=bool(able & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}),
-        categories=tuple(c.name for c in description.logCategories),
+        knowns=outputs | derivatives,
+        directional=able.is_true("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+        categories=description.categories,
         start=_number(experiment, "startTime"),
-        step=_number(experiment, "stepSize") or _number(tool, "fixedInternalStepSize"),
+        step=_number(experiment, "stepSize") or _number(able.attributes, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=_number(experiment, "tolerance"),
-        version=description.version or "",
-        tool=description.generationTool or "",
-        text=description.description or "",
+        version=about.get("version", ""),
+        tool=about.get("generationTool", ""),
+        text=about.get("description", ""),
     )
 
 
-def _refusal(v: Any) -> str:
+def _named(description: ModelDescription) -> Iterator[DeclaredVariable]:
+    """The variables, then their aliases as variables of their own."""
+    yield from (v for v in description.variables if v.name)
+    for v in description.variables:
+        for alias in v.aliases:
+            yield replace(v, name=alias.get("name"), attributes={**v.attributes, **alias.attributes})
+
+
+def _refusal(v: DeclaredVariable) -> str:
     """What a variable is that cannot be used here; empty for the others."""
-    if v.type == "Clock" or v.clocks:
+    if v.clocked:
         return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
     if v.type not in KINDS:
         return f"a variable of type {v.type}"
     return f"an array of shape ({', '.join(map(str, v.shape))})" if v.shape else ""
 
 
-def _check(variables: Mapping[str, Variable], refused: Mapping[str, str], declared: Iterable[Any]) -> None:
+def _check(
+    variables: Mapping[str, Variable], refused: Mapping[str, str], declared: Iterable[DeclaredVariable]
+) -> None:
     """Refuse what cannot be run at all: clocks, arrays only, a time that is not in seconds."""
     for name, what in refused.items():
         if "clock" in what:  # such an FMU must be run with event mode
@@ -288,95 +290,89 @@ def _check(variables: Mapping[str, Variable], refused: Mapping[str, str], declar
             raise Problem(f"{v.name}: expected time in seconds, got {unit}")
 
 
-def _needed(description: Any, inputs: Collection[str]) -> set[str]:
-    """The inputs that states or outputs depend on, as far as the FMU declares it."""
-    if description.modelExchange is None:
-        return set(inputs)
-    unknowns = [*description.derivatives, *description.outputs]
-    if any(u.dependencies is None for u in unknowns):
-        return set(inputs)
-    return {d.name for u in unknowns for d in u.dependencies}
-
-
-def _states(description: Any, variables: Mapping[str, Variable]) -> dict[str, str]:
-    """Continuous states and their time derivatives."""
-    rates = [u.variable for u in description.derivatives]
-    found = {v.derivative.name: v.name for v in rates if v.derivative}
-    complete = len(found) == len(rates)
-    return found if complete and all(name in variables for pair in found.items() for name in pair) else {}
-
-
-def _names(variables: Iterable[Variable], fmi: int) -> Mapping[str, Collection[str]]:
-    """Name -> all names of the same variable; FMI 3.0 lists dependencies without aliases."""
-    same: dict[int | str, list[str]] = {}
-    for v in variables:
-        same.setdefault(v.reference if fmi == 3 else v.name, []).append(v.name)
-    return {name: names for names in same.values() for name in names}
-
-
-def _dependencies(
-    unknowns: Iterable[Any], names: Mapping[str, Collection[str]]
-) -> dict[str, frozenset[str] | None]:
-    found: dict[str, frozenset[str] | None] = {}
-    for u in unknowns:
-        known = None
-        if u.dependencies is not None:
-            known = frozenset(name for d in u.dependencies for name in names.get(d.name, ()))
-        found |= dict.fromkeys(names.get(u.variable.name, ()), known)
-    return found
-
-
-def _variable(v: Any, units: Mapping[str, DeclaredUnit], fmi: int) -> Variable:
-    unit = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+def _variable(
+    v: DeclaredVariable, description: ModelDescription, units: Mapping[str, DeclaredUnit]
+) -> Variable:
+    """A scalar variable; raises Problem, by name, for what no FMU may declare."""
+    type_ = v.attributes.get("declaredType")
+    if type_ is not None and type_ not in description.types:
+        raise Problem(f"{v}: declaredType {type_!r} is not defined")
+    if v.reference is None:
+        raise Problem(f"{v}: valueReference {v.attributes.get('valueReference')!r}, expected a whole number")
+    if not v.initial and v.causality not in ("input", "independent"):
+        raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
     word = "Int64" if v.type == "Enumeration" else v.type
+    items = description.types[type_].items if type_ and v.type == "Enumeration" else ()
+    try:
+        values = {name: int(value) for name, value in items}
+        nominal, minimum, maximum = (_number(v.attributes, name) for name in ("nominal", "min", "max"))
+    except (Problem, ValueError) as problem:
+        raise Problem(f"{v}: {problem}") from None
     return Variable(
         name=v.name,
         kind=KINDS[v.type],
         causality=v.causality,
         variability=v.variability,
-        initial=v.initial,
-        reference=v.valueReference,
-        unit=units.get(unit, DeclaredUnit(unit)) if unit else None,
-        start=v.start,
-        items=_items(v),
-        nominal=_number(v, "nominal"),
-        text=v.description or "",
-        word=word if fmi == 3 else "",
-        minimum=_bound(v, "min"),
-        maximum=_bound(v, "max"),
+        initial=v.initial or ("exact" if v.causality == "input" else None),
+        reference=v.reference,
+        unit=units.get(v.unit, DeclaredUnit(v.unit)) if v.unit else None,
+        start=" ".join(v.starts) if v.starts else None,
+        items=values,
+        nominal=nominal if v.is_float else None,
+        text=v.get("description"),
+        word=word if description.major == 3 else "",
+        minimum=minimum,
+        maximum=maximum,
     )
 
 
-def _bound(v: Any, name: str) -> float | None:
-    """Of the variable, else of its type."""
-    own = _number(v, name)
-    return _number(v.declaredType, name) if own is None else own
+def _unit(unit: UnitDefinition) -> DeclaredUnit:
+    if unit.base is None:
+        return DeclaredUnit(unit.name)
+    try:
+        exponents = tuple(int(unit.base.get(b, "0")) for b in BASES)
+        factor, offset = float(unit.base.get("factor", "1")), float(unit.base.get("offset", "0"))
+    except ValueError as error:
+        raise Problem(f"modelDescription.xml line {unit.line}: unit {unit.name}: {error}") from None
+    return DeclaredUnit(unit.name, exponents, factor, offset)
 
 
-def _items(v: Any) -> dict[str, int]:
-    if v.type != "Enumeration" or v.declaredType is None:
-        return {}
-    return {item.name: int(item.value) for item in v.declaredType.items}
+def _dependencies(
+    description: ModelDescription, unknowns: Iterable[Unknown]
+) -> dict[str, frozenset[str] | None]:
+    """Names of unknowns -> names of what they depend on, aliases included; None where the FMU does not say."""
+    found: dict[str, frozenset[str] | None] = {}
+    for u in unknowns:
+        if u.variable is None:
+            raise Problem(f"{u}: expected a variable, found none with number {u.key}")
+        known = None
+        if u.dependencies is not None:
+            variables = [description.by_key.get(-1 if key is None else key) for key in u.dependencies]
+            if None in variables:
+                raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is no variable")
+            known = frozenset(name for v in variables if v for name in v.names)
+        found |= dict.fromkeys(u.variable.names, known)
+    return found
 
 
-def _unit(u: Any) -> DeclaredUnit:
-    if u.baseUnit is None:
-        return DeclaredUnit(u.name)
-    base = u.baseUnit
-    exponents = tuple(int(getattr(base, b)) for b in BASES)
-    return DeclaredUnit(u.name, exponents, float(base.factor), float(base.offset))
+def _states(description: ModelDescription, variables: Mapping[str, Variable]) -> dict[str, str]:
+    """Continuous states and their time derivatives; empty where one of them is missing or cannot be used."""
+    pairs = [(description.state_of(v), v) for v in description.derivatives]
+    found = {state.name: v.name for state, v in pairs if state}
+    complete = len(found) == len(pairs)
+    return found if complete and all(name in variables for pair in found.items() for name in pair) else {}
 
 
-def _rates(declared: Iterable[Any], root: Any, variables: Mapping[str, Variable]) -> dict[str, str]:
+def _rates(
+    declared: Iterable[DeclaredVariable], description: ModelDescription, variables: Mapping[str, Variable]
+) -> dict[str, str]:
     """Inputs and the inputs that are their time derivatives, where the units agree.
 
     Declared by the attribute `derivative`, or, in FMI 2.0, by our annotation: OMSimulator takes a variable
     with that attribute for the derivative of a state.
     """
-    pairs = {v.derivative.name: v.name for v in declared if v.derivative is not None}
-    noted = root.iterfind("VendorAnnotations/Tool[@name='harvester-cosim']//InputDerivative")
-    pairs |= {e.get("input"): e.get("derivative") for e in noted}
-    known = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
+    pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
+    known = ((variables.get(u), variables.get(rate)) for u, rate in (pairs | description.input_rates).items())
     return {
         u.name: rate.name
         for u, rate in known
@@ -394,8 +390,8 @@ def _per_second(unit: DeclaredUnit | None, rate: DeclaredUnit | None) -> bool:
     return rate.exponents == expected and rate.factor == unit.factor
 
 
-def _number(owner: Any, name: str) -> float | None:
-    text = getattr(owner, name, None)
+def _number(attributes: Mapping[str, str], name: str) -> float | None:
+    text = attributes.get(name)
     try:
         return None if text is None else float(text)
     except ValueError:

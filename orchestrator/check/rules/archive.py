@@ -164,7 +164,7 @@ def texts(subject: Subject) -> Iterator[Finding]:
     "contents.categories", "There are log categories, each once; in FMI 2 with the standard's names"
 )
 def categories(subject: Subject) -> Iterator[Finding]:
-    found = [c.get("name", "") for c in children(subject.root, "LogCategories", "Category")]
+    found = subject.model.categories
     if subject.major and not found:
         yield note(f"{DESCRIPTION}: no log categories; messages of the FMU cannot be chosen")
     for name, count in Counter(found).items():
@@ -227,8 +227,8 @@ def _code(subject: Subject) -> list[str]:
 
 @SOURCES.rule("source.listed", "Sources that are listed are there")
 def listed(subject: Subject) -> Iterator[Finding]:
-    for element in subject.model.interfaces.values():
-        for file in children(element, "SourceFiles", "File"):
+    for kind in subject.model.interfaces:
+        for file in children(subject.root, kind, "SourceFiles", "File"):
             name = file.get("name", "")
             if f"sources/{name}" not in subject.files:
                 yield error(f"{DESCRIPTION} line {file.sourceline}: sources/{name} is listed, but missing")
@@ -246,7 +246,7 @@ def build(subject: Subject) -> Iterator[Finding]:
     code = _code(subject)
     if not code or not subject.model.interfaces:
         return
-    lists = [e for e in subject.model.interfaces.values() if child(e, "SourceFiles", "File") is not None]
+    lists = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
         yield error(f"{BUILD} is missing beside {some(code, 2)}; FMI 3 tools cannot compile them")
     elif subject.major == 2 and BUILD not in subject.files and not lists:

@@ -16,7 +16,8 @@ from typing import Any
 from orchestrator.base.xml import local
 from orchestrator.check.finding import Finding, Table, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
-from orchestrator.check.subject import DESCRIPTION, Element, Subject
+from orchestrator.check.subject import DESCRIPTION, Subject
+from orchestrator.fmi.model_description import Entry
 
 DESCRIPTION_FILE = Table()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
@@ -184,8 +185,8 @@ def token(subject: Subject) -> Iterator[Finding]:
 @IDENTITY.rule("identity.identifier", "The model identifier is a C identifier")
 def identifier(subject: Subject) -> Iterator[Finding]:
     for kind, element in subject.model.interfaces.items():
-        name = element.get("modelIdentifier", "")
-        where = f"{DESCRIPTION} line {element.sourceline}: {kind}"
+        name = element.get("modelIdentifier")
+        where = f"{DESCRIPTION} line {element.line}: {kind}"
         if not BINARY_NAME.fullmatch(name) or name in C:
             yield error(
                 f"{where}: modelIdentifier {name!r} is no C identifier; it names binaries and C functions"
@@ -212,10 +213,10 @@ def same(subject: Subject) -> Iterator[Finding]:
 DEFAULT_EXPERIMENT = Table()
 
 
-def _number(element: Element, name: str) -> float | None:
+def _number(element: Entry, name: str) -> float | None:
     try:
         return float(element.get(name))
-    except (TypeError, ValueError):
+    except ValueError:
         return None
 
 
@@ -227,11 +228,9 @@ def there(subject: Subject) -> Iterator[Finding]:
     if element is None:
         yield note(f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size")
         return
-    lacking = [n for n in ("stopTime", "stepSize") if element.get(n) is None]
+    lacking = [n for n in ("stopTime", "stepSize") if n not in element.attributes]
     if lacking:
-        yield note(
-            f"{DESCRIPTION} line {element.sourceline}: DefaultExperiment has no {' and no '.join(lacking)}"
-        )
+        yield note(f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(lacking)}")
 
 
 @DEFAULT_EXPERIMENT.rule("experiment.values", "The default experiment can be run")
@@ -239,7 +238,7 @@ def values(subject: Subject) -> Iterator[Finding]:
     element = subject.model.experiment
     if element is None:
         return
-    where = f"{DESCRIPTION} line {element.sourceline}: DefaultExperiment"
+    where = f"{DESCRIPTION} line {element.line}: DefaultExperiment"
     start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
     for name in ("stepSize", "tolerance"):
         value = _number(element, name)
@@ -265,7 +264,7 @@ def step(subject: Subject) -> Iterator[Finding]:
     # a decimal step is rounded in its last bit, so the count is whole to 1e-9 for up to a million steps
     if not math.isclose(count, round(count), rel_tol=1e-9):
         yield note(
-            f"{DESCRIPTION} line {element.sourceline}: {stop - start:g} s are {count:.6g} steps of {size:g} s"
+            f"{DESCRIPTION} line {element.line}: {stop - start:g} s are {count:.6g} steps of {size:g} s"
             "; the last step is shorter, or missing"
         )
 
@@ -277,6 +276,4 @@ def start(subject: Subject) -> Iterator[Finding]:
     element = subject.model.experiment
     begin = None if element is None else _number(element, "startTime")
     if element is not None and begin:
-        yield note(
-            f"{DESCRIPTION} line {element.sourceline}: startTime is {begin:g}; some tools start at 0 anyway"
-        )
+        yield note(f"{DESCRIPTION} line {element.line}: startTime is {begin:g}; some tools start at 0 anyway")

@@ -348,7 +348,7 @@ def name(subject: Subject) -> Iterator[Finding]:
     for folder_ in (f for f in folders(subject) if _legal(f, subject.major)):
         system = as_tuple(folder_)[1]
         for kind, element in subject.model.interfaces.items():
-            expected = f"{element.get('modelIdentifier', '')}{SUFFIXES[FORMATS[system]]}"
+            expected = f"{element.get('modelIdentifier')}{SUFFIXES[FORMATS[system]]}"
             if f"binaries/{folder_}/{expected}" in subject.files:
                 continue
             static = [

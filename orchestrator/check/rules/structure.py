@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from orchestrator.base.xml import flag
-from orchestrator.check.description import Model, Unknown, Variable, whole
 from orchestrator.check.finding import Finding, Table, error, note, some, warning
-from orchestrator.check.subject import DESCRIPTION, Element, Subject
+from orchestrator.check.subject import DESCRIPTION, Subject
+from orchestrator.fmi.model_description import DeclaredVariable, Entry, ModelDescription, Unknown, whole
 
 STRUCTURE = Table()
 WHERE = "modelDescription.xml: ModelStructure"
@@ -24,7 +23,9 @@ LISTS = {
 }
 
 
-def _differences(model: Model, section: str, expected: list[Variable], why: str) -> Iterator[Finding]:
+def _differences(
+    model: ModelDescription, section: str, expected: list[DeclaredVariable], why: str
+) -> Iterator[Finding]:
     """What is missing in a list, and what does not belong there."""
     listed = dict.fromkeys(u.variable for u in model.structure.get(section, ()) if u.variable)
     name = LISTS[model.major][section]
@@ -57,8 +58,7 @@ def initial(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     if not model.major:
         return
-    listed = [u.variable for u in model.structure["derivatives"] if u.variable]
-    core = {*listed, *model.states}
+    core = {*model.derivatives, *model.states}
     expected = [
         v
         for v in model.variables
@@ -80,8 +80,7 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
         variable = unknown.variable
         if variable is None:
             continue
-        key = variable.said.get("derivative")
-        state = model.by_key.get(whole(key) or -1) if key != "0" else model.by_key.get(0)
+        key, state = variable.attributes.get("derivative"), model.state_of(variable)
         if key is None:
             yield error(f"{unknown}: the variable has no attribute derivative")
         elif state is None:
@@ -99,7 +98,7 @@ def rates(subject: Subject) -> Iterator[Finding]:
     if subject.major != 2 or "ModelExchange" not in model.interfaces:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
-    said = [v for v in model.variables if v.said.get("derivative") and v not in listed]
+    said = [v for v in model.variables if v.get("derivative") and v not in listed]
     said = [v for v in said if v.is_float and v.variability == "continuous"]
     if said:
         yield warning(
@@ -165,7 +164,7 @@ def knowns(subject: Subject) -> Iterator[Finding]:
                     break
 
 
-def _known(v: Variable, section: str, states: set[Variable], major: int) -> bool:
+def _known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:
     """True for what the standard calls a known of this list."""
     if v.causality in ("input", "independent"):
         return True
@@ -215,10 +214,10 @@ SPELLINGS = {
 DERIVATIVES = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
 
 
-def _interfaces(subject: Subject) -> Iterator[tuple[str, Element]]:
+def _interfaces(subject: Subject) -> Iterator[tuple[str, Entry]]:
     """Where a kind stands, and its element."""
     for kind, element in subject.model.interfaces.items():
-        yield f"{DESCRIPTION} line {element.sourceline}: {kind}", element
+        yield f"{DESCRIPTION} line {element.line}: {kind}", element
 
 
 @CAPABILITIES.rule(
@@ -228,14 +227,14 @@ def _interfaces(subject: Subject) -> Iterator[tuple[str, Element]]:
 )
 def once(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        if flag(element, "canBeInstantiatedOnlyOncePerProcess"):
+        if element.is_true("canBeInstantiatedOnlyOncePerProcess"):
             yield warning(f"{where}: canBeInstantiatedOnlyOncePerProcess; no simulation can have two of it")
 
 
 @CAPABILITIES.rule("ability.tool", "The FMU runs without the tool that made it", "FMIKit#373")
 def tool(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        if flag(element, "needsExecutionTool"):
+        if element.is_true("needsExecutionTool"):
             yield warning(f"{where}: needsExecutionTool; the target machine needs that tool and its licence")
 
 
@@ -246,7 +245,7 @@ def tool(subject: Subject) -> Iterator[Finding]:
 )
 def state(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        can, bytes_ = (flag(element, name) for name in SPELLINGS[subject.major])
+        can, bytes_ = (element.is_true(name) for name in SPELLINGS[subject.major])
         if bytes_ and not can:
             yield error(f"{where}: {SPELLINGS[subject.major][1]} without {SPELLINGS[subject.major][0]}")
         elif not can:
@@ -256,7 +255,7 @@ def state(subject: Subject) -> Iterator[Finding]:
 @CAPABILITIES.rule("ability.serialize", "The state can be written to a file", "FMPy#811")
 def serialize(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        can, bytes_ = (flag(element, name) for name in SPELLINGS[subject.major])
+        can, bytes_ = (element.is_true(name) for name in SPELLINGS[subject.major])
         if can and not bytes_:
             yield note(f"{where}: the state cannot be serialised; no warm start in another process")
 
@@ -266,7 +265,7 @@ def serialize(subject: Subject) -> Iterator[Finding]:
 )
 def directional_derivatives(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        if not flag(element, DERIVATIVES[subject.major]):
+        if not element.is_true(DERIVATIVES[subject.major]):
             yield note(
                 f"{where}: no directional derivatives; tools take differences, which cost and err more"
             )
@@ -275,7 +274,7 @@ def directional_derivatives(subject: Subject) -> Iterator[Finding]:
 @CAPABILITIES.rule("ability.step", "The communication step can vary")
 def step(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        if "CoSimulation" in where and not flag(element, "canHandleVariableCommunicationStepSize"):
+        if "CoSimulation" in where and not element.is_true("canHandleVariableCommunicationStepSize"):
             yield note(
                 f"{where}: the communication step must not vary; masters with step control cannot use it"
             )
@@ -286,14 +285,14 @@ def slopes(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
         if "CoSimulation" not in where:
             continue
-        if not whole(element.get("maxOutputDerivativeOrder", "0")):
+        if not whole(element.get("maxOutputDerivativeOrder")):
             yield note(f"{where}: no output derivatives; masters can only hold or difference the outputs")
-        if subject.major == 2 and not flag(element, "canInterpolateInputs"):
+        if subject.major == 2 and not element.is_true("canInterpolateInputs"):
             yield note(f"{where}: inputs are held over the step (canInterpolateInputs is false)")
 
 
 @CAPABILITIES.rule("ability.asynchronous", "Steps end when doStep returns")
 def asynchronous(subject: Subject) -> Iterator[Finding]:
     for where, element in _interfaces(subject):
-        if flag(element, "canRunAsynchronuously"):
+        if element.is_true("canRunAsynchronuously"):
             yield note(f"{where}: canRunAsynchronuously; hardly any master waits for a step that is pending")

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 
 from orchestrator.base.units import BASES
 from orchestrator.base.xml import children
-from orchestrator.check.description import UnitDefinition, listed, whole
-from orchestrator.check.finding import Finding, Table, error, note, warning
+from orchestrator.check.finding import Finding, Table, error, listed, note, warning
 from orchestrator.check.rules.description import violations
 from orchestrator.check.subject import Element, Subject, read_xml
+from orchestrator.fmi.model_description import UnitDefinition, whole
 
 UNITS = Table()
 DEGREE = math.pi / 180
@@ -79,7 +79,7 @@ def undefined(subject: Subject) -> Iterator[Finding]:
 def display(subject: Subject) -> Iterator[Finding]:
     displays = {u.name: u.displays for u in subject.model.units}
     for v in subject.model.variables:
-        shown = v.said.get("displayUnit") if v.is_float else None
+        shown = v.attributes.get("displayUnit") if v.is_float else None
         if shown is None:
             continue
         if v.unit is None:
@@ -197,7 +197,7 @@ def schema(subject: Subject) -> Iterator[Finding]:
 @TERMINALS.rule("terminal.members", "Members of terminals are variables of the FMU that can be connected")
 def members(subject: Subject) -> Iterator[Finding]:
     root = _root(subject)
-    known = {n: v for v in subject.model.variables for n in (v.name, *v.aliases)}
+    known = {n: v for v in subject.model.variables for n in v.names}
     for element in () if root is None else root.iter(*NAMES):
         for attribute in NAMES[element.tag]:
             name = element.get(attribute, "")

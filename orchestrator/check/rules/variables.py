@@ -12,10 +12,10 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.base.xml import children
-from orchestrator.check.description import NATURAL, WHOLE, Variable, listed
-from orchestrator.check.finding import Finding, Table, error, note, warning
+from orchestrator.check.finding import Finding, Table, error, listed, note, warning
 from orchestrator.check.subject import Subject
+from orchestrator.fmi.model_description import SIGNED, UNSIGNED
+from orchestrator.fmi.model_description import DeclaredVariable as Variable
 
 VARIABLES = Table()
 CALCULATED, FREE = ("calculated", "approx"), ("calculated", "exact", "approx")
@@ -48,7 +48,7 @@ LEGAL_3 = LEGAL | {
 def duplicate(subject: Subject) -> Iterator[Finding]:
     seen: dict[str, int] = {}
     for v in subject.model.variables:
-        for name in (v.name, *v.aliases):
+        for name in v.names:
             if not name:
                 yield error(f"{v}: the name is empty")
             elif name in seen:
@@ -68,7 +68,7 @@ def combination(subject: Subject) -> Iterator[Finding]:
         allowed = legal.get((v.causality, v.variability))
         if allowed is None:
             yield error(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
-        elif v.said.get("initial") and v.initial not in allowed:
+        elif "initial" in v.attributes and v.initial not in allowed:
             expected = f"expected {' or '.join(allowed)}" if allowed else "expected none"
             yield error(f"{v}: initial {v.initial} of a {v.variability} {v.causality}, {expected}")
         elif v.variability == "continuous" and not v.is_float:
@@ -80,7 +80,7 @@ def variability(subject: Subject) -> Iterator[Finding]:
     if subject.major != 2:
         return
     for v in subject.model.variables:
-        if not v.is_float and not v.declared_variability:
+        if not v.is_float and "variability" not in v.attributes:
             yield warning(
                 f"{v}: a {v.type} without variability is continuous by default, which no {v.type} may be"
             )
@@ -110,7 +110,7 @@ def reference(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         if v.reference is None or not 0 <= v.reference < 2**32:
             yield error(
-                f"{v}: valueReference {v.said.get('valueReference')!r}, expected a whole number below 2^32"
+                f"{v}: valueReference {v.attributes.get('valueReference')!r}, expected a whole number below 2^32"
             )
         elif subject.major == 3 and v.reference in seen:
             yield error(f"{v}: valueReference {v.reference} is also that of {seen[v.reference].name}")
@@ -171,13 +171,13 @@ def independent(subject: Subject) -> Iterator[Finding]:
 def type_(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     for v in model.variables:
-        name = v.said.get("declaredType")
+        name = v.attributes.get("declaredType")
         if name is not None and name not in model.types:
             yield error(f"{v}: declaredType {name!r} is not defined")
         elif name is not None:
-            tag = str(model.types[name].tag).rpartition("}")[2].removesuffix("Type")
-            if tag != v.type:
-                yield error(f"{v}: declaredType {name} is for {tag}, the variable is {v.type}")
+            expected = model.types[name].type
+            if expected != v.type:
+                yield error(f"{v}: declaredType {name} is for {expected}, the variable is {v.type}")
         elif v.type == "Enumeration":
             yield error(f"{v}: an enumeration without declaredType has no items")
 
@@ -191,23 +191,15 @@ def string(subject: Subject) -> Iterator[Finding]:
 
 @VARIABLES.rule("variable.array", "Variables are scalars")
 def array(subject: Subject) -> Iterator[Finding]:
-    root = subject.root
-    if subject.major == 3 and root is not None:
-        arrays = [e.getparent() for e in root.iter("Dimension")]
-        if arrays:
-            yield note(
-                f"modelDescription.xml line {arrays[0].sourceline}: {arrays[0].get('name')} is an array;"
-                " tools that grew up with FMI 2 may not take arrays"
-            )
+    arrays = [v for v in subject.model.variables if v.shape]
+    if arrays:
+        yield note(f"{arrays[0]} is an array; tools that grew up with FMI 2 may not take arrays")
 
 
 @VARIABLES.rule("variable.text", "Inputs, outputs and parameters have a description")
 def text(subject: Subject) -> Iterator[Finding]:
-    silent = [
-        v
-        for v in subject.model.of("input", "output", "parameter")
-        if not v.said.get("description", "").strip()
-    ]
+    ports = subject.model.of("input", "output", "parameter")
+    silent = [v for v in ports if not v.get("description").strip()]
     if silent:
         yield note(f"{listed(silent)}: no description")
 
@@ -245,7 +237,7 @@ CPP = _words(
 
 def _named(subject: Subject) -> Iterator[tuple[Variable, str]]:
     for v in subject.model.variables:
-        for name in (v.name, *v.aliases):
+        for name in v.names:
             yield v, name
 
 
@@ -330,7 +322,7 @@ def number(v: Variable, text: str | None) -> float | None:
     try:
         if v.is_float:
             return float(text)
-        return int(text) if v.type in WHOLE or v.type in NATURAL or v.type == "Enumeration" else None
+        return int(text) if v.type in SIGNED or v.type in UNSIGNED or v.type == "Enumeration" else None
     except ValueError:
         return None
 
@@ -340,10 +332,10 @@ def _fits(v: Variable, text: str) -> bool:
     value = number(v, text)
     if v.is_float:
         return value is not None
-    if v.type in WHOLE:
-        return value is not None and -(2 ** (WHOLE[v.type] - 1)) <= value < 2 ** (WHOLE[v.type] - 1)
-    if v.type in NATURAL:
-        return value is not None and 0 <= value < 2 ** NATURAL[v.type]
+    if v.type in SIGNED:
+        return value is not None and -(2 ** (SIGNED[v.type] - 1)) <= value < 2 ** (SIGNED[v.type] - 1)
+    if v.type in UNSIGNED:
+        return value is not None and 0 <= value < 2 ** UNSIGNED[v.type]
     if v.type == "Boolean":
         return text in ("true", "false", "1", "0")
     return True
@@ -362,7 +354,7 @@ def start_in_range(subject: Subject) -> Iterator[Finding]:
 @VALUES.rule("value.range", "Start values lie within min and max, and min below max")
 def range_(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
-        low, high = number(v, v.said.get("min")), number(v, v.said.get("max"))
+        low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
         if low is not None and high is not None and low > high:
             yield error(f"{v}: min {low:g} is above max {high:g}")
             continue
@@ -380,7 +372,7 @@ def _interval(low: float | None, high: float | None) -> str:
 @VALUES.rule("value.nominal", "Nominal values are positive; solvers scale tolerances with them")
 def nominal(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
-        value = number(v, v.said.get("nominal"))
+        value = number(v, v.attributes.get("nominal"))
         if value is not None and not (math.isfinite(value) and value > 0):
             yield warning(f"{v}: nominal {value:g}, expected a positive number")
 
@@ -388,19 +380,16 @@ def nominal(subject: Subject) -> Iterator[Finding]:
 @VALUES.rule("value.enumeration", "Enumerations have distinct items, and start at one of them")
 def enumeration(subject: Subject) -> Iterator[Finding]:
     model = subject.model
-    for name, element in model.types.items():
-        values = [i.get("value") for i in children(element, "Item")]
+    for name, declared in model.types.items():
+        values = [value for _, value in declared.items]
         if len(set(values)) < len(values):
             yield error(
-                f"modelDescription.xml line {element.sourceline}: type {name} has two items with one value"
+                f"modelDescription.xml line {declared.line}: type {name} has two items with one value"
             )
     for v in model.variables:
-        declared = model.types.get(v.said.get("declaredType", ""))
-        if v.type != "Enumeration" or declared is None:
+        if v.type != "Enumeration" or v.get("declaredType") not in model.types:
             continue
-        items = [i.get("value") for i in children(declared, "Item")]
+        items = [value for _, value in model.types[v.get("declaredType")].items]
         wrong = [s for s in v.starts or () if s not in items]
         if wrong:
-            yield error(
-                f"{v}: start value {wrong[0]} is no item, expected one of {', '.join(map(str, items[:8]))}"
-            )
+            yield error(f"{v}: start value {wrong[0]} is no item, expected one of {', '.join(items[:8])}")
