@@ -340,7 +340,7 @@ def _unit(unit: UnitDefinition) -> DeclaredUnit:
 def _dependencies(
     description: ModelDescription, unknowns: Iterable[Unknown]
 ) -> dict[str, frozenset[str] | None]:
-    """Names of unknowns -> names of what they depend on, aliases included; None where the FMU does not say."""
+    """Names of unknowns -> names of what they depend on, with aliases; None where the FMU does not say."""
     found: dict[str, frozenset[str] | None] = {}
     for u in unknowns:
         if u.variable is None:

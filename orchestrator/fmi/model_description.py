@@ -1,8 +1,8 @@
 """What modelDescription.xml says, the same for FMI 2.0 and 3.0, read without judging it.
 
 Attributes stay text, since any of them may be nonsense: the rules of `orchestrator.check` judge them, and
-`orchestrator.fmi.description` refuses what cannot be run. Nothing here needs more than the standard library, so that
-a child process that gets a description by message starts fast; `orchestrator.fmi.read_description` reads the file.
+`orchestrator.fmi.description` refuses what cannot be run. `orchestrator.fmi.read_description` reads the file.
+Nothing here needs more than the standard library: a child process that is sent a description starts fast.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class UnitDefinition:
 
 @dataclass(frozen=True, eq=False)
 class TypeDefinition(Entry):
-    """One declared type: Real, Enumeration, ...; `items` of an enumeration are names and values as written."""
+    """One declared type; `type` is Real, Enumeration, ...; `items` of an enumeration are names and values."""
 
     type: str
     items: tuple[tuple[str, str], ...] = ()

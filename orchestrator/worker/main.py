@@ -1,7 +1,7 @@
 """The child's side of a worker process: `python -m orchestrator.worker.main MODULE:FUNCTION FOLDER`.
 
-Messages are pickled, one after the other: from the parent on standard input, to it on standard output. What an FMU
-prints goes nowhere.
+Messages are pickled, one after the other: from the parent on standard input, to it on standard output. What an
+FMU prints goes nowhere.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Channel:
         self._answers.flush()
 
     def _read(self, source: IO[bytes]) -> None:
-        """Hand over what comes; at the end of the input end soon, also in the middle of a call into an FMU."""
+        """Hand over what comes; at the end of the input end soon, also in the middle of a call of an FMU."""
         try:
             while True:
                 self._messages.put(pickle.load(source))

@@ -32,8 +32,8 @@ WORDS = {
     "SIGILL": "illegal instruction",
     "SIGKILL": "killed by the system (out of memory?)",
 }
-# Ctrl-C in the terminal is for this process, which ends the other. A session of its own also means that Linux shares
-# out processors between the two first, so that a browser with many threads takes less from a machine in real time.
+# Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also shares
+# out processors between the two first, so a browser with many threads takes less from a machine in real time.
 APART: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -113,7 +113,7 @@ class Worker:
         return WORDS.get(name, name)
 
     def put(self, message: Any) -> None:
-        """Send something that can be pickled, or that is pickled (bytes); nothing where the process is gone."""
+        """Send something that can be pickled, or is pickled (bytes); nothing where the process is gone."""
         data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         assert self._child.stdin is not None
         with suppress(BrokenPipeError, OSError):  # what is read next tells of it

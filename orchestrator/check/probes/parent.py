@@ -115,7 +115,7 @@ def _child(job: Mapping[str, Any]) -> Outcome:
 
 
 def _watch(child: Worker, outcome: Outcome) -> tuple[str, bool]:
-    """Read until the end; why the child has to be stopped and where it stood, and whether only its time is over."""
+    """Read until the end; why the child is to be stopped and where it stood, and is only its time over?"""
     begin = moved = time.monotonic()
     count, most = -1, current().memory or machine_memory() / 4
     while True:

@@ -109,9 +109,8 @@ def reference(subject: Subject) -> Iterator[Finding]:
     seen: dict[int, Variable] = {}
     for v in subject.model.variables:
         if v.reference is None or not 0 <= v.reference < 2**32:
-            yield error(
-                f"{v}: valueReference {v.attributes.get('valueReference')!r}, expected a whole number below 2^32"
-            )
+            said = v.attributes.get("valueReference")
+            yield error(f"{v}: valueReference {said!r}, expected a whole number below 2^32")
         elif subject.major == 3 and v.reference in seen:
             yield error(f"{v}: valueReference {v.reference} is also that of {seen[v.reference].name}")
         else:
