@@ -21,9 +21,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 
@@ -33,6 +33,7 @@ from fmus.contract import (
     Subsystem,
     Terminal,
     column,
+    make_group,
     never,
     quantities,
     stack,
@@ -244,7 +245,9 @@ def joined(
         "inputs": _fed(name, declared(subsystems, "inputs"), inputs, start),
         "outputs": visible,
     }
-    types: dict[str, Any] = {group: _type(f"{name}_{group}", members) for group, members in groups.items()}
+    types: dict[str, Any] = {
+        which: make_group(f"{name}_{which}", members) for which, members in groups.items()
+    }
     return Subsystem(
         name=name,
         text=text,
@@ -281,11 +284,6 @@ def _fed(
 
 def _value(start: Mapping[str, Number], variable: str) -> float:
     return start[variable].value if variable in start else 0.0
-
-
-def _type(name: str, members: Mapping[str, Quantity]) -> type[Any]:
-    """A variable group with these fields."""
-    return make_dataclass(name, [(n, Annotated[Scalar, q]) for n, q in members.items()], frozen=True)
 
 
 def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:

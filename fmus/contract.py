@@ -4,8 +4,8 @@ A subsystem is data plus two pure functions of it,
 
     dx/dt = dynamics(x, u, p)        y = observe(x, u, p)
 
-over four frozen dataclasses: states x, inputs u, parameters p and outputs y.
-Each field is a scalar annotated with a `Quantity` (unit, text, magnitude).
+over four groups of scalars (`Group`): states x, inputs u, parameters p and outputs y.
+Each field is a scalar with a `Quantity` (unit, text, magnitude).
 A name that stands both in the states and in the outputs is one variable.
 """
 
@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_type_hints
 
 import casadi as ca
 
@@ -41,6 +41,7 @@ class Quantity:
     rate         inputs only: name of the input that carries this one's exact time derivative
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     group        parameters only: the heading it stands under; without one, that of the parameter before
+    value        its number, for a subsystem that has no file of numbers
     """
 
     unit: str
@@ -53,11 +54,59 @@ class Quantity:
     warn_above: float | None = None
     group: str = ""
     absolute: float | None = None
+    value: float | None = None
 
     @property
     def absolute_scale(self) -> float:
         """Absolute tolerance of the error control over the relative one."""
         return self.nominal if self.absolute is None else self.absolute
+
+    def of(self, owner: str) -> Quantity:
+        """With the name of what it belongs to in place of "{}" in its texts."""
+        named = owner.replace("_", " ")
+        heading = self.group.replace("{}", named)
+        return replace(self, text=self.text.replace("{}", named), group=heading[:1].upper() + heading[1:])
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Quantity,))
+class Group:
+    """Scalars that belong together, such as the states of a subsystem; each field is a `Quantity`.
+
+        class State(Group):
+            pressure: Scalar = Quantity("Pa", "Pressure of the chamber", 1e7)
+
+    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too. A group as keyword of the class is
+    put in with that prefix; "{}" in its texts becomes the prefix:
+
+        class Parameters(Group, boom=Cylinder, stick=Cylinder):      boom_bore, boom_rod, ..., stick_bore, ...
+
+    `Cylinder.of(p, "boom")` takes it out again.
+    """
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __init_subclass__(cls, **parts: type[Group]) -> None:
+        own = {name: q for name, q in vars(cls).items() if isinstance(q, Quantity)}
+        for prefix, part in parts.items():
+            own |= {f"{prefix}_{name}": q.of(prefix) for name, q in quantities(part).items()}
+        cls.__annotations__ = {**vars(cls).get("__annotations__", {}), **dict.fromkeys(own, "Scalar")}
+        for name, quantity in own.items():
+            default: dict[str, Any] = {} if quantity.value is None else {"default": quantity.value}
+            setattr(cls, name, field(**default, metadata={"quantity": quantity}))
+        dataclass(frozen=True, kw_only=True)(cls)
+
+    @classmethod
+    def of(cls: type[G], values: Any, prefix: str = "") -> G:
+        """The group from those fields of `values` that have its names, with this prefix and "_"."""
+        before = f"{prefix}_" if prefix else ""
+        return cls(**{f.name: getattr(values, before + f.name) for f in fields(cls)})  # type: ignore[arg-type]
+
+
+def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group]) -> type[Any]:
+    """A group with these members, after those of its bases."""
+    return type(name, bases or (Group,), {"__module__": __name__, **members})
 
 
 @dataclass(frozen=True)
@@ -176,21 +225,22 @@ _DECLARED: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints a
 
 
 def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
-    """The declared quantities of a variable group, in field order."""
-    if group not in _DECLARED:
+    """The quantities of a group in the order of its fields, each with the heading it stands under.
+
+    Also of a dataclass whose fields are `Annotated[float, Quantity(...)]`.
+    """
+    if group in _DECLARED:
+        return _DECLARED[group]
+    if issubclass(group, Group):
+        declared = {f.name: f.metadata["quantity"] for f in fields(group)}  # type: ignore[arg-type]
+    else:
         hints = get_type_hints(group, include_extras=True)
         declared = {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
-        _DECLARED[group] = MappingProxyType(_headed(declared))
-    return _DECLARED[group]
-
-
-def _headed(declared: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """Each quantity with the heading it stands under."""
-    heading, headed = "", {}
+    heading = ""
     for name, quantity in declared.items():
         heading = quantity.group or heading
-        headed[name] = replace(quantity, group=heading)
-    return headed
+        declared[name] = replace(quantity, group=heading)
+    return _DECLARED.setdefault(group, MappingProxyType(declared))
 
 
 def symbols(group: type[G]) -> G:

@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, make_dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from fmus.boom_stick.variables import BoomStickOutputs, BoomStickState, CylinderParameters
 from fmus.components import chamber, hose_line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
 from fmus.components.hose_drive import DriveState
 from fmus.components.spool_dynamics import SpoolState
-from fmus.contract import Quantity, Scalar, quantities
+from fmus.contract import Quantity, Scalar, make_group, quantities
 
 AXES = ("boom", "stick")
 SIDES = ("head", "rod")
 
 
-@dataclass(frozen=True)
 class DetailedParameters(ReliefParameters, FluidParameters, CylinderParameters, SpoolParameters):
     """Constants of the detailed drives; their numbers and sources are in parameters.toml."""
 
-    boom_hose_length: Annotated[
-        Scalar, Quantity("m", "Length of each boom hose", minimum=1e-3, group="Boom hoses")
-    ]
-    boom_hose_bore: Annotated[Scalar, Quantity("m", "Bore of each boom hose", 0.01, minimum=1e-4)]
-    stick_hose_length: Annotated[
-        Scalar, Quantity("m", "Length of each stick hose", minimum=1e-3, group="Stick hoses")
-    ]
-    stick_hose_bore: Annotated[Scalar, Quantity("m", "Bore of each stick hose", 0.01, minimum=1e-4)]
+    boom_hose_length: Scalar = Quantity("m", "Length of each boom hose", minimum=1e-3, group="Boom hoses")
+    boom_hose_bore: Scalar = Quantity("m", "Bore of each boom hose", 0.01, minimum=1e-4)
+    stick_hose_length: Scalar = Quantity("m", "Length of each stick hose", minimum=1e-3, group="Stick hoses")
+    stick_hose_bore: Scalar = Quantity("m", "Bore of each stick hose", 0.01, minimum=1e-4)
 
 
 def drive_names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
@@ -70,57 +64,45 @@ def _meanings(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
 def states(names: Mapping[str, DriveState]) -> type[Any]:
     """The class of the states of both drives."""
     meanings = [item for axis, of in names.items() for item in _meanings(axis, of)]
-    fields = [(name, Annotated[Scalar, quantity]) for name, quantity in meanings]
-    return make_dataclass("DetailedState", fields, frozen=True)
+    return make_group("DetailedState", dict(meanings))
 
 
-@dataclass(frozen=True)
 class DetailedOutputs(BoomStickOutputs):
     """With what happens at the valves, where a machine's sensors sit, and in the relief valves."""
 
-    boom_spool_position: Annotated[
-        Scalar, Quantity("1", "Spool position of the boom valve, share of its stroke")
-    ]
-    stick_spool_position: Annotated[
-        Scalar, Quantity("1", "Spool position of the stick valve, share of its stroke")
-    ]
-    boom_head_valve_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow from the valve into the head hose of the boom", 1e-3)
-    ]
-    boom_rod_valve_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow from the valve into the rod hose of the boom", 1e-3)
-    ]
-    stick_head_valve_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow from the valve into the head hose of the stick", 1e-3)
-    ]
-    stick_rod_valve_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow from the valve into the rod hose of the stick", 1e-3)
-    ]
-    boom_head_valve_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at port A of the boom valve", 1e7)]
-    boom_rod_valve_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at port B of the boom valve", 1e7)]
-    stick_head_valve_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at port A of the stick valve", 1e7)]
-    stick_rod_valve_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at port B of the stick valve", 1e7)]
-    boom_relief_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of both relief valves of the boom cylinder", 1e-3)
-    ]
-    stick_relief_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of both relief valves of the stick cylinder", 1e-3)
-    ]
-    boom_anti_cavitation_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of both anti-cavitation valves of the boom cylinder", 1e-3)
-    ]
-    stick_anti_cavitation_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of both anti-cavitation valves of the stick cylinder", 1e-3)
-    ]
-    boom_head_bulk_modulus: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at the head side of the boom", 1e9)
-    ]
-    boom_rod_bulk_modulus: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at the rod side of the boom", 1e9)
-    ]
-    stick_head_bulk_modulus: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at the head side of the stick", 1e9)
-    ]
-    stick_rod_bulk_modulus: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at the rod side of the stick", 1e9)
-    ]
+    boom_spool_position: Scalar = Quantity("1", "Spool position of the boom valve, share of its stroke")
+    stick_spool_position: Scalar = Quantity("1", "Spool position of the stick valve, share of its stroke")
+    boom_head_valve_flow: Scalar = Quantity(
+        "m3/s", "Flow from the valve into the head hose of the boom", 1e-3
+    )
+    boom_rod_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the rod hose of the boom", 1e-3)
+    stick_head_valve_flow: Scalar = Quantity(
+        "m3/s", "Flow from the valve into the head hose of the stick", 1e-3
+    )
+    stick_rod_valve_flow: Scalar = Quantity(
+        "m3/s", "Flow from the valve into the rod hose of the stick", 1e-3
+    )
+    boom_head_valve_pressure: Scalar = Quantity("Pa", "Pressure at port A of the boom valve", 1e7)
+    boom_rod_valve_pressure: Scalar = Quantity("Pa", "Pressure at port B of the boom valve", 1e7)
+    stick_head_valve_pressure: Scalar = Quantity("Pa", "Pressure at port A of the stick valve", 1e7)
+    stick_rod_valve_pressure: Scalar = Quantity("Pa", "Pressure at port B of the stick valve", 1e7)
+    boom_relief_flow: Scalar = Quantity("m3/s", "Flow of both relief valves of the boom cylinder", 1e-3)
+    stick_relief_flow: Scalar = Quantity("m3/s", "Flow of both relief valves of the stick cylinder", 1e-3)
+    boom_anti_cavitation_flow: Scalar = Quantity(
+        "m3/s", "Flow of both anti-cavitation valves of the boom cylinder", 1e-3
+    )
+    stick_anti_cavitation_flow: Scalar = Quantity(
+        "m3/s", "Flow of both anti-cavitation valves of the stick cylinder", 1e-3
+    )
+    boom_head_bulk_modulus: Scalar = Quantity(
+        "Pa", "Effective bulk modulus of the oil at the head side of the boom", 1e9
+    )
+    boom_rod_bulk_modulus: Scalar = Quantity(
+        "Pa", "Effective bulk modulus of the oil at the rod side of the boom", 1e9
+    )
+    stick_head_bulk_modulus: Scalar = Quantity(
+        "Pa", "Effective bulk modulus of the oil at the head side of the stick", 1e9
+    )
+    stick_rod_bulk_modulus: Scalar = Quantity(
+        "Pa", "Effective bulk modulus of the oil at the rod side of the stick", 1e9
+    )

@@ -10,28 +10,24 @@ velocities and forces are positive when they extend the rod; a positive command 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
 
 from fmus.boom_stick.drives import TERMINALS, drives, require, start_pressures, surroundings
 from fmus.boom_stick.variables import BoomStickInputs, BoomStickOutputs, QuasistaticParameters
 from fmus.components import chamber, cylinder_drive
 from fmus.components import cylinder_drive as components_cylinder_drive
 from fmus.components.cylinder_drive import Oil
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Group, Scalar, Subsystem, quantities
 
 
-@dataclass(frozen=True)
-class QuasistaticState:
+class QuasistaticState(Group):
     """State of the quasistatic drives: pressures."""
 
-    boom_head_pressure: Annotated[Scalar, chamber.pressure("Pressure at the head side of the boom cylinder")]
-    boom_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the boom cylinder")]
-    stick_head_pressure: Annotated[
-        Scalar, chamber.pressure("Pressure at the head side of the stick cylinder")
-    ]
-    stick_rod_pressure: Annotated[Scalar, chamber.pressure("Pressure at the rod side of the stick cylinder")]
+    boom_head_pressure: Scalar = chamber.pressure("Pressure at the head side of the boom cylinder")
+    boom_rod_pressure: Scalar = chamber.pressure("Pressure at the rod side of the boom cylinder")
+    stick_head_pressure: Scalar = chamber.pressure("Pressure at the head side of the stick cylinder")
+    stick_rod_pressure: Scalar = chamber.pressure("Pressure at the rod side of the stick cylinder")
 
 
 def _pressures(x: QuasistaticState) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
@@ -46,7 +42,8 @@ def _oil(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> t
 def dynamics(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> QuasistaticState:
     """Time derivative of the state."""
     boom, stick = map(cylinder_drive.pressure_rates, drives(p), _oil(x, u, p), surroundings(u))
-    return QuasistaticState(*boom, *stick)
+    names = quantities(QuasistaticState)
+    return QuasistaticState(**dict(zip(names, (*boom, *stick), strict=True)))
 
 
 def observe(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> BoomStickOutputs:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
 
 from fmus.components.oil import Fluid
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_dynamics import Edges, Spool
 from fmus.components.spool_valve import EdgeParameters
-from fmus.contract import Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar
 
 BANDWIDTH = 75.0  # Hz: modes of the lines up to here, which recordings at the paper's 200 Hz show, ...
 ERROR = 0.05  # ... have frequencies within this share, unless the number of lumps is given
@@ -22,21 +20,20 @@ def _overlap(edge: str) -> Quantity:
     return Quantity("1", _OVERLAP.format(edge), 0.1, minimum=0.0, maximum=0.9)
 
 
-@dataclass(frozen=True)
 class SpoolParameters(EdgeParameters):
     """A spool with dynamics and an overlap of its own for each edge."""
 
-    spool_frequency: Annotated[
-        Scalar, Quantity("Hz", "Natural frequency of the spool", 10.0, minimum=0.1, group="Spool")
-    ]
-    spool_damping: Annotated[Scalar, Quantity("1", "Damping ratio of the spool", minimum=0.1)]
-    spool_speed: Annotated[
-        Scalar, Quantity("1/s", "Largest speed of the spool, in strokes from the centre", 10.0, minimum=0.1)
-    ]
-    spool_overlap_pa: Annotated[Scalar, _overlap("P-A")]
-    spool_overlap_at: Annotated[Scalar, _overlap("A-T")]
-    spool_overlap_pb: Annotated[Scalar, _overlap("P-B")]
-    spool_overlap_bt: Annotated[Scalar, _overlap("B-T")]
+    spool_frequency: Scalar = Quantity(
+        "Hz", "Natural frequency of the spool", 10.0, minimum=0.1, group="Spool"
+    )
+    spool_damping: Scalar = Quantity("1", "Damping ratio of the spool", minimum=0.1)
+    spool_speed: Scalar = Quantity(
+        "1/s", "Largest speed of the spool, in strokes from the centre", 10.0, minimum=0.1
+    )
+    spool_overlap_pa: Scalar = _overlap("P-A")
+    spool_overlap_at: Scalar = _overlap("A-T")
+    spool_overlap_pb: Scalar = _overlap("P-B")
+    spool_overlap_bt: Scalar = _overlap("B-T")
 
     @property
     def spool(self) -> Spool:
@@ -59,37 +56,30 @@ class SpoolParameters(EdgeParameters):
         )
 
 
-@dataclass(frozen=True)
-class ReliefParameters:
+class ReliefParameters(Group):
     """Relief and anti-cavitation valves."""
 
-    relief_pressure: Annotated[
-        Scalar,
-        Quantity("Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"),
-    ]
-    relief_gain: Annotated[
-        Scalar, Quantity("m3/(s.Pa)", "Flow of a relief valve per pressure above", 1e-9, minimum=0.0)
-    ]
-    relief_rounding: Annotated[
-        Scalar, Quantity("Pa", "Width over which the foot of a relief valve is rounded", 1e5, minimum=1.0)
-    ]
-    anti_cavitation_pressure: Annotated[
-        Scalar,
-        Quantity(
-            "Pa",
-            "Pressure below that of the return line at which an anti-cavitation valve opens",
-            1e4,
-            minimum=0.0,
-        ),
-    ]
-    anti_cavitation_gain: Annotated[
-        Scalar,
-        Quantity("m3/(s.Pa)", "Flow of an anti-cavitation valve per pressure below", 1e-7, minimum=0.0),
-    ]
-    anti_cavitation_rounding: Annotated[
-        Scalar,
-        Quantity("Pa", "Width over which the foot of an anti-cavitation valve is rounded", 1e3, minimum=1.0),
-    ]
+    relief_pressure: Scalar = Quantity(
+        "Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"
+    )
+    relief_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of a relief valve per pressure above", 1e-9, minimum=0.0
+    )
+    relief_rounding: Scalar = Quantity(
+        "Pa", "Width over which the foot of a relief valve is rounded", 1e5, minimum=1.0
+    )
+    anti_cavitation_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure below that of the return line at which an anti-cavitation valve opens",
+        1e4,
+        minimum=0.0,
+    )
+    anti_cavitation_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of an anti-cavitation valve per pressure below", 1e-7, minimum=0.0
+    )
+    anti_cavitation_rounding: Scalar = Quantity(
+        "Pa", "Width over which the foot of an anti-cavitation valve is rounded", 1e3, minimum=1.0
+    )
 
     @property
     def relief(self) -> PressureValve:
@@ -104,28 +94,21 @@ class ReliefParameters:
         )
 
 
-@dataclass(frozen=True)
-class FluidParameters:
+class FluidParameters(Group):
     """Oil with air, and the walls of the hoses; density and bulk modulus stand elsewhere."""
 
-    viscosity: Annotated[
-        Scalar, Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
-    ]
-    air_share: Annotated[
-        Scalar,
-        Quantity("1", "Free air at atmospheric pressure, per volume of oil", 1e-2, minimum=0.0, maximum=0.2),
-    ]
-    air_exponent: Annotated[
-        Scalar, Quantity("1", "Polytropic exponent of the air", minimum=1.01, maximum=1.7)
-    ]
-    hose_wall_modulus: Annotated[
-        Scalar,
-        Quantity(
-            *("Pa", "Pressure over relative growth of a hose's volume by its wall", 1e9),
-            minimum=1e7,
-            group="Hose walls",
-        ),
-    ]
+    viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
+    air_share: Scalar = Quantity(
+        "1", "Free air at atmospheric pressure, per volume of oil", 1e-2, minimum=0.0, maximum=0.2
+    )
+    air_exponent: Scalar = Quantity("1", "Polytropic exponent of the air", minimum=1.01, maximum=1.7)
+    hose_wall_modulus: Scalar = Quantity(
+        "Pa",
+        "Pressure over relative growth of a hose's volume by its wall",
+        1e9,
+        minimum=1e7,
+        group="Hose walls",
+    )
 
 
 def fluid(p: FluidParameters, density: Scalar, bulk_modulus: Scalar) -> Fluid:

@@ -12,12 +12,11 @@ Parameters that every subsystem with spool valves declares: the valves are ident
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import casadi as ca
 
 from fmus.components.smooth import ramp
-from fmus.contract import Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar
 
 
 @dataclass(frozen=True)
@@ -191,42 +190,34 @@ def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scal
     return node.supply * (supply_pressure - node.pressure) + node.tank * (node.pressure - tank_pressure)
 
 
-@dataclass(frozen=True)
-class EdgeParameters:
+class EdgeParameters(Group):
     """The numbers of the metering edges and the density of the oil, to inherit from."""
 
-    valve_area: Annotated[
-        Scalar,
-        Quantity(
-            "m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0, group="Valve"
-        ),
-    ]
-    valve_discharge_coefficient: Annotated[
-        Scalar, Quantity("1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0)
-    ]
-    valve_full_command: Annotated[
-        Scalar, Quantity("V", "Command at which the valve is fully open", minimum=0.1)
-    ]
-    valve_command_rounding: Annotated[
-        Scalar, Quantity("V", "Width over which the foot of the opening curve is rounded", minimum=1e-3)
-    ]
-    valve_leakage: Annotated[
-        Scalar, Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
-    ]
-    valve_transition_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow below which edges, hoses and lines are laminar", 1e-5, minimum=1e-8)
-    ]
-    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")]
+    valve_area: Scalar = Quantity(
+        "m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0, group="Valve"
+    )
+    valve_discharge_coefficient: Scalar = Quantity(
+        "1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0
+    )
+    valve_full_command: Scalar = Quantity("V", "Command at which the valve is fully open", minimum=0.1)
+    valve_command_rounding: Scalar = Quantity(
+        "V", "Width over which the foot of the opening curve is rounded", minimum=1e-3
+    )
+    valve_leakage: Scalar = Quantity(
+        "m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17
+    )
+    valve_transition_flow: Scalar = Quantity(
+        "m3/s", "Flow below which edges, hoses and lines are laminar", 1e-5, minimum=1e-8
+    )
+    density: Scalar = Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")
 
 
-@dataclass(frozen=True)
 class ValveParameters(EdgeParameters):
     """With the dead band of a spool without dynamics."""
 
-    valve_dead_band: Annotated[
-        Scalar,
-        Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0, group="Valve"),
-    ]
+    valve_dead_band: Scalar = Quantity(
+        "V", "Dead band: command up to which the valve stays closed", minimum=0.0, group="Valve"
+    )
 
     @property
     def valve(self) -> Valve:

@@ -8,12 +8,11 @@ Numbers of the controller: its own gains, and those of the machine's parts as th
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, make_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
 
 from fmus.boom_stick.variables import BoomStickParameters
-from fmus.contract import Quantity, Scalar, Subsystem, quantities, symbolic
+from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities, symbolic
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
 from fmus.parameters import Number, Tables, numbers, read, values
@@ -39,162 +38,122 @@ MOTOR = ("motor_displacement", "gear_ratio", "line_capacitance", "line_turbulent
 NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
 
 
-def _taken(group: type[Any], names: Iterable[str], prefix: str = "") -> list[tuple[str, Any]]:
-    declared = quantities(group)
-    return [(prefix + n, Annotated[Scalar, declared[n]]) for n in names]
+def _taken(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
+    return {prefix + n: quantities(declared)[n] for n in names}
 
 
-_LOADS: list[tuple[str, Any]] = [
-    (
-        "nominal_supply_pressure",
-        Annotated[
-            Scalar,
-            Quantity("Pa", "Supply pressure for which the feedforward alone is made", 1e7, group="Nominal"),
-        ],
-    ),
-    *(
-        (
-            f"nominal_{a}_holding_force",
-            Annotated[
-                Scalar,
-                Quantity("N", f"Force of the {a} cylinder for which the feedforward alone is made", 1e5),
-            ],
-        )
-        for a in ("boom", "stick")
-    ),
-]
-
-ControllerParameters: type[Any] = make_dataclass(
+ControllerParameters = make_group(
     "ControllerParameters",
-    [
-        *_taken(Gains, quantities(Gains)),
-        *_taken(ManipulatorParameters, GEOMETRY),
-        *_taken(BoomStickParameters, CYLINDERS),
-        *_taken(SwingParameters, VALVE, "swing_"),
-        *_taken(SwingParameters, MOTOR),
-        *_LOADS,
-    ],
-    frozen=True,
+    {
+        **quantities(Gains),
+        **_taken(ManipulatorParameters, GEOMETRY),
+        **_taken(BoomStickParameters, CYLINDERS),
+        **_taken(SwingParameters, VALVE, "swing_"),
+        **_taken(SwingParameters, MOTOR),
+        "nominal_supply_pressure": Quantity(
+            "Pa", "Supply pressure for which the feedforward alone is made", 1e7, group="Nominal"
+        ),
+        **{
+            f"nominal_{a}_holding_force": Quantity(
+                "N", f"Force of the {a} cylinder for which the feedforward alone is made", 1e5
+            )
+            for a in ("boom", "stick")
+        },
+    },
 )
 
 
-def _per_axis(pattern: str, units: tuple[str, str], text: str, nominal: float = 1.0) -> list[tuple[str, Any]]:
-    """One variable for each axis; units of swing and of the pistons."""
-    return [
-        (
-            pattern.format(axis),
-            Annotated[Scalar, Quantity(units[axis != "swing"], text.format(axis=axis), nominal)],
-        )
-        for axis in AXES
-    ]
-
-
-@dataclass(frozen=True)
-class Commands:
+class Commands(Group):
     """Commands, which are states because the amplifier lags."""
 
-    swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]
-    boom_command: Annotated[
-        Scalar, Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
-    ]
-    stick_command: Annotated[
-        Scalar, Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
-    ]
+    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
+    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
+    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
 
 
-ControllerState: type[Any] = make_dataclass(
+def _per_axis(pattern: str, units: tuple[str, str], text: str, nominal: float = 1.0) -> dict[str, Quantity]:
+    """One variable for each axis; units of swing and of the pistons."""
+    return {
+        pattern.format(axis): Quantity(units[axis != "swing"], text.format(axis=axis), nominal)
+        for axis in AXES
+    }
+
+
+ControllerState = make_group(
     "ControllerState",
-    [
-        *_per_axis("reference_{}", ("rad", "rad"), "Reference of the {axis} angle"),
-        *_per_axis("{}_gain", ("1", "1"), "Correction of the feedforward of the {axis} drive", 0.1),
-        *_per_axis("{}_load", ("N.m", "N"), "Steady load of the {axis} drive", 1e5),
-        *_per_axis("{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1),
-        ("radial_lever", Annotated[Scalar, Quantity("m/s", "Radial velocity wanted, filtered")]),
-        ("vertical_lever", Annotated[Scalar, Quantity("m/s", "Vertical velocity wanted, filtered")]),
-        ("turning_lever", Annotated[Scalar, Quantity("rad/s", "Swing velocity wanted, filtered")]),
-        ("coordination", Annotated[Scalar, Quantity("1", "Share of the coordination in the commands")]),
-    ],
-    bases=(Commands,),
-    frozen=True,
+    {
+        **_per_axis("reference_{}", ("rad", "rad"), "Reference of the {axis} angle"),
+        **_per_axis("{}_gain", ("1", "1"), "Correction of the feedforward of the {axis} drive", 0.1),
+        **_per_axis("{}_load", ("N.m", "N"), "Steady load of the {axis} drive", 1e5),
+        **_per_axis(
+            "{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1
+        ),
+        "radial_lever": Quantity("m/s", "Radial velocity wanted, filtered"),
+        "vertical_lever": Quantity("m/s", "Vertical velocity wanted, filtered"),
+        "turning_lever": Quantity("rad/s", "Swing velocity wanted, filtered"),
+        "coordination": Quantity("1", "Share of the coordination in the commands"),
+    },
+    Commands,
 )
 
 
-@dataclass(frozen=True)
-class ControllerInputs:
+class ControllerInputs(Group):
     """What is wanted, the levers, and what is measured."""
 
-    radial_velocity: Annotated[Scalar, Quantity("m/s", "Wanted velocity of the tip away from the swing axis")]
-    vertical_velocity: Annotated[Scalar, Quantity("m/s", "Wanted velocity of the tip upwards")]
-    swing_velocity: Annotated[Scalar, Quantity("rad/s", "Wanted swing speed, counter-clockwise from above")]
-    follow: Annotated[
-        Scalar, Quantity("1", "1: the reference is also drawn to the point of the path, 0: velocities alone")
-    ]
-    path_radius: Annotated[Scalar, Quantity("m", "Point of the path, radius from the swing axis")]
-    path_height: Annotated[Scalar, Quantity("m", "Point of the path, height above the column's foot")]
-    path_angle: Annotated[Scalar, Quantity("rad", "Point of the path, swing angle")]
-    engaged: Annotated[
-        Scalar, Quantity("1", "1: coordinated control of the tip, 0: the levers go straight through")
-    ]
-    swing_lever: Annotated[Scalar, Quantity("V", "Lever of the swing valve, positive turns left", 10.0)]
-    boom_lever: Annotated[Scalar, Quantity("V", "Lever of the boom valve, positive raises the boom", 10.0)]
-    stick_lever: Annotated[
-        Scalar, Quantity("V", "Lever of the stick valve, positive folds the stick in", 10.0)
-    ]
-    swing_angle: Annotated[Scalar, Quantity("rad", "Swing angle")]
-    boom_angle: Annotated[Scalar, Quantity("rad", "Boom angle above the horizontal")]
-    stick_angle: Annotated[Scalar, Quantity("rad", "Stick angle relative to the boom")]
-    swing_speed: Annotated[Scalar, Quantity("rad/s", "Swing speed")]
-    boom_speed: Annotated[Scalar, Quantity("rad/s", "Speed of the boom joint")]
-    stick_speed: Annotated[Scalar, Quantity("rad/s", "Speed of the stick joint")]
-    swing_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure of swing line A", 1e7)]
-    swing_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure of swing line B", 1e7)]
-    boom_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
-    ]
-    boom_rod_pressure: Annotated[Scalar, Quantity("Pa", "Pressure at the rod side of the boom cylinder", 1e7)]
-    stick_head_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the head side of the stick cylinder", 1e7)
-    ]
-    stick_rod_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure at the rod side of the stick cylinder", 1e7)
-    ]
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
-    tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return line", 1e5)]
+    radial_velocity: Scalar = Quantity("m/s", "Wanted velocity of the tip away from the swing axis")
+    vertical_velocity: Scalar = Quantity("m/s", "Wanted velocity of the tip upwards")
+    swing_velocity: Scalar = Quantity("rad/s", "Wanted swing speed, counter-clockwise from above")
+    follow: Scalar = Quantity(
+        "1", "1: the reference is also drawn to the point of the path, 0: velocities alone"
+    )
+    path_radius: Scalar = Quantity("m", "Point of the path, radius from the swing axis")
+    path_height: Scalar = Quantity("m", "Point of the path, height above the column's foot")
+    path_angle: Scalar = Quantity("rad", "Point of the path, swing angle")
+    engaged: Scalar = Quantity("1", "1: coordinated control of the tip, 0: the levers go straight through")
+    swing_lever: Scalar = Quantity("V", "Lever of the swing valve, positive turns left", 10.0)
+    boom_lever: Scalar = Quantity("V", "Lever of the boom valve, positive raises the boom", 10.0)
+    stick_lever: Scalar = Quantity("V", "Lever of the stick valve, positive folds the stick in", 10.0)
+    swing_angle: Scalar = Quantity("rad", "Swing angle")
+    boom_angle: Scalar = Quantity("rad", "Boom angle above the horizontal")
+    stick_angle: Scalar = Quantity("rad", "Stick angle relative to the boom")
+    swing_speed: Scalar = Quantity("rad/s", "Swing speed")
+    boom_speed: Scalar = Quantity("rad/s", "Speed of the boom joint")
+    stick_speed: Scalar = Quantity("rad/s", "Speed of the stick joint")
+    swing_pressure_a: Scalar = Quantity("Pa", "Pressure of swing line A", 1e7)
+    swing_pressure_b: Scalar = Quantity("Pa", "Pressure of swing line B", 1e7)
+    boom_head_pressure: Scalar = Quantity("Pa", "Pressure at the head side of the boom cylinder", 1e7)
+    boom_rod_pressure: Scalar = Quantity("Pa", "Pressure at the rod side of the boom cylinder", 1e7)
+    stick_head_pressure: Scalar = Quantity("Pa", "Pressure at the head side of the stick cylinder", 1e7)
+    stick_rod_pressure: Scalar = Quantity("Pa", "Pressure at the rod side of the stick cylinder", 1e7)
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
+    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
 
 
-@dataclass(frozen=True)
 class ControllerOutputs(Commands):
     """Commands with their rates; reference, errors, and what limits."""
 
-    swing_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
-    ]
-    boom_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
-    ]
-    stick_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
-    ]
-    reference_radius: Annotated[Scalar, Quantity("m", "Reference of the tip, radius from the swing axis")]
-    reference_height: Annotated[Scalar, Quantity("m", "Reference of the tip, height above the column's foot")]
-    reference_angle: Annotated[Scalar, Quantity("rad", "Reference of the tip, swing angle")]
-    radial_error: Annotated[Scalar, Quantity("m", "Reference less tip, radius", 0.01)]
-    vertical_error: Annotated[Scalar, Quantity("m", "Reference less tip, height", 0.01)]
-    angle_error: Annotated[Scalar, Quantity("rad", "Reference less tip, swing angle", 0.01)]
-    tip_error: Annotated[Scalar, Quantity("m", "Distance in space between reference and tip", 0.01)]
-    speed_use: Annotated[
-        Scalar, Quantity("1", "Speed wanted over speed limit of the most loaded actuator; acts above 1")
-    ]
-    stroke_use: Annotated[
-        Scalar, Quantity("1", "Speed wanted over speed allowed so near the ends of the strokes; acts above 1")
-    ]
-    wait_use: Annotated[
-        Scalar,
-        Quantity("1", "Lag of the machine over that at which the reference waits; acts from a half on"),
-    ]
-    reference_share: Annotated[
-        Scalar, Quantity("1", "Share of the speed wanted that the limits let the reference have")
-    ]
+    swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
+    boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
+    stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
+    reference_radius: Scalar = Quantity("m", "Reference of the tip, radius from the swing axis")
+    reference_height: Scalar = Quantity("m", "Reference of the tip, height above the column's foot")
+    reference_angle: Scalar = Quantity("rad", "Reference of the tip, swing angle")
+    radial_error: Scalar = Quantity("m", "Reference less tip, radius", 0.01)
+    vertical_error: Scalar = Quantity("m", "Reference less tip, height", 0.01)
+    angle_error: Scalar = Quantity("rad", "Reference less tip, swing angle", 0.01)
+    tip_error: Scalar = Quantity("m", "Distance in space between reference and tip", 0.01)
+    speed_use: Scalar = Quantity(
+        "1", "Speed wanted over speed limit of the most loaded actuator; acts above 1"
+    )
+    stroke_use: Scalar = Quantity(
+        "1", "Speed wanted over speed allowed so near the ends of the strokes; acts above 1"
+    )
+    wait_use: Scalar = Quantity(
+        "1", "Lag of the machine over that at which the reference waits; acts from a half on"
+    )
+    reference_share: Scalar = Quantity(
+        "1", "Share of the speed wanted that the limits let the reference have"
+    )
 
 
 JOINTS = ("swing", "boom", "stick")

@@ -12,8 +12,6 @@ all losses, so both together are on the high side.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Quantity, Scalar
@@ -22,103 +20,78 @@ from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 
-@dataclass(frozen=True)
 class FrictionParameters(ManipulatorParameters):
     """Those of the arm, and of dry friction."""
 
-    swing_coulomb: Annotated[
-        Scalar,
-        Quantity(
-            "N.m", "Coulomb friction of the swing gear", 100, minimum=0.0, tunable=True, group="Dry friction"
-        ),
-    ]
-    boom_joint_coulomb: Annotated[
-        Scalar, Quantity("N.m", "Coulomb friction of the boom joint", 100, minimum=0.0, tunable=True)
-    ]
-    stick_joint_coulomb: Annotated[
-        Scalar, Quantity("N.m", "Coulomb friction of the stick joint", 100, minimum=0.0, tunable=True)
-    ]
-    boom_piston_coulomb: Annotated[
-        Scalar,
-        Quantity("N", "Coulomb friction of the boom cylinder's piston", 1000, minimum=0.0, tunable=True),
-    ]
-    stick_piston_coulomb: Annotated[
-        Scalar,
-        Quantity("N", "Coulomb friction of the stick cylinder's piston", 1000, minimum=0.0, tunable=True),
-    ]
-    joint_static_ratio: Annotated[
-        Scalar,
-        Quantity(
-            "1",
-            "Break-away over Coulomb friction of joints and swing gear",
-            minimum=0.5,
-            maximum=5.0,
-            tunable=True,
-        ),
-    ]
-    joint_stribeck_speed: Annotated[
-        Scalar, Quantity("rad/s", "Stribeck speed of joints and swing gear", 1e-2, minimum=1e-6)
-    ]
-    joint_presliding: Annotated[
-        Scalar,
-        Quantity(
-            "rad", "Deflection of joints and swing gear that carries the Coulomb friction", 1e-4, minimum=1e-9
-        ),
-    ]
-    piston_static_ratio: Annotated[
-        Scalar,
-        Quantity("1", "Break-away over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True),
-    ]
-    piston_stribeck_speed: Annotated[Scalar, Quantity("m/s", "Stribeck speed of pistons", 1e-2, minimum=1e-6)]
-    piston_presliding: Annotated[
-        Scalar, Quantity("m", "Deflection of pistons that carries the Coulomb friction", 1e-4, minimum=1e-9)
-    ]
-    bristle_damping_time: Annotated[
-        Scalar, Quantity("s", "Damping of the deflections over their stiffness", 1e-2, minimum=0.0)
-    ]
+    swing_coulomb: Scalar = Quantity(
+        "N.m", "Coulomb friction of the swing gear", 100, minimum=0.0, tunable=True, group="Dry friction"
+    )
+    boom_joint_coulomb: Scalar = Quantity(
+        "N.m", "Coulomb friction of the boom joint", 100, minimum=0.0, tunable=True
+    )
+    stick_joint_coulomb: Scalar = Quantity(
+        "N.m", "Coulomb friction of the stick joint", 100, minimum=0.0, tunable=True
+    )
+    boom_piston_coulomb: Scalar = Quantity(
+        "N", "Coulomb friction of the boom cylinder's piston", 1000, minimum=0.0, tunable=True
+    )
+    stick_piston_coulomb: Scalar = Quantity(
+        "N", "Coulomb friction of the stick cylinder's piston", 1000, minimum=0.0, tunable=True
+    )
+    joint_static_ratio: Scalar = Quantity(
+        "1",
+        "Break-away over Coulomb friction of joints and swing gear",
+        minimum=0.5,
+        maximum=5.0,
+        tunable=True,
+    )
+    joint_stribeck_speed: Scalar = Quantity(
+        "rad/s", "Stribeck speed of joints and swing gear", 1e-2, minimum=1e-6
+    )
+    joint_presliding: Scalar = Quantity(
+        "rad", "Deflection of joints and swing gear that carries the Coulomb friction", 1e-4, minimum=1e-9
+    )
+    piston_static_ratio: Scalar = Quantity(
+        "1", "Break-away over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True
+    )
+    piston_stribeck_speed: Scalar = Quantity("m/s", "Stribeck speed of pistons", 1e-2, minimum=1e-6)
+    piston_presliding: Scalar = Quantity(
+        "m", "Deflection of pistons that carries the Coulomb friction", 1e-4, minimum=1e-9
+    )
+    bristle_damping_time: Scalar = Quantity(
+        "s", "Damping of the deflections over their stiffness", 1e-2, minimum=0.0
+    )
 
 
-@dataclass(frozen=True)
 class FrictionState(ManipulatorState):
     """Those of the arm, and the deflections."""
 
-    swing_bristle: Annotated[
-        Scalar, Quantity("rad", "Elastic deflection in the friction of the swing gear", 1e-4)
-    ]
-    boom_joint_bristle: Annotated[
-        Scalar, Quantity("rad", "Elastic deflection in the friction of the boom joint", 1e-4)
-    ]
-    stick_joint_bristle: Annotated[
-        Scalar, Quantity("rad", "Elastic deflection in the friction of the stick joint", 1e-4)
-    ]
-    boom_piston_bristle: Annotated[
-        Scalar, Quantity("m", "Elastic deflection in the friction of the boom cylinder's piston", 1e-4)
-    ]
-    stick_piston_bristle: Annotated[
-        Scalar, Quantity("m", "Elastic deflection in the friction of the stick cylinder's piston", 1e-4)
-    ]
+    swing_bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the swing gear", 1e-4)
+    boom_joint_bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the boom joint", 1e-4)
+    stick_joint_bristle: Scalar = Quantity(
+        "rad", "Elastic deflection in the friction of the stick joint", 1e-4
+    )
+    boom_piston_bristle: Scalar = Quantity(
+        "m", "Elastic deflection in the friction of the boom cylinder's piston", 1e-4
+    )
+    stick_piston_bristle: Scalar = Quantity(
+        "m", "Elastic deflection in the friction of the stick cylinder's piston", 1e-4
+    )
 
 
-@dataclass(frozen=True)
 class FrictionOutputs(ManipulatorOutputs):
     """Those of the arm, and what the friction does."""
 
-    swing_friction_torque: Annotated[
-        Scalar, Quantity("N.m", "Friction of the swing gear, against its motion", 100)
-    ]
-    boom_friction_torque: Annotated[
-        Scalar, Quantity("N.m", "Friction of the boom joint, against its motion", 100)
-    ]
-    stick_friction_torque: Annotated[
-        Scalar, Quantity("N.m", "Friction of the stick joint, against its motion", 100)
-    ]
-    boom_friction_force: Annotated[
-        Scalar, Quantity("N", "Friction of the boom cylinder's piston, against its motion", 1000)
-    ]
-    stick_friction_force: Annotated[
-        Scalar, Quantity("N", "Friction of the stick cylinder's piston, against its motion", 1000)
-    ]
-    stored_energy: Annotated[Scalar, Quantity("J", "Elastic energy in the friction of joints and pistons")]
+    swing_friction_torque: Scalar = Quantity("N.m", "Friction of the swing gear, against its motion", 100)
+    boom_friction_torque: Scalar = Quantity("N.m", "Friction of the boom joint, against its motion", 100)
+    stick_friction_torque: Scalar = Quantity("N.m", "Friction of the stick joint, against its motion", 100)
+    boom_friction_force: Scalar = Quantity(
+        "N", "Friction of the boom cylinder's piston, against its motion", 1000
+    )
+    stick_friction_force: Scalar = Quantity(
+        "N", "Friction of the stick cylinder's piston, against its motion", 1000
+    )
+    stored_energy: Scalar = Quantity("J", "Elastic energy in the friction of joints and pistons")
 
 
 SHOWN = {

@@ -29,8 +29,7 @@ load that swings by itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 
@@ -45,67 +44,56 @@ SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + 
 STOP_ROUNDING = 0.01  # rad over which a stop takes hold
 
 
-@dataclass(frozen=True)
 class PendulumParameters(ManipulatorParameters):
     """Those of the arm, and of the joint of the head."""
 
-    head_length: Annotated[
-        Scalar,
-        Quantity("m", "Centre of mass of the head below its joint", minimum=1e-3, group="Swinging head"),
-    ]
-    head_inertia: Annotated[
-        Scalar,
-        Quantity("kg.m2", "Inertia of the head about its centre of mass, across its axis", minimum=0.0),
-    ]
-    head_joint_damping: Annotated[
-        Scalar,
-        Quantity("N.m.s/rad", "Viscous friction of each axis of the head's joint", minimum=0.0, tunable=True),
-    ]
-    head_stop_angle: Annotated[
-        Scalar,
-        Quantity("rad", "Side angle of the head at which its joint's stops begin", minimum=0.1, maximum=1.3),
-    ]
-    head_stop_stiffness: Annotated[
-        Scalar, Quantity("N.m/rad", "Stiffness of the stops of the head's joint", 1e6, minimum=0.0)
-    ]
-    head_stop_damping: Annotated[
-        Scalar, Quantity("s/rad", "Contact damping of these stops (Hunt and Crossley)", 0.1, minimum=0.0)
-    ]
-    initial_head_angle: Annotated[
-        Scalar, Quantity("rad", "Head angle at the start, from the vertical, outwards positive")
-    ]
-    initial_head_side_angle: Annotated[
-        Scalar, Quantity("rad", "Side angle of the head at the start, to the left positive")
-    ]
+    head_length: Scalar = Quantity(
+        "m", "Centre of mass of the head below its joint", minimum=1e-3, group="Swinging head"
+    )
+    head_inertia: Scalar = Quantity(
+        "kg.m2", "Inertia of the head about its centre of mass, across its axis", minimum=0.0
+    )
+    head_joint_damping: Scalar = Quantity(
+        "N.m.s/rad", "Viscous friction of each axis of the head's joint", minimum=0.0, tunable=True
+    )
+    head_stop_angle: Scalar = Quantity(
+        "rad", "Side angle of the head at which its joint's stops begin", minimum=0.1, maximum=1.3
+    )
+    head_stop_stiffness: Scalar = Quantity(
+        "N.m/rad", "Stiffness of the stops of the head's joint", 1e6, minimum=0.0
+    )
+    head_stop_damping: Scalar = Quantity(
+        "s/rad", "Contact damping of these stops (Hunt and Crossley)", 0.1, minimum=0.0
+    )
+    initial_head_angle: Scalar = Quantity(
+        "rad", "Head angle at the start, from the vertical, outwards positive"
+    )
+    initial_head_side_angle: Scalar = Quantity(
+        "rad", "Side angle of the head at the start, to the left positive"
+    )
 
 
-@dataclass(frozen=True)
 class PendulumState(ManipulatorState):
     """Those of the arm, and the head's."""
 
-    head_angle: Annotated[
-        Scalar, Quantity("rad", "Angle of the head from the vertical in the plane of the arm, outwards")
-    ]
-    head_side_angle: Annotated[
-        Scalar, Quantity("rad", "Angle of the head out of the plane of the arm, to the left")
-    ]
-    head_speed: Annotated[Scalar, Quantity("rad/s", "Rate of the head angle")]
-    head_side_speed: Annotated[Scalar, Quantity("rad/s", "Rate of the side angle of the head")]
+    head_angle: Scalar = Quantity(
+        "rad", "Angle of the head from the vertical in the plane of the arm, outwards"
+    )
+    head_side_angle: Scalar = Quantity("rad", "Angle of the head out of the plane of the arm, to the left")
+    head_speed: Scalar = Quantity("rad/s", "Rate of the head angle")
+    head_side_speed: Scalar = Quantity("rad/s", "Rate of the side angle of the head")
 
 
-@dataclass(frozen=True)
 class PendulumOutputs(ManipulatorOutputs, PendulumState):
     """Those of the arm, and where the head is."""
 
-    head_x: Annotated[Scalar, Quantity("m", "Centre of mass of the head, forward at swing angle zero")]
-    head_y: Annotated[Scalar, Quantity("m", "Centre of mass of the head, to the left at swing angle zero")]
-    head_height: Annotated[
-        Scalar, Quantity("m", "Centre of mass of the head, height above the foot of the column")
-    ]
-    head_stop_torque: Annotated[
-        Scalar, Quantity("N.m", "Torque of the stops of the head's joint on its side angle", 1e4)
-    ]
-    stored_energy: Annotated[Scalar, Quantity("J", "Elastic energy in the stops of the head's joint", 1e3)]
+    head_x: Scalar = Quantity("m", "Centre of mass of the head, forward at swing angle zero")
+    head_y: Scalar = Quantity("m", "Centre of mass of the head, to the left at swing angle zero")
+    head_height: Scalar = Quantity("m", "Centre of mass of the head, height above the foot of the column")
+    head_stop_torque: Scalar = Quantity(
+        "N.m", "Torque of the stops of the head's joint on its side angle", 1e4
+    )
+    stored_energy: Scalar = Quantity("J", "Elastic energy in the stops of the head's joint", 1e3)
 
 
 def direction(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:

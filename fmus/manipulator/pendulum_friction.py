@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator.friction import BRISTLES, FrictionOutputs, FrictionParameters, FrictionState
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.pendulum import HANGING, PendulumOutputs, PendulumParameters, PendulumState
 
 
-@dataclass(frozen=True)
 class PendulumFrictionParameters(PendulumParameters, FrictionParameters):
     """Those of both."""
 
 
-@dataclass(frozen=True)
 class PendulumFrictionState(PendulumState, FrictionState):
     """Those of both."""
 
 
-@dataclass(frozen=True)
 class PendulumFrictionOutputs(PendulumOutputs, FrictionOutputs):
     """Those of both."""
 
-    stored_energy: Annotated[
-        Scalar, Quantity("J", "Elastic energy in the friction of joints and pistons and in the head's stops")
-    ]
+    stored_energy: Scalar = Quantity(
+        "J", "Elastic energy in the friction of joints and pistons and in the head's stops"
+    )
 
 
 PENDULUM_FRICTION = manipulator(

@@ -19,14 +19,14 @@ Signs: a positive command turns left, raises the boom, extends the stick cylinde
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 
 from fmus.components import ports
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group
 
 AHEAD = 5e-7  # s, see `sample`
 
@@ -107,50 +107,36 @@ def stroke_name(lever: str, number: int, word: str) -> str:
 
 
 # 150 parameters from one pattern; their numbers and sources are in parameters.toml
-OperatorParameters: type[Any] = make_dataclass(
+OperatorParameters = make_group(
     "OperatorParameters",
-    [
-        (stroke_name(lever, number, word), Annotated[Scalar, quantity], field())
+    {
+        stroke_name(lever, number, word): quantity
         for lever in AXES
         for number in STROKES
         for word, quantity in zip(WORDS, _stroke(lever, number), strict=True)
-    ],
-    frozen=True,
+    },
 )
 
 
-@dataclass(frozen=True)
-class OperatorState:
+class OperatorState(Group):
     """How far the program is."""
 
-    clock: Annotated[Scalar, Quantity("s", "Time in the program; starts at 0, whatever the start time")]
+    clock: Scalar = Quantity("s", "Time in the program; starts at 0, whatever the start time")
 
 
-@dataclass(frozen=True)
-class OperatorInputs:
+class OperatorInputs(Group):
     """None."""
 
 
-@dataclass(frozen=True)
-class OperatorOutputs:
+class OperatorOutputs(Group):
     """Commands to the valves and their rates."""
 
-    swing_command: Annotated[Scalar, Quantity("V", "Command to the swing valve, positive turns left", 10.0)]
-    boom_command: Annotated[
-        Scalar, Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
-    ]
-    stick_command: Annotated[
-        Scalar, Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
-    ]
-    swing_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
-    ]
-    boom_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
-    ]
-    stick_command_rate: Annotated[
-        Scalar, Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
-    ]
+    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
+    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
+    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
+    swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
+    boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
+    stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
 
 
 def _strokes(which: str, p: Any) -> list[Stroke]:

@@ -9,11 +9,9 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar, Subsystem
 from fmus.supply.variables import (
     TERMINALS,
     ReservoirParameters,
@@ -24,17 +22,15 @@ from fmus.supply.variables import (
 )
 
 
-@dataclass(frozen=True)
 class IdealParameters(ReservoirParameters):
     """The two pressures; their numbers and sources are in parameters.toml."""
 
-    pressure_setting: Annotated[
-        Scalar, Quantity("Pa", "Pressure of the supply line, whatever is taken", 1e7, group="Source")
-    ]
+    pressure_setting: Scalar = Quantity(
+        "Pa", "Pressure of the supply line, whatever is taken", 1e7, group="Source"
+    )
 
 
-@dataclass(frozen=True)
-class IdealState:
+class IdealState(Group):
     """None."""
 
 

@@ -2,61 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
-
 from fmus.components import ports
-from fmus.contract import Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar
 
 CONSUMERS = ("swing", "boom_stick")
 
 
-@dataclass(frozen=True)
-class ReservoirParameters:
+class ReservoirParameters(Group):
     """What every variant knows of the tank."""
 
-    reservoir_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure in the tank and in the return lines", 1e5, group="Tank")
-    ]
+    reservoir_pressure: Scalar = Quantity(
+        "Pa", "Pressure in the tank and in the return lines", 1e5, group="Tank"
+    )
 
 
-@dataclass(frozen=True)
-class SupplyInputs:
+class SupplyInputs(Group):
     """Flows of the drives: what they take from the supply line, what they give back to the tank."""
 
-    supply_flow_swing: Annotated[
-        Scalar, Quantity("m3/s", "Flow that the swing drive takes from the supply line", 1e-3)
-    ]
-    return_flow_swing: Annotated[
-        Scalar, Quantity("m3/s", "Flow that the swing drive gives to the return line", 1e-3)
-    ]
-    supply_flow_boom_stick: Annotated[
-        Scalar, Quantity("m3/s", "Flow that the boom and stick drives take from the supply line", 1e-3)
-    ]
-    return_flow_boom_stick: Annotated[
-        Scalar, Quantity("m3/s", "Flow that the boom and stick drives give to the return line", 1e-3)
-    ]
+    supply_flow_swing: Scalar = Quantity("m3/s", "Flow that the swing drive takes from the supply line", 1e-3)
+    return_flow_swing: Scalar = Quantity("m3/s", "Flow that the swing drive gives to the return line", 1e-3)
+    supply_flow_boom_stick: Scalar = Quantity(
+        "m3/s", "Flow that the boom and stick drives take from the supply line", 1e-3
+    )
+    return_flow_boom_stick: Scalar = Quantity(
+        "m3/s", "Flow that the boom and stick drives give to the return line", 1e-3
+    )
 
 
-@dataclass(frozen=True)
-class SupplyOutputs:
+class SupplyOutputs(Group):
     """Pressures for the drives, and the power that goes into them."""
 
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the supply line", 1e7)]
-    supply_pressure_rate: Annotated[
-        Scalar, Quantity("Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8)
-    ]
-    tank_pressure: Annotated[Scalar, Quantity("Pa", "Pressure of the return lines", 1e5)]
-    supply_flow: Annotated[Scalar, Quantity("m3/s", "Flow taken from the supply line by all drives", 1e-3)]
-    return_flow: Annotated[Scalar, Quantity("m3/s", "Flow given back by all drives", 1e-3)]
-    hydraulic_power: Annotated[
-        Scalar, Quantity("W", "Power into the drives: supply less return, pressure times flow", 1e4)
-    ]
-    engine_power: Annotated[
-        Scalar, Quantity("W", "Power put in: by the combustion, or by the ideal source", 1e4)
-    ]
-    stored_energy: Annotated[Scalar, Quantity("J", "Energy of the oil and of what turns", 1e3)]
-    dissipated_power: Annotated[Scalar, Quantity("W", "Heat of friction, leakage and throttling", 1e4)]
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
+    supply_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8
+    )
+    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
+    supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line by all drives", 1e-3)
+    return_flow: Scalar = Quantity("m3/s", "Flow given back by all drives", 1e-3)
+    hydraulic_power: Scalar = Quantity(
+        "W", "Power into the drives: supply less return, pressure times flow", 1e4
+    )
+    engine_power: Scalar = Quantity("W", "Power put in: by the combustion, or by the ideal source", 1e4)
+    stored_energy: Scalar = Quantity("J", "Energy of the oil and of what turns", 1e3)
+    dissipated_power: Scalar = Quantity("W", "Heat of friction, leakage and throttling", 1e4)
 
 
 def supply_flow(u: SupplyInputs) -> Scalar:

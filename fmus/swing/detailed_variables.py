@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, make_dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from fmus.components import chamber, hose_line
 from fmus.components.detailed_parameters import FluidParameters, ReliefParameters, SpoolParameters
 from fmus.components.hose_line import LineState
-from fmus.contract import Quantity, Scalar, quantities
+from fmus.contract import Quantity, Scalar, make_group, quantities
 from fmus.swing.variables import LineParameters, MotorParameters, SwingOutputs, SwingState
 
 SIDES = ("a", "b")
 
 
-@dataclass(frozen=True)
 class DetailedParameters(ReliefParameters, FluidParameters, MotorParameters, LineParameters, SpoolParameters):
     """Constants of the detailed drive; their numbers and sources are in parameters.toml."""
 
-    bulk_modulus: Annotated[Scalar, Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil")]
-    line_length: Annotated[
-        Scalar, Quantity("m", "Length of each swing line", minimum=1e-3, group="Swing lines")
-    ]
-    line_bore: Annotated[Scalar, Quantity("m", "Bore of each swing line", 0.01, minimum=1e-4)]
-    motor_volume: Annotated[
-        Scalar,
-        Quantity(
-            *("m3", "Volume of each motor side, without the line", 1e-3),
-            minimum=1e-9,
-            group="Swing motor and gear",
-        ),
-    ]
+    bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil")
+    line_length: Scalar = Quantity("m", "Length of each swing line", minimum=1e-3, group="Swing lines")
+    line_bore: Scalar = Quantity("m", "Bore of each swing line", 0.01, minimum=1e-4)
+    motor_volume: Scalar = Quantity(
+        "m3", "Volume of each motor side, without the line", 1e-3, minimum=1e-9, group="Swing motor and gear"
+    )
 
 
 def line_names(lumps: int, unsteady_friction: bool) -> tuple[LineState, LineState]:
@@ -73,29 +64,22 @@ def states(names: tuple[LineState, LineState]) -> type[Any]:
     ]
     for side, of in zip(SIDES, names, strict=True):
         meanings += _meanings(side, of)
-    return make_dataclass("DetailedState", [(n, Annotated[Scalar, q]) for n, q in meanings], frozen=True)
+    return make_group("DetailedState", dict(meanings))
 
 
-@dataclass(frozen=True)
 class DetailedOutputs(SwingOutputs):
     """With what happens at both ends of the lines and in the relief valves."""
 
-    swing_spool_position: Annotated[
-        Scalar, Quantity("1", "Spool position of the swing valve, share of its stroke")
-    ]
-    swing_motor_flow_a: Annotated[Scalar, Quantity("m3/s", "Flow from swing line A to the motor", 1e-3)]
-    swing_motor_flow_b: Annotated[Scalar, Quantity("m3/s", "Flow from swing line B to the motor", 1e-3)]
-    swing_valve_pressure_a: Annotated[Scalar, Quantity("Pa", "Pressure at port A of the swing valve", 1e7)]
-    swing_valve_pressure_b: Annotated[Scalar, Quantity("Pa", "Pressure at port B of the swing valve", 1e7)]
-    swing_relief_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of the cross-port relief valves from line A to line B", 1e-3)
-    ]
-    swing_anti_cavitation_flow: Annotated[
-        Scalar, Quantity("m3/s", "Flow of both anti-cavitation valves of the swing motor", 1e-3)
-    ]
-    swing_bulk_modulus_a: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at motor port A", 1e9)
-    ]
-    swing_bulk_modulus_b: Annotated[
-        Scalar, Quantity("Pa", "Effective bulk modulus of the oil at motor port B", 1e9)
-    ]
+    swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, share of its stroke")
+    swing_motor_flow_a: Scalar = Quantity("m3/s", "Flow from swing line A to the motor", 1e-3)
+    swing_motor_flow_b: Scalar = Quantity("m3/s", "Flow from swing line B to the motor", 1e-3)
+    swing_valve_pressure_a: Scalar = Quantity("Pa", "Pressure at port A of the swing valve", 1e7)
+    swing_valve_pressure_b: Scalar = Quantity("Pa", "Pressure at port B of the swing valve", 1e7)
+    swing_relief_flow: Scalar = Quantity(
+        "m3/s", "Flow of the cross-port relief valves from line A to line B", 1e-3
+    )
+    swing_anti_cavitation_flow: Scalar = Quantity(
+        "m3/s", "Flow of both anti-cavitation valves of the swing motor", 1e-3
+    )
+    swing_bulk_modulus_a: Scalar = Quantity("Pa", "Effective bulk modulus of the oil at motor port A", 1e9)
+    swing_bulk_modulus_b: Scalar = Quantity("Pa", "Effective bulk modulus of the oil at motor port B", 1e9)

@@ -14,24 +14,21 @@ seen from above; a positive command drives the positive way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Group, Scalar, Subsystem
 from fmus.swing.drive import TERMINALS, require
 from fmus.swing.variables import QuasistaticParameters, SwingInputs, SwingOutputs
 
 
-@dataclass(frozen=True)
-class QuasistaticState:
+class QuasistaticState(Group):
     """State of the quasistatic drive: the pressures."""
 
-    swing_pressure_a: Annotated[Scalar, chamber.pressure("Pressure of swing line A")]
-    swing_pressure_b: Annotated[Scalar, chamber.pressure("Pressure of swing line B")]
+    swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
+    swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
 
 
 def _ports(

@@ -15,66 +15,56 @@ Source: the benchmark of F. Gonzalez et al., README.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import casadi as ca
 
 from fmus.components import mechanics as components_mechanics
 from fmus.components.mechanics import EquationsOfMotion, Triangle, equations_of_motion
-from fmus.contract import Quantity, Scalar, Subsystem, column
+from fmus.contract import Group, Quantity, Scalar, Subsystem, column
 
 
-@dataclass(frozen=True)
-class ArmParameters:
+class ArmParameters(Group):
     """Constants; their numbers and sources are in parameters.toml."""
 
-    gravity: Annotated[Scalar, Quantity("m/s2", "Acceleration of free fall", 10.0)]
-    link1_length: Annotated[Scalar, Quantity("m", "Length of link 1, hinge to elbow", minimum=1e-3)]
-    link1_mass: Annotated[Scalar, Quantity("kg", "Mass of link 1, a uniform rod", 1e2, minimum=0.0)]
-    elbow_mass: Annotated[Scalar, Quantity("kg", "Point mass at the elbow", 1e2, minimum=0.0)]
-    link2_length: Annotated[Scalar, Quantity("m", "Length of link 2, elbow to tip", minimum=1e-3)]
-    tip_mass: Annotated[Scalar, Quantity("kg", "Point mass at the tip", 1e2, minimum=1e-3, tunable=True)]
-    anchor: Annotated[Scalar, Quantity("m", "Distance of the actuator's anchor from the hinge")]
-    pin: Annotated[Scalar, Quantity("m", "Distance of the actuator's pin from the hinge, along link 1")]
-    friction: Annotated[
-        Scalar, Quantity("N.s/m", "Viscous friction of the cylinder", 1e5, minimum=0.0, tunable=True)
-    ]
+    gravity: Scalar = Quantity("m/s2", "Acceleration of free fall", 10.0)
+    link1_length: Scalar = Quantity("m", "Length of link 1, hinge to elbow", minimum=1e-3)
+    link1_mass: Scalar = Quantity("kg", "Mass of link 1, a uniform rod", 1e2, minimum=0.0)
+    elbow_mass: Scalar = Quantity("kg", "Point mass at the elbow", 1e2, minimum=0.0)
+    link2_length: Scalar = Quantity("m", "Length of link 2, elbow to tip", minimum=1e-3)
+    tip_mass: Scalar = Quantity("kg", "Point mass at the tip", 1e2, minimum=1e-3, tunable=True)
+    anchor: Scalar = Quantity("m", "Distance of the actuator's anchor from the hinge")
+    pin: Scalar = Quantity("m", "Distance of the actuator's pin from the hinge, along link 1")
+    friction: Scalar = Quantity("N.s/m", "Viscous friction of the cylinder", 1e5, minimum=0.0, tunable=True)
 
 
-@dataclass(frozen=True)
-class ArmState:
+class ArmState(Group):
     """Angles of the links from the horizontal, and their speeds."""
 
-    theta1: Annotated[Scalar, Quantity("rad", "Angle of link 1")]
-    theta2: Annotated[Scalar, Quantity("rad", "Angle of link 2")]
-    theta1_dot: Annotated[Scalar, Quantity("rad/s", "Speed of link 1", 0.1)]
-    theta2_dot: Annotated[Scalar, Quantity("rad/s", "Speed of link 2", 0.1)]
+    theta1: Scalar = Quantity("rad", "Angle of link 1")
+    theta2: Scalar = Quantity("rad", "Angle of link 2")
+    theta1_dot: Scalar = Quantity("rad/s", "Speed of link 1", 0.1)
+    theta2_dot: Scalar = Quantity("rad/s", "Speed of link 2", 0.1)
 
 
-@dataclass(frozen=True)
-class ArmInputs:
+class ArmInputs(Group):
     """Force of the hydraulics; the rate input carries its exact time derivative."""
 
-    force: Annotated[Scalar, Quantity("N", "Hydraulic force, friction not included", 1e4, rate="force_rate")]
-    force_rate: Annotated[
-        Scalar, Quantity("N/s", "Rate port: time derivative of force, may stay unconnected", 1e5)
-    ]
+    force: Scalar = Quantity("N", "Hydraulic force, friction not included", 1e4, rate="force_rate")
+    force_rate: Scalar = Quantity("N/s", "Rate port: time derivative of force, may stay unconnected", 1e5)
 
 
-@dataclass(frozen=True)
 class ArmOutputs(ArmState):
     """The state; the actuator's motion for the hydraulics; the force for the start; and the balances."""
 
-    s1: Annotated[Scalar, Quantity("m", "Length of the actuator")]
-    s1_dot: Annotated[Scalar, Quantity("m/s", "Velocity of the actuator", 0.1)]
-    s1_ddot: Annotated[Scalar, Quantity("m/s2", "Rate port: exact time derivative of s1_dot")]
-    holding_force: Annotated[Scalar, Quantity("N", "Force that balances gravity on link 1", 1e4)]
-    f_h: Annotated[Scalar, Quantity("N", "Force of the actuator on the arm, friction included", 1e4)]
-    kinetic_energy: Annotated[Scalar, Quantity("J", "Kinetic energy", 10.0)]
-    potential_energy: Annotated[Scalar, Quantity("J", "Potential energy, zero at the hinge", 1e3)]
-    dissipated_power: Annotated[Scalar, Quantity("W", "Heat of the cylinder's friction", 1e2)]
+    s1: Scalar = Quantity("m", "Length of the actuator")
+    s1_dot: Scalar = Quantity("m/s", "Velocity of the actuator", 0.1)
+    s1_ddot: Scalar = Quantity("m/s2", "Rate port: exact time derivative of s1_dot")
+    holding_force: Scalar = Quantity("N", "Force that balances gravity on link 1", 1e4)
+    f_h: Scalar = Quantity("N", "Force of the actuator on the arm, friction included", 1e4)
+    kinetic_energy: Scalar = Quantity("J", "Kinetic energy", 10.0)
+    potential_energy: Scalar = Quantity("J", "Potential energy, zero at the hinge", 1e3)
+    dissipated_power: Scalar = Quantity("W", "Heat of the cylinder's friction", 1e2)
 
 
 def mechanics(x: ArmState, p: ArmParameters) -> EquationsOfMotion:

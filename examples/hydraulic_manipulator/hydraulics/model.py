@@ -18,71 +18,65 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from fmus.components import orifice
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar, Subsystem
 
 
-@dataclass(frozen=True)
-class HydraulicsParameters:
+class HydraulicsParameters(Group):
     """Constants; their numbers and sources are in parameters.toml."""
 
-    piston_area: Annotated[Scalar, Quantity("m2", "Piston area A of both sides", 1e-2, minimum=1e-6)]
-    cylinder_length: Annotated[Scalar, Quantity("m", "Length l of both chambers together", minimum=1e-3)]
-    centre: Annotated[Scalar, Quantity("m", "Actuator length s0 with the piston in the middle")]
-    valve_area: Annotated[Scalar, Quantity("m2", "Area a_v of a fully open edge", 1e-4, minimum=0.0)]
-    discharge_coefficient: Annotated[
-        Scalar, Quantity("1", "Discharge coefficient C_d of the edges", minimum=0.1, maximum=1.0)
-    ]
-    transition_pressure: Annotated[
-        Scalar, Quantity("Pa", "Pressure difference below which an edge is laminar", 1e3, minimum=1.0)
-    ]
-    density: Annotated[Scalar, Quantity("kg/m3", "Density of the oil in the edges", 1e3, minimum=100.0)]
-    compressibility: Annotated[
-        Scalar, Quantity("Pa-1", "Coefficient a of the density: 1/beta at zero pressure", 1e-9, minimum=1e-12)
-    ]
-    compressibility_slope: Annotated[Scalar, Quantity("Pa-2", "Coefficient b of the density", 1e-18)]
-    supply_pressure: Annotated[Scalar, Quantity("Pa", "Supply pressure p_P", 1e7, tunable=True)]
-    tank_pressure: Annotated[Scalar, Quantity("Pa", "Tank pressure p_T", 1e5, tunable=True)]
+    piston_area: Scalar = Quantity("m2", "Piston area A of both sides", 1e-2, minimum=1e-6)
+    cylinder_length: Scalar = Quantity("m", "Length l of both chambers together", minimum=1e-3)
+    centre: Scalar = Quantity("m", "Actuator length s0 with the piston in the middle")
+    valve_area: Scalar = Quantity("m2", "Area a_v of a fully open edge", 1e-4, minimum=0.0)
+    discharge_coefficient: Scalar = Quantity(
+        "1", "Discharge coefficient C_d of the edges", minimum=0.1, maximum=1.0
+    )
+    transition_pressure: Scalar = Quantity(
+        "Pa", "Pressure difference below which an edge is laminar", 1e3, minimum=1.0
+    )
+    density: Scalar = Quantity("kg/m3", "Density of the oil in the edges", 1e3, minimum=100.0)
+    compressibility: Scalar = Quantity(
+        "Pa-1", "Coefficient a of the density: 1/beta at zero pressure", 1e-9, minimum=1e-12
+    )
+    compressibility_slope: Scalar = Quantity("Pa-2", "Coefficient b of the density", 1e-18)
+    supply_pressure: Scalar = Quantity("Pa", "Supply pressure p_P", 1e7, tunable=True)
+    tank_pressure: Scalar = Quantity("Pa", "Tank pressure p_T", 1e5, tunable=True)
 
 
-@dataclass(frozen=True)
-class HydraulicsState:
+class HydraulicsState(Group):
     """Chamber pressures."""
 
-    p_1: Annotated[Scalar, Quantity("Pa", "Pressure of chamber 1, which shrinks as s1 grows", 1e6)]
-    p_2: Annotated[Scalar, Quantity("Pa", "Pressure of chamber 2, which grows with s1", 1e6)]
+    p_1: Scalar = Quantity("Pa", "Pressure of chamber 1, which shrinks as s1 grows", 1e6)
+    p_2: Scalar = Quantity("Pa", "Pressure of chamber 2, which grows with s1", 1e6)
 
 
-@dataclass(frozen=True)
-class HydraulicsInputs:
+class HydraulicsInputs(Group):
     """Valve position and the motion of the actuator; the rate inputs carry exact time derivatives."""
 
-    kappa: Annotated[
-        Scalar,
-        Quantity("1", "Valve position: share of the edges P-1 and 2-T", 0.5, minimum=0.0, maximum=1.0),
-    ]
-    s1: Annotated[Scalar, Quantity("m", "Length of the actuator", rate="s1_dot")]
-    s1_dot: Annotated[Scalar, Quantity("m/s", "Velocity of the actuator", 0.1, rate="s1_ddot")]
-    s1_ddot: Annotated[Scalar, Quantity("m/s2", "Rate port: time derivative of s1_dot, may stay unconnected")]
-    holding_force: Annotated[
-        Scalar, Quantity("N", "Force that holds the arm at the start; used only to initialise", 1e4)
-    ]
+    kappa: Scalar = Quantity(
+        "1", "Valve position: share of the edges P-1 and 2-T", 0.5, minimum=0.0, maximum=1.0
+    )
+    s1: Scalar = Quantity("m", "Length of the actuator", rate="s1_dot")
+    s1_dot: Scalar = Quantity("m/s", "Velocity of the actuator", 0.1, rate="s1_ddot")
+    s1_ddot: Scalar = Quantity("m/s2", "Rate port: time derivative of s1_dot, may stay unconnected")
+    holding_force: Scalar = Quantity(
+        "N", "Force that holds the arm at the start; used only to initialise", 1e4
+    )
 
 
-@dataclass(frozen=True)
 class HydraulicsOutputs(HydraulicsState):
     """The state; the force and its rate for the arm; flows and heat for a look at the balances."""
 
-    force: Annotated[Scalar, Quantity("N", "Hydraulic force of the cylinder, friction not included", 1e4)]
-    force_rate: Annotated[Scalar, Quantity("N/s", "Rate port: exact time derivative of force", 1e5)]
-    flow_1: Annotated[Scalar, Quantity("m3/s", "Flow into chamber 1", 1e-3)]
-    flow_2: Annotated[Scalar, Quantity("m3/s", "Flow into chamber 2", 1e-3)]
-    supply_flow: Annotated[Scalar, Quantity("m3/s", "Flow taken from the supply", 1e-2)]
-    return_flow: Annotated[Scalar, Quantity("m3/s", "Flow given to the tank", 1e-2)]
-    dissipated_power: Annotated[Scalar, Quantity("W", "Heat of the four edges", 1e5)]
-    holding_kappa: Annotated[Scalar, Quantity("1", "Valve position that keeps holding_force at rest", 0.5)]
+    force: Scalar = Quantity("N", "Hydraulic force of the cylinder, friction not included", 1e4)
+    force_rate: Scalar = Quantity("N/s", "Rate port: exact time derivative of force", 1e5)
+    flow_1: Scalar = Quantity("m3/s", "Flow into chamber 1", 1e-3)
+    flow_2: Scalar = Quantity("m3/s", "Flow into chamber 2", 1e-3)
+    supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply", 1e-2)
+    return_flow: Scalar = Quantity("m3/s", "Flow given to the tank", 1e-2)
+    dissipated_power: Scalar = Quantity("W", "Heat of the four edges", 1e5)
+    holding_kappa: Scalar = Quantity("1", "Valve position that keeps holding_force at rest", 0.5)
 
 
 @dataclass(frozen=True)
