@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    app,
-)
+from orchestrator.cli.options import app
 
 
 @app.command()

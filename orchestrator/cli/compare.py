@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    app,
-    seconds,
-)
+from orchestrator.cli.options import BUILD, app, seconds
 
 
 @app.command()

@@ -7,14 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    Case,
-    System,
-    app,
-    spread,
-)
+from orchestrator.cli.options import BUILD, SYSTEM, Case, System, app, spread
 
 STUDY = BUILD / "convergence"
 

@@ -7,10 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    app,
-)
+from orchestrator.cli.options import BUILD, app
 
 
 @app.command()

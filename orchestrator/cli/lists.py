@@ -7,14 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    Swap,
-    System,
-    app,
-    swaps,
-)
+from orchestrator.cli.options import BUILD, SYSTEM, Swap, System, app, swaps
 
 
 @app.command()

@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    app,
-)
+from orchestrator.cli.options import BUILD, SYSTEM, app
 
 
 @app.command()

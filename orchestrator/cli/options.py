@@ -43,14 +43,14 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
             parameters[name] = _parameter(name, parameter.default, hints[name])
 
     @wraps(command)
-    def told(**values: Any) -> None:
+    def spread_command(**values: Any) -> None:
         for name, kind in groups.items():
             values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
         command(**values)
 
-    told.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
-    told.__annotations__ = {name: p.annotation for name, p in parameters.items()}
-    return told
+    spread_command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    spread_command.__annotations__ = {name: p.annotation for name, p in parameters.items()}
+    return spread_command
 
 
 def _parameter(name: str, default: Any, kind: Any) -> Parameter:

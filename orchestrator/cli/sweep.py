@@ -8,10 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import (
-    app,
-    positive,
-)
+from orchestrator.cli.options import app, positive
 
 
 @app.command()

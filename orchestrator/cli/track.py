@@ -9,15 +9,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import (
-    BUILD,
-    Set,
-    Swap,
-    app,
-    assignments,
-    number,
-    swaps,
-)
+from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps
 
 CONTROLLED = BUILD / "harvester_control.ssp"
 MACHINES = {

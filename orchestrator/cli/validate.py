@@ -7,16 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    Case,
-    Coupled,
-    Steps,
-    System,
-    app,
-    spread,
-)
+from orchestrator.cli.options import BUILD, SYSTEM, Case, Coupled, Steps, System, app, spread
 
 
 @app.command()

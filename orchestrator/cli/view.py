@@ -9,15 +9,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    Set,
-    Swap,
-    app,
-    assignments,
-    swaps,
-)
+from orchestrator.cli.options import BUILD, SYSTEM, Set, Swap, app, assignments, swaps
 
 CONTROL = BUILD / "harvester_control.ssp"
 
