@@ -1,6 +1,4 @@
-"""Interrupts while compiled code runs.
-
-The subsystems joined into one ODE and integrated tightly: the truth for co-simulation.
+"""The subsystems joined into one ODE and integrated tightly: the truth for co-simulation.
 
 The equations are those of `fmus.composition`: no signal is held or extrapolated. Between the breakpoints of a
 piecewise linear scenario CVODES (BDF) integrates with the exact Jacobian; at each breakpoint it starts anew,
@@ -9,13 +7,9 @@ because the input has a kink there.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,36 +18,7 @@ from numpy.typing import NDArray
 from fmus.composition import couple
 from fmus.contract import Subsystem, column, quantities
 from fmus.parameters import Values, values
-
-
-@contextmanager
-def held() -> Iterator[None]:
-    """An interrupt waits until the block is over.
-
-    CasADi asks for signals inside the equations. CVODES takes what that raises for equations that fail: it
-    tries a smaller step and goes on, so that the interrupt is lost, or gives up with an error of its own.
-    """
-    if threading.current_thread() is not threading.main_thread():  # only the main thread gets signals
-        yield
-        return
-    pressed: list[int] = []
-
-    def wait(number: int, _: Any) -> None:
-        pressed.append(number)
-
-    names = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    # what is not handled in Python ends the process at once anyway
-    usual = {n: signal.getsignal(n) for n in names if callable(signal.getsignal(n))}
-    for number in usual:
-        signal.signal(number, wait)
-    try:
-        yield
-    finally:
-        for number, handler in usual.items():
-            signal.signal(number, handler)
-    for number in pressed[:1]:
-        signal.raise_signal(number)
-
+from orchestrator.base.interrupts import DeferredInterrupts
 
 Array = NDArray[np.float64]
 
@@ -150,7 +115,7 @@ def simulate(
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]
         solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
-        with held():
+        with DeferredInterrupts(insist=False):  # CasADi asks for signals inside the equations
             result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
         piece = result["xf"].full().T * model.nominal
         states.extend(piece)

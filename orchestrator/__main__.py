@@ -7,7 +7,7 @@ from io import TextIOWrapper
 from typing import Any
 
 from orchestrator.base.errors import Problem, Stopped
-from orchestrator.base.interrupts import ends_clean
+from orchestrator.base.interrupts import signals_interrupt
 from orchestrator.cli import app
 
 INTERRUPTED = 130  # exit status, as of a shell
@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
     try:
-        with ends_clean():
+        with signals_interrupt():
             status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
     except KeyboardInterrupt:
         return _stopped()

@@ -1,4 +1,4 @@
-"""C to a shared library, by the compiler of the package `ziglang`. What was made once is kept in the user's cache.
+"""Compile C to a shared library with the compiler of the package `ziglang`, and keep it in the user's cache.
 
 The compiler has a cache of its own, but that knows a file by its place on the disk, not by what is in it.
 """
@@ -32,7 +32,7 @@ class CompilerError(Problem):
 def shared_library(
     name: str, code: Mapping[str, bytes], arguments: Sequence[str], more: Iterable[bytes] = ()
 ) -> Path:
-    """The library `name` of C files, as `zig cc ARGUMENTS` makes it in a folder that holds them; made once, then kept.
+    """The library `name` of C files, as `zig cc ARGUMENTS` makes it in a folder that holds them; kept.
 
     more   what it follows from besides files, arguments and compiler, such as headers elsewhere
 

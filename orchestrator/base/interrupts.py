@@ -1,9 +1,9 @@
-"""Every way to end a command early is an interrupt, so that nothing is left behind.
+"""Signals that end a command (Ctrl-C, a request to end, a closed terminal) as one interrupt.
 
-Ctrl-C during a run: noted when it comes, obeyed between two steps.
-
-Python would raise KeyboardInterrupt in whatever Python code runs next. That may be the logger that an FMU
-calls, and from there no exception finds its way back through the FMU.
+`signals_interrupt` turns each of them into a KeyboardInterrupt, so that children are stopped and folders
+removed. `DeferredInterrupts` holds them back while compiled code runs. Python would raise KeyboardInterrupt
+in whatever Python code runs next. That may be the logger that an FMU calls, and no exception finds its way back
+through the FMU; or CasADi's check for signals, whose exception CVODES takes for equations that failed.
 """
 
 from __future__ import annotations
@@ -15,64 +15,65 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
+_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+def _in_main_thread() -> bool:
+    """Only the main thread may set what a signal does."""
+    return threading.current_thread() is threading.main_thread()
+
 
 @contextmanager
-def ends_clean() -> Iterator[None]:
-    """A request to end, or a closed terminal, is an interrupt: children are stopped, folders removed."""
+def signals_interrupt() -> Iterator[None]:
+    """Inside, SIGTERM and SIGHUP raise KeyboardInterrupt, where they would end the process at once."""
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    usual = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
-    if threading.current_thread() is not threading.main_thread():
-        usual = []  # only the main thread may say what a signal does
-    for number in usual:
+    unhandled = [n for n in _ENDING if _in_main_thread() and signal.getsignal(n) is signal.SIG_DFL]
+    for number in unhandled:
         signal.signal(number, interrupt)
     try:
         yield
     finally:
-        for number in usual:
+        for number in unhandled:
             signal.signal(number, signal.SIG_DFL)
 
 
-NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+class DeferredInterrupts:
+    """Inside, a signal that Python code handles is noted, and handled in `check` or at the end.
 
-
-class Interrupts:
-    """While it is entered, what signals do that Python code handles happens in `look` only.
-
-    A second signal is obeyed at once: the FMU may never come back.
+    insist   a second signal is handled at once: the FMU may never return
     """
 
-    def __init__(self) -> None:
-        self._usual: dict[int, Any] = {}
+    def __init__(self, insist: bool = True) -> None:
+        self.insist = insist
+        self._handlers: dict[int, Any] = {}
         self._noted: tuple[int, FrameType | None] | None = None
 
-    def __enter__(self) -> Interrupts:
-        if threading.current_thread() is threading.main_thread():  # only it may say what a signal does
-            for number in (getattr(signal, name) for name in NAMES if hasattr(signal, name)):
-                handler = signal.getsignal(number)
-                if callable(handler):
-                    self._usual[number] = handler
-                    signal.signal(number, self._note)
+    def __enter__(self) -> DeferredInterrupts:
+        for number in _ENDING if _in_main_thread() else ():
+            handler = signal.getsignal(number)
+            if callable(handler):  # any other ends the process without Python
+                self._handlers[number] = handler
+                signal.signal(number, self._note)
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, handler in self._usual.items():
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if kind is None:
-            self.look()
+            self.check()
 
-    def look(self) -> None:
-        """Obey what was noted, which usually raises KeyboardInterrupt."""
+    def check(self) -> None:
+        """Handle the signal that was noted, which usually raises KeyboardInterrupt."""
         if self._noted:
             (number, frame), self._noted = self._noted, None
-            self._usual[number](number, frame)
+            self._handlers[number](number, frame)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if self._noted:
-            self.look()
-        self._noted = number, frame
+        if self._noted and self.insist:
+            self.check()
+        self._noted = self._noted or (number, frame)

@@ -2,15 +2,12 @@
 
     value in SI = factor * value + offset
 
-Grammar: symbols with an integer power, joined by "." or a space; "/" and one divisor, or several in brackets or one
-after the other: "N.m.s/rad", "m3/(s.Pa)", "m s-1", "L/min". "1" has no dimension. Degree signs, superscripts and the
-other spellings of loggers are read, too.
+Grammar: symbols with an integer power, joined by "." or a space; "/" and one divisor, or several in brackets
+or one after the other: "N.m.s/rad", "m3/(s.Pa)", "m s-1", "L/min". "1" has no dimension. Degree signs,
+superscripts and other spellings of loggers are read, too.
 
-The radian counts as a base unit: a frequency [Hz] is no angular speed [rad/s]. FMI has it as one of its base units, but
-many tools leave it out, so `conversion` between declared units passes a difference in the radian with a note.
-
-pint was tried in place of this: it has no radian among its dimensions, reads "m3/(s.Pa)" only after rewriting, and
-takes 0.2 s to import, as long as a run of 10 s.
+The radian counts as a base unit: a frequency [Hz] is no angular speed [rad/s]. FMI has the radian among its
+base units, but many tools leave it out, so `conversion` passes a difference in the radian with a note.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ class Unit:
     offset: float = 0.0
 
     def times(self, other: Unit, power: int = 1) -> Unit:
-        """This unit times the other one to an integer power; the zero of a temperature has no meaning in it."""
+        """This unit times a power of the other one; the zero of a temperature has no meaning in a product."""
         exponents = tuple(a + power * b for a, b in zip(self.exponents, other.exponents, strict=True))
         return Unit(exponents, self.factor * other.factor**power)
 
@@ -81,7 +78,8 @@ _PREFIXED = frozenset(
 DISPLAY: Mapping[str, str] = MappingProxyType(
     {
         "Pa": "bar", "Pa/s": "bar/s", "Pa.s/m3": "bar.min/L", "Pa.s2/m6": "bar.min2/L2",
-        "m3/s": "L/min", "m3": "L", "m3/rad": "cm3/rev", "m3/Pa": "cm3/bar", "m3/(s.Pa)": "L/(min.bar)", "m2": "mm2",
+        "m3/s": "L/min", "m3": "L", "m3/rad": "cm3/rev", "m3/Pa": "cm3/bar", "m3/(s.Pa)": "L/(min.bar)",
+        "m2": "mm2",
         "rad": "deg", "rad/s": "deg/s", "rad/s2": "deg/s2",
         "N": "kN", "N/s": "kN/s", "N/m": "kN/mm", "N.m": "kN.m", "N.m/s": "kN.m/s", "J": "kJ", "W": "kW",
     }
@@ -127,7 +125,7 @@ def in_si(text: str) -> str:
 
 
 def spelled(text: str) -> str:
-    """The unit in the characters of the grammar, from what loggers write: "°C", "m³/s", "N·m"; no unit is "1"."""
+    """The unit in characters of the grammar, from what loggers write: "°C", "m³/s", "N·m"; no unit is "1"."""
     plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "")
     plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
     return re.sub(r"\s+", ".", plain) if plain not in ("", "-") else "1"
@@ -290,7 +288,9 @@ IDENTITY = Linear()
 
 @dataclass(frozen=True)
 class DeclaredUnit:
-    """A unit of an FMU or an SSP file; `exponents` in the order of BASES, None when the file does not define them.
+    """A unit of an FMU or an SSP file.
+
+    exponents   in the order of BASES; None where the file does not define the unit
 
     fault   what is wrong with its definition; the message when a value is to be converted
     """

@@ -1,6 +1,6 @@
 """The command line `harvester`: one file per command, in the order of the help.
 
-A command reads its options, calls one function and prints. It imports what it needs when it runs: --help stays fast.
+A command reads its options, calls one function and prints. Its imports are inside, so that --help stays fast.
 """
 
 # isort: off

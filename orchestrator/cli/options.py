@@ -1,4 +1,4 @@
-"""The application, and what several commands share: groups of options, and how the texts of options are read."""
+"""The application, groups of options that several commands share, and how texts of options are read."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import Location, folder, there
-from orchestrator.base.interrupts import Interrupts
+from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Trace, check_suffix, read, write
 from orchestrator.engine.communication_step import Pace, Sweep
 from orchestrator.engine.initialisation import initialise, remarks
@@ -152,8 +152,8 @@ class Job:
         """Run, and make a result of it even when it ends early."""
         began = time.perf_counter()
         try:
-            with Interrupts() as interrupts:
-                march.look = interrupts.look
+            with DeferredInterrupts() as interrupts:
+                march.look = interrupts.check
                 loop.go(march)
         except KeyboardInterrupt:
             raise Interrupted(self._result(loop, march, began, False)) from None

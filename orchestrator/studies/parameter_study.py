@@ -12,7 +12,7 @@ import pyarrow as pa
 from distributed import Client
 
 from orchestrator.base.errors import Stopped
-from orchestrator.base.interrupts import Interrupts
+from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.studies import design, pool, progress, single_run, store, study_file
 from orchestrator.studies.cases import cases
 from orchestrator.studies.fingerprint import fingerprint
@@ -122,8 +122,8 @@ def _complete(ready: Plan, kept: store.Store, where: Where, watch: progress.Watc
     try:
         with (
             where.connect() as client,
-            Interrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
-            closing(pool.rows(client, ready.packet, missing, interrupts.look)) as batches,
+            DeferredInterrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
+            closing(pool.rows(client, ready.packet, missing, interrupts.check)) as batches,
         ):
             for rows in batches:
                 kept.add(rows)

@@ -1,11 +1,11 @@
-"""Signals during a run: noted, obeyed between steps; the usual handling comes back after it."""
+"""Signals during a run: noted, handled between steps; the usual handling comes back after it."""
 
 import signal
 import threading
 
 import pytest
 
-from orchestrator.base.interrupts import Interrupts
+from orchestrator.base.interrupts import DeferredInterrupts
 
 
 @pytest.fixture(autouse=True)
@@ -16,29 +16,52 @@ def interruptible():
     signal.signal(signal.SIGINT, usual)
 
 
-def test_a_signal_waits_for_the_next_look():
+def test_a_signal_waits_for_the_next_check():
     """Nothing is raised where it comes, which may be inside a function that an FMU calls."""
     usual = signal.getsignal(signal.SIGINT)
-    with Interrupts() as interrupts:
+    with DeferredInterrupts() as interrupts:
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            interrupts.look()
-        interrupts.look()  # once is enough
+            interrupts.check()
+        interrupts.check()  # once is enough
     assert signal.getsignal(signal.SIGINT) is usual
 
 
 def test_a_signal_at_the_very_end_is_not_lost():
-    """No look comes after it."""
-    with pytest.raises(KeyboardInterrupt), Interrupts():
+    """No check comes after it."""
+    with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
         signal.raise_signal(signal.SIGINT)
 
 
-def test_a_second_signal_is_obeyed_at_once():
+def test_a_second_signal_is_handled_at_once():
     """The FMU may never come back."""
-    with Interrupts():
+    with DeferredInterrupts():
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_a_second_signal_waits_where_raising_is_of_no_use():
+    """CVODES takes an exception inside its equations for equations that failed, and tries a smaller step."""
+    steps = []
+
+    def block():
+        with DeferredInterrupts(insist=False):
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            steps.append("after")
+
+    with pytest.raises(KeyboardInterrupt):
+        block()
+    assert steps == ["after"]
+
+
+def test_an_error_inside_passes():
+    """The handlers come back after an error, too."""
+    usual = signal.getsignal(signal.SIGINT)
+    with pytest.raises(RuntimeError), DeferredInterrupts():
+        raise RuntimeError
+    assert signal.getsignal(signal.SIGINT) is usual
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
@@ -50,11 +73,11 @@ def test_only_signals_that_python_handles_wait():
 
     usual = signal.signal(signal.SIGHUP, handler)
     try:
-        with Interrupts() as interrupts:
+        with DeferredInterrupts() as interrupts:
             assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
             signal.raise_signal(signal.SIGHUP)
             with pytest.raises(KeyboardInterrupt, match="terminal closed"):
-                interrupts.look()
+                interrupts.check()
         assert signal.getsignal(signal.SIGHUP) is handler
     finally:
         signal.signal(signal.SIGHUP, usual)
@@ -65,7 +88,7 @@ def test_runs_in_other_threads_leave_signals_alone():
     usual, seen = signal.getsignal(signal.SIGINT), []
 
     def enter():
-        with Interrupts():
+        with DeferredInterrupts():
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=enter)
