@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from orchestrator.results.figures import png
-from orchestrator.studies.convergence import Study
+from orchestrator.studies.convergence import ConvergenceStudy
 from orchestrator.studies.convergence_report import (
     cost,
     draw_error,
@@ -66,7 +66,7 @@ def main() -> None:
         fill(document, "M1, length", markdown(maximum(benchmark, "position")))
 
 
-def pictures(name: str, study: Study) -> None:
+def pictures(name: str, study: ConvergenceStudy) -> None:
     """Error over step, and error over wall time."""
     IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw_error(study), DPI))
     IMAGES.joinpath(f"convergence-{name}-cost.png").write_bytes(png(draw_work(study), DPI))

@@ -14,7 +14,7 @@ from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple
 from fmus.machine.parts import FAMILIES
 from orchestrator.results.comparison import Comparison
 from orchestrator.results.summary import share
-from orchestrator.studies.variants import Row
+from orchestrator.studies.variants import Combination
 
 LEAST = 0.05  # bar: a ripple below has no frequency worth telling
 NOTHING = 0.15  # %: a change of peaks below is none
@@ -154,11 +154,11 @@ COMBINED = (
 )
 
 
-def combination_table(rows: Sequence[Row], costs: Mapping[str, Mapping[str, float]]) -> str:
+def combination_table(rows: Sequence[Combination], costs: Mapping[str, Mapping[str, float]]) -> str:
     """Some combinations with a meaning: costs of their parts added up, and change; ranges of all."""
     found = {tuple(row.variants.values()): row for row in rows}
 
-    def cost(row: Row) -> float:
+    def cost(row: Combination) -> float:
         return sum(costs[part][variant] for part, variant in row.variants.items())
 
     cells = [[*key, f"{cost(found[key]):.1f}", f"{100 * found[key].change:.2g} %"] for key in COMBINED]

@@ -17,9 +17,22 @@ from run import M1, REFERENCE
 from orchestrator import load, read, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.results.reference import read_reference
-from orchestrator.studies.convergence import SETTINGS, Setting, Study, Truth, from_run, study
+from orchestrator.studies.convergence import (
+    SETTINGS,
+    ConvergenceStudy,
+    Setting,
+    Truth,
+    from_run,
+    run_settings,
+)
+    SETTINGS,
+    ConvergenceStudy,
+    Setting,
+    Truth,
+    from_run,
+)
 from orchestrator.studies.convergence_report import maximum, show
-from orchestrator.studies.convergence_study import tell, watched
+from orchestrator.studies.convergence_study import report, watched
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
@@ -47,11 +60,11 @@ def manipulator(
     settings: Sequence[Setting] = SETTINGS,
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
-) -> Study:
+) -> ConvergenceStudy:
     """All masters at all steps."""
     against = truth()
-    rows = study(load(system), against, settings, steps, repeats, BARE, scenario=M1)
-    return Study(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
+    rows = run_settings(load(system), against, settings, steps, repeats, BARE, scenario=M1)
+    return ConvergenceStudy(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
 
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
@@ -70,7 +83,7 @@ def main() -> None:
     systems = build(FOLDER)
     found = manipulator(systems["rates"])
     show(Console(), maximum(found, "position"))
-    tell(found, FOLDER)
+    report(found, FOLDER)
     print(beside_the_published(systems, FOLDER / "steps.png"))
 
 

@@ -74,24 +74,23 @@ def track(
     """
     from fmus.controller.paths import course, route
     from fmus.controller.paths import through as reached
-    from orchestrator.studies.path_following import first
-    from orchestrator.studies.path_study import Course
+    from orchestrator.studies.path_following import beginning
     from orchestrator.studies.path_study import track as tracked
 
     if path and through:
         raise Problem("--path and --through: expected one of them")
     if through:
         file, highest = route(through, speed, out)
-        courses = [Course(file, partial(reached, through))]
+        paths = [(file, partial(reached, through))]
         if highest < speed:
             print(f"note: --speed {speed:g}: up to {highest:.2g} m/s, the way is too short for more")
     else:
         files = [_file(p) for p in path or PATHS]
-        courses = [Course(file, partial(course, str(file), first(file))) for file in files]
+        paths = [(file, partial(course, str(file), beginning(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     most = None if limit is None else limit / 1e3
-    if not tracked(system, courses, machines, out, modes, most, set=assignments(set_ or [])):
+    if not tracked(system, paths, machines, out, modes, most, set=assignments(set_ or [])):
         raise typer.Exit(1)
 
 

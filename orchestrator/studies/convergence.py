@@ -1,11 +1,8 @@
-"""The ways of coupling that are studied, as a table.
+"""Error of a coupled run over its communication step, for each way of coupling: settings, reference, runs.
 
-What runs are held against: samples of a reference, or of one run that is finer than all others.
-
-A reference has its own instants, often far apart. It is compared only at instants that a run has too: between
-them a straight line would be further off than a good master is.
-
-Every setting at every step: error, cost, and whether the run came to its end.
+A run is compared with samples of a reference, or of one run that is finer than all others. A reference has
+its own instants, often far apart. A run is compared at the instants that both have: between them a straight line
+would be less accurate than a good master.
 """
 
 from __future__ import annotations
@@ -24,7 +21,7 @@ from orchestrator.base.coupling import MASTERS, Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import linear
 from orchestrator.data.trace import Trace
-from orchestrator.engine.result import Result, RunFailed
+from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.results.comparison import QUANTITIES, REST, quantity
 from orchestrator.results.metrics import constant
@@ -32,13 +29,21 @@ from orchestrator.results.reference import Reference, Signal
 from orchestrator.ssp.swap import uses
 from orchestrator.ssp.system import System
 
+Array = NDArray[np.float64]
+SAME = 1e-6  # of a step: two instants that are nearer to each other are one
+ENOUGH = 200  # instants, where each is a step that has to end there
+FEWEST = 10  # instants in common, else a root mean square means little
+LOST = 1.0  # of its range: a signal that was once further off has left its place for good
+ROUNDING = 1e-12  # NRMSE: below it a change says nothing about the order
+USUAL = ("speed", "pressure")  # quantities that are compared if the user names no signals
+
 
 @dataclass(frozen=True)
 class Setting:
     """One way of coupling.
 
-    bare   without the wires of rate ports: what a master from a textbook would get
-    own    for masters that choose their steps: what varies in place of the step, by name, such as a tolerance
+    bare  without the wires of rate ports: what a master from a textbook would get
+    own   for masters that choose their steps: what varies in place of the step, by name, such as a tolerance
     """
 
     label: str
@@ -48,8 +53,12 @@ class Setting:
 
     @property
     def family(self) -> str:
-        """What is drawn in one colour."""
+        """The settings that are drawn in one colour."""
         return "plain" if self.bare else "own steps" if self.own else self.coupling.master
+
+    def fits(self, name: str) -> bool:
+        """Is the name that of the master, or a pattern that the label matches?"""
+        return name == self.coupling.master or fnmatchcase(self.label, name)
 
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -78,22 +87,18 @@ FINEST = Coupling("hermite", passes=20, tolerance=1e-9)  # where there is no ref
 
 
 def choose(names: Iterable[str]) -> tuple[Setting, ...]:
-    """The settings that are named: by master, by label, or by a pattern of labels; all when none is."""
+    """The settings with these names: masters, labels or patterns of labels; all if there are no names."""
     wanted = tuple(names)
     for name in wanted:
-        if not any(_fits(setting, name) for setting in SETTINGS):
+        if not any(setting.fits(name) for setting in SETTINGS):
             known = [*MASTERS, *(setting.label for setting in SETTINGS)]
             near = suggest(name, known) or f"; there are {', '.join(known)}"
             raise Problem(f"masters {name}: no setting of that name{near}")
-    return tuple(s for s in SETTINGS if not wanted or any(_fits(s, name) for name in wanted))
-
-
-def _fits(setting: Setting, name: str) -> bool:
-    return name == setting.coupling.master or fnmatchcase(setting.label, name)
+    return tuple(s for s in SETTINGS if not wanted or any(s.fits(name) for name in wanted))
 
 
 def rates(system: System) -> tuple[str, ...]:
-    """The connected inputs that only tell how another input moves: no power, and the system works without."""
+    """The connected inputs that are derivatives of others: they carry no power, and are optional."""
     return tuple(
         f"{component.name}.{name}"
         for component in system.components.values()
@@ -103,23 +108,17 @@ def rates(system: System) -> tuple[str, ...]:
 
 
 def possible(settings: Sequence[Setting], held: Sequence[str]) -> list[Setting]:
-    """Without connections to leave out, a bare setting is that of order 0 and says nothing new."""
+    """Without connections to leave out, a bare setting equals that of order 0 and is left out."""
     return [setting for setting in settings if held or not setting.bare]
 
 
-USUAL = ("speed", "pressure")  # of these groups, where a reference has them
-SAME = 1e-6  # of a step: instants that are nearer are one
-ENOUGH = 200  # instants, where each is a step that has to end there
-FEWEST = 10  # instants in common, else a root mean square says little
-
-
 @dataclass(frozen=True)
-class Error:
-    """How far one signal is off.
+class SignalError:
+    """Error of one signal.
 
-    nrmse     root mean square over the range of the whole truth
-    maximum   largest difference, in `unit`
-    span      that range, in `unit`
+    nrmse    root mean square over the range of the whole reference
+    maximum  largest difference, in `unit`
+    span     that range, in `unit`
     """
 
     signal: str
@@ -131,10 +130,10 @@ class Error:
 
 @dataclass(frozen=True)
 class Truth:
-    """Signals by group over a time axis of shape (n,) [s]; the span of each is its range."""
+    """What runs are compared with: signals by group over a time axis of shape (n,) [s]; a span is a range."""
 
     title: str
-    time: NDArray[np.float64]
+    time: Array
     groups: Mapping[str, tuple[Signal, ...]]
     notes: tuple[str, ...] = ()
 
@@ -144,26 +143,26 @@ class Truth:
         return list(dict.fromkeys(s.name for signals in self.groups.values() for s in signals))
 
     def check(self, system: System) -> None:
-        """Refuse a signal that the system has not."""
+        """Raise UnknownSignal where the system lacks a signal."""
         for name in self.names:
             if name not in system.outputs and name not in system.names():
                 raise UnknownSignal(name, [*system.outputs, *system.names()], f"{self.title}: ")
 
     def interval(self, start: float, stop: float | None, step: float) -> float:
-        """How far apart a run of this step is to be recorded [s], if it is to have instants in common."""
+        """Record step of a run with this communication step [s], so that both have instants in common."""
         last = self.time[-1] if stop is None else min(stop, self.time[-1])
-        points: NDArray[np.float64] = start + step * np.arange(int((last - start) / step + SAME) + 1.0)
-        found = len(_shared(points, self.time, step)[0])
-        if found < FEWEST:
+        points: Array = start + step * np.arange(int((last - start) / step + SAME) + 1.0)
+        count = len(_shared(points, self.time, step)[0])
+        if count < FEWEST:
             wanted = f"{FEWEST} or more instants in common with {self.title}"
-            raise Problem(f"step {step:g} s: expected {wanted}, got {found}")
+            raise Problem(f"step {step:g} s: expected {wanted}, got {count}")
         apart = float(self.time[1] - self.time[0])
         whole = round(apart / step)
         even = abs(start - self.time[0]) < SAME * step and np.ptp(np.diff(self.time)) < SAME * step
         return whole * step if even and whole and abs(apart / step - whole) < SAME else step
 
     def coarse(self, start: float) -> float:
-        """How far apart a run that chooses its steps is to be recorded [s]: it has to hit these instants."""
+        """Record step of a run that chooses its communication steps [s]: it has to hit these instants."""
         spaces = len(self.time) - 1
         even = np.ptp(np.diff(self.time)) < SAME * (self.time[-1] - self.time[0])
         off = (start - self.time[0]) * spaces / (self.time[-1] - self.time[0])
@@ -171,42 +170,43 @@ class Truth:
             raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
         return float(self.time[max(spaces // ENOUGH, 1)] - self.time[0])
 
-    def errors(self, trace: Trace, step: float) -> dict[str, tuple[Error, ...]]:
-        """Of each group the errors of all signals, the largest first."""
+    def errors(self, trace: Trace, step: float) -> dict[str, tuple[SignalError, ...]]:
+        """Group -> errors of its signals, the largest first."""
         own, mine = _shared(trace.time, self.time, step)
-        found = {}
-        for group, signals in self.groups.items():
-            errors = [_error(signal, trace, own, mine) for signal in signals]
-            found[group] = tuple(sorted(errors, key=lambda e: -e.nrmse))
-        return found
+        return {
+            group: tuple(sorted((_error(s, trace, own, mine) for s in signals), key=lambda e: -e.nrmse))
+            for group, signals in self.groups.items()
+        }
 
 
-def _shared(
-    run: NDArray[np.float64], truth: NDArray[np.float64], step: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Places of the instants that both have, in either."""
+def _shared(run: Array, truth: Array, step: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the instants that both have, in the run and in the reference."""
     at = np.minimum(np.searchsorted(run, truth - SAME * step), len(run) - 1)
     both = np.flatnonzero(np.abs(run[at] - truth) <= SAME * step)
     return at[both], both
 
 
-def _error(signal: Signal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]) -> Error:
+def _error(signal: Signal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]) -> SignalError:
     unit = trace.units.get(signal.name, signal.unit)
     factor, offset = linear(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
     with np.errstate(over="ignore"):  # of a run that grows beyond all bounds
         apart = factor * trace[signal.name][own] + offset - signal.values[mine]
         rms = float(np.sqrt(np.mean(np.square(apart))))
     span = signal.span or 1.0
-    return Error(signal.name, rms / span, float(np.abs(apart).max()), span, signal.unit)
+    return SignalError(signal.name, rms / span, float(np.abs(apart).max()), span, signal.unit)
 
 
 def from_reference(reference: Reference, patterns: Sequence[str] = ()) -> Truth:
     """The signals of a reference that fit a pattern; default: its speeds and pressures, else all."""
     named = [replace(s, group=s.group or quantity(s.unit)) for s in reference.signals.values()]
-    groups = [s.group for s in named]
-    usual = [group for group in USUAL if group in groups]
-    chosen = _matching(named, patterns) if patterns else _grouped(named, usual or dict.fromkeys(groups))
-    return _moving(reference.title, reference.time, chosen)
+    by_name = {s.name: s for s in named}
+    if patterns:
+        chosen = {p: [by_name[name] for name in _matching(p, by_name)] for p in patterns}
+        return _moving(reference.title, reference.time, chosen)
+    groups = list(dict.fromkeys(s.group for s in named))
+    return _moving(
+        reference.title, reference.time, _grouped(named, [g for g in USUAL if g in groups] or groups)
+    )
 
 
 def from_run(title: str, trace: Trace) -> Truth:
@@ -223,7 +223,7 @@ def usual(system: System, patterns: Sequence[str] = ()) -> list[str]:
     """The outputs of a system that fit a pattern; default: of its first two named quantities."""
     outputs = [str(port) for port in system.ports("output") if system.variable(port).is_real]
     if patterns:
-        return list(dict.fromkeys(name for p in patterns for name in _fitting(p, outputs)))
+        return list(dict.fromkeys(name for p in patterns for name in _matching(p, outputs)))
     units = {str(p): u.name for p in system.ports("output") if (u := system.variable(p).unit)}
     kinds = {name: quantity(units.get(name, "")) for name in outputs}
     order = [*USUAL, *(q for q in QUANTITIES if q not in USUAL)]
@@ -231,27 +231,21 @@ def usual(system: System, patterns: Sequence[str] = ()) -> list[str]:
     return [name for q in first for name in outputs if kinds[name] == q] or outputs
 
 
-def _fitting(pattern: str, names: Iterable[str]) -> list[str]:
+def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     known = list(names)
-    found = [name for name in known if fnmatchcase(name, pattern)]
-    if not found:
+    matching = [name for name in known if fnmatchcase(name, pattern)]
+    if not matching:
         near = suggest(pattern, known) or f"; there are {', '.join(known[:6]) or 'none'}"
         raise Problem(f"signals {pattern}: no signal fits{near}")
-    return found
-
-
-def _matching(signals: Sequence[Signal], patterns: Sequence[str]) -> dict[str, list[Signal]]:
-    """A group for each pattern."""
-    by_name = {s.name: s for s in signals}
-    return {p: [by_name[name] for name in _fitting(p, by_name)] for p in patterns}
+    return matching
 
 
 def _grouped(signals: Sequence[Signal], groups: Iterable[str]) -> dict[str, list[Signal]]:
     return {group: [s for s in signals if s.group == group] for group in groups}
 
 
-def _moving(title: str, time: NDArray[np.float64], groups: Mapping[str, Sequence[Signal]]) -> Truth:
-    """Without the signals that stand still, alone or beside others of their unit: they have no range."""
+def _moving(title: str, time: Array, groups: Mapping[str, Sequence[Signal]]) -> Truth:
+    """The groups without constant signals, which have no range, alone or next to others of their unit."""
     everything = [s for signals in groups.values() for s in signals]
     ranges = {s.name: 0.0 if constant(s.values) else float(np.ptp(s.values)) for s in everything}
     widest = {s.unit: max(ranges[o.name] for o in everything if o.unit == s.unit) for s in everything}
@@ -267,16 +261,12 @@ def _moving(title: str, time: NDArray[np.float64], groups: Mapping[str, Sequence
     return Truth(title, time, kept, notes)
 
 
-LOST = 1.0  # of its range: a signal that was once further off has left its place for good
-ROUNDING = 1e-12  # NRMSE: below, a change says nothing about the order
-
-
 @dataclass(frozen=True)
-class Row:
-    """One setting at one step. Times in [s].
+class SettingRun:
+    """The run of one setting at one step. Times in [s].
 
-    step     communication step, where the setting chooses it the first to try
-    case     of a setting that chooses its steps: what it was told
+    step     communication step; where the setting chooses it, the first one to try
+    case     of a setting that chooses its steps: the name of its coupling in `own`
     errors   group -> errors of its signals, the largest first; empty if the run ended early or was refused
     taken    communication steps
     walls    of each repetition of the run
@@ -287,7 +277,7 @@ class Row:
     setting: Setting
     step: float
     case: str = ""
-    errors: Mapping[str, tuple[Error, ...]] = field(default_factory=dict)
+    errors: Mapping[str, tuple[SignalError, ...]] = field(default_factory=dict)
     taken: int = 0
     simulated: float = 0.0
     walls: tuple[float, ...] = ()
@@ -311,25 +301,25 @@ class Row:
 
     @property
     def stable(self) -> bool:
-        """It came to the end, and no signal was ever off by more than its range."""
-        found = [e for errors in self.errors.values() for e in errors]
-        return bool(found) and all(e.maximum < LOST * e.span for e in found)
+        """It came to the end, and no error was ever larger than the range of its signal."""
+        errors = [e for group in self.errors.values() for e in group]
+        return bool(errors) and all(e.maximum < LOST * e.span for e in errors)
 
     def error(self, group: str) -> float:
         """NRMSE of the worst signal of a group."""
         return self.errors[group][0].nrmse
 
-    def maximum(self, group: str) -> Error:
+    def maximum(self, group: str) -> SignalError:
         """The signal of a group with the largest difference."""
         return max(self.errors[group], key=lambda e: e.maximum)
 
 
 @dataclass(frozen=True)
-class Study:
+class ConvergenceStudy:
     """The outcome, rows by setting with increasing steps."""
 
     truth: Truth
-    rows: tuple[Row, ...]
+    rows: tuple[SettingRun, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -340,15 +330,14 @@ class Study:
     @property
     def settings(self) -> list[Setting]:
         """All settings, in their order."""
-        found = {row.setting.label: row.setting for row in self.rows}
-        return list(found.values())
+        return list({row.setting.label: row.setting for row in self.rows}.values())
 
-    def of(self, setting: Setting) -> list[Row]:
+    def of(self, setting: Setting) -> list[SettingRun]:
         """The rows of a setting, the smallest step first."""
-        found = (row for row in self.rows if row.setting.label == setting.label)
-        return sorted(found, key=lambda row: row.mean_step if row.case else row.step)
+        rows = (row for row in self.rows if row.setting.label == setting.label)
+        return sorted(rows, key=lambda row: row.mean_step if row.case else row.step)
 
-    def order(self, row: Row, group: str) -> float | None:
+    def order(self, row: SettingRun, group: str) -> float | None:
         """Order of convergence between the next smaller step given and this one, where both are stable."""
         finer = [r for r in self.of(row.setting) if r.step < row.step]
         if not finer or not finer[-1].stable or not row.stable:
@@ -359,7 +348,7 @@ class Study:
         return log(large / small) / log(row.mean_step / finer[-1].mean_step)
 
 
-def study(
+def run_settings(
     system: System,
     truth: Truth,
     settings: Sequence[Setting],
@@ -367,46 +356,41 @@ def study(
     repeats: int = 3,
     bare: Sequence[str] | None = None,
     **options: Any,
-) -> Iterator[Row]:
+) -> Iterator[SettingRun]:
     """Run every setting at every step.
 
-    repeats   how often a stable run is done; its wall time is the median
-    bare      the connections that bare settings go without; default: those of rate ports
-    options   of `run`, such as scenario, start, stop
+    repeats  how often a stable run is repeated; its wall time is the median
+    bare     the connections that bare settings leave out; default: those of rate ports
+    options  of `run`, such as scenario, start, stop
     """
     truth.check(system)
     held = rates(system) if bare is None else tuple(bare)
-    lengths, (start, stop) = sorted(steps), _span(system, options)
-    apart = {h: truth.interval(start, stop, h) for h in lengths}
+    start = float(next((t for t in (options.get("start"), system.start) if t is not None), 0.0))
+    lengths = sorted(steps)
+    record_steps = {h: truth.interval(start, options.get("stop"), h) for h in lengths}
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in truth.names]
-    told = {"record": list(dict.fromkeys(ports))} | options
+    options = {"record": list(dict.fromkeys(ports))} | options
     any_run = False
     for setting in possible(settings, held):
         whole = system.without(*held) if setting.bare else system
-        cases = [Row(setting, step) for step in lengths]
+        rows = [SettingRun(setting, step) for step in lengths]
         if setting.own:
-            cases = [Row(setting, lengths[0], case) for case in setting.own]
-        for row in cases:
+            rows = [SettingRun(setting, lengths[0], case) for case in setting.own]
+        for row in rows:
             coupling = setting.own.get(row.case, setting.coupling)
-            interval = truth.coarse(start) if row.case else apart[row.step]
-            given = {"master": coupling, "step": row.step, "record_step": interval} | told
+            record_step = truth.coarse(start) if row.case else record_steps[row.step]
+            given = {"master": coupling, "step": row.step, "record_step": record_step} | options
             try:
-                row = _done(row, truth, whole, repeats, given)
+                row = _run(row, truth, whole, repeats, given)
             except Problem as problem:
-                if not any_run:  # then nothing runs at all: a mistake, no lack of the FMUs
+                if not any_run:  # then nothing runs at all: the user's mistake, not a limit of the FMUs
                     raise
                 row = replace(row, refused=str(problem))
             any_run = True
             yield row
 
 
-def _span(system: System, options: Mapping[str, Any]) -> tuple[float, float | None]:
-    """Start and, where it is given, stop time [s]."""
-    start = next((t for t in (options.get("start"), system.start) if t is not None), 0.0)
-    return float(start), options.get("stop")
-
-
-def _done(row: Row, truth: Truth, system: System, repeats: int, given: Mapping[str, Any]) -> Row:
+def _run(row: SettingRun, truth: Truth, system: System, repeats: int, given: Mapping[str, Any]) -> SettingRun:
     """One run, then again for its wall time if it was stable."""
     try:
         result, ended = run(system, **given), ""
@@ -420,7 +404,7 @@ def _done(row: Row, truth: Truth, system: System, repeats: int, given: Mapping[s
 
 
 def finest(system: System, signals: Sequence[str], steps: Sequence[float], **options: Any) -> Truth:
-    """The truth where nobody knows it: `hermite` at half the smallest step, all points recorded."""
+    """What runs are compared with if there is no reference: `hermite` at half the smallest step."""
     step = min(steps) / 2
-    result: Result = run(system, master=FINEST, step=step, record=list(signals), **options)
+    result = run(system, master=FINEST, step=step, record=list(signals), **options)
     return from_run(f"hermite at {1e3 * step:g} ms", result.trace)

@@ -33,7 +33,7 @@ from rich.text import Text as Words
 from orchestrator.base.units import linear
 from orchestrator.results.figures import PALETTE, frame, png
 from orchestrator.results.summary import finer
-from orchestrator.studies.convergence import Row, Study
+from orchestrator.studies.convergence import ConvergenceStudy, SettingRun
 
 # One colour for each family, different in hue and in lightness (Okabe and Ito, darkened).
 COLOURS = {"plain": "#c2341d", "jacobi": "#c98500", "gauss-seidel": "#00735a", "hermite": "#0b5fa5"}
@@ -47,12 +47,12 @@ class Line:
     """The rows of one setting, or of several that give the same."""
 
     names: list[str]
-    rows: list[Row]
+    rows: list[SettingRun]
     colour: str
     place: int  # in its family
 
-    stable: list[Row] = field(init=False)
-    lost: list[Row] = field(init=False)
+    stable: list[SettingRun] = field(init=False)
+    lost: list[SettingRun] = field(init=False)
 
     def __post_init__(self) -> None:
         self.stable = [row for row in self.rows if row.stable]
@@ -65,7 +65,7 @@ class Line:
         return ", ".join([self.names[0], *(n.removeprefix(f"{first} ") for n in self.names[1:])])
 
 
-def lines_of(study: Study, group: str) -> list[Line]:
+def lines_of(study: ConvergenceStudy, group: str) -> list[Line]:
     """One for each setting; those that give the same as one before share its line."""
     lines: list[Line] = []
     count: dict[str, int] = {}
@@ -81,7 +81,7 @@ def lines_of(study: Study, group: str) -> list[Line]:
     return lines
 
 
-def _alike(first: Sequence[Row], second: Sequence[Row], group: str) -> bool:
+def _alike(first: Sequence[SettingRun], second: Sequence[SettingRun], group: str) -> bool:
     """The same steps, stable at the same ones, with the same errors there."""
     if [(r.mean_step, r.stable) for r in first] != [(r.mean_step, r.stable) for r in second]:
         return False
@@ -147,7 +147,7 @@ SIZE = (8.4, 5.2)  # [in]
 TRIANGLES = (1, 2, 4)  # orders
 
 
-def draw_error(study: Study, group: str | None = None) -> Figure:
+def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Error over step, of the worst signal of a group; the first group unless one is named."""
     chosen = group or next(iter(study.truth.groups))
     figure, axes = _figure(study, chosen)
@@ -167,7 +167,7 @@ def draw_error(study: Study, group: str | None = None) -> Figure:
     return figure
 
 
-def draw_work(study: Study, group: str | None = None) -> Figure:
+def draw_work(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Error over wall time for each second simulated: lower left is better."""
     chosen = group or next(iter(study.truth.groups))
     figure, axes = _figure(study, chosen)
@@ -184,7 +184,7 @@ def draw_work(study: Study, group: str | None = None) -> Figure:
     return figure
 
 
-def _figure(study: Study, group: str) -> tuple[Figure, Axes]:
+def _figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=SIZE, layout=ConstrainedLayoutEngine())
     FigureCanvasAgg(figure)
     axes = figure.subplots()
@@ -197,7 +197,7 @@ def _figure(study: Study, group: str) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _plot(axes: Axes, line: Line, x: Callable[[Row], float], group: str) -> None:
+def _plot(axes: Axes, line: Line, x: Callable[[SettingRun], float], group: str) -> None:
     axes.plot(
         [x(row) for row in line.stable],
         [row.error(group) for row in line.stable],
@@ -294,37 +294,37 @@ def duration(step: float) -> str:
     return f"{1e3 * step:g} ms"
 
 
-def nrmse(study: Study, group: str) -> Text:
+def nrmse(study: ConvergenceStudy, group: str) -> Text:
     """The worst signal of a group: root mean square error over its range, and the order."""
 
-    def cell(row: Row) -> str:
+    def cell(row: SettingRun) -> str:
         order = study.order(row, group)
         return share(row.error(group)) + ("" if order is None else f" {order:4.1f}")
 
     return _text(study, f"{group}: worst NRMSE against {study.truth.title}; {ORDER}", cell)
 
 
-def maximum(study: Study, group: str) -> Text:
+def maximum(study: ConvergenceStudy, group: str) -> Text:
     """The largest difference of a group at any instant, in the unit of a reader."""
     unit = study.truth.groups[group][0].unit
 
-    def cell(row: Row) -> str:
+    def cell(row: SettingRun) -> str:
         error = row.maximum(group)
         return _short(f"{error.maximum * linear(error.unit, finer(unit), error.signal)[0]:.2g}")
 
     return _text(study, f"{group}: largest difference [{finer(unit) or '1'}] from {study.truth.title}", cell)
 
 
-def cost(study: Study) -> Text:
+def cost(study: ConvergenceStudy) -> Text:
     """Wall time of the stable runs."""
     return _text(study, "wall time [ms] for each second simulated", _cost)
 
 
-def _cost(row: Row) -> str:
+def _cost(row: SettingRun) -> str:
     return f"{1e3 * row.cost:.2g}"
 
 
-def own_steps(study: Study) -> Text | None:
+def own_steps(study: ConvergenceStudy) -> Text | None:
     """Settings that choose their steps: a line for each case; None if there are none."""
     groups = list(study.truth.groups)
     lines = []
@@ -340,13 +340,13 @@ def own_steps(study: Study) -> Text | None:
     )
 
 
-def tables(study: Study) -> list[Text]:
+def tables(study: ConvergenceStudy) -> list[Text]:
     """All tables of a study."""
     found = [*(nrmse(study, group) for group in study.truth.groups), cost(study), own_steps(study)]
     return [table for table in found if table]
 
 
-def _text(study: Study, title: str, cell: Callable[[Row], str]) -> Text:
+def _text(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str]) -> Text:
     lines = []
     for setting in (setting for setting in study.settings if not setting.own):
         by_step = {row.step: row for row in study.of(setting)}
@@ -355,13 +355,13 @@ def _text(study: Study, title: str, cell: Callable[[Row], str]) -> Text:
     return Text(title, ("master", *map(duration, study.steps)), tuple(lines))
 
 
-def _cell(row: Row | None, cell: Callable[[Row], str]) -> str:
+def _cell(row: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
     if row is None:
         return ""
     return REFUSED if row.refused else cell(row) if row.stable else UNSTABLE
 
 
-def ends(study: Study) -> Iterator[str]:
+def ends(study: ConvergenceStudy) -> Iterator[str]:
     """Of each setting that is somewhere unstable or refused: from which step on, and why."""
     for setting in study.settings:
         lost = next((row for row in study.of(setting) if not row.stable), None)
@@ -406,7 +406,7 @@ def markdown(text: Text) -> str:
 DPI = 110
 
 
-def write(study: Study, folder: str | Path) -> list[Path]:
+def write(study: ConvergenceStudy, folder: str | Path) -> list[Path]:
     """Write convergence.csv, .json, .png and work_precision.png to a folder; pictures of the first group."""
     home = Path(folder)
     home.mkdir(parents=True, exist_ok=True)
@@ -424,7 +424,7 @@ def write(study: Study, folder: str | Path) -> list[Path]:
     return [table, numbers, *pictures]
 
 
-def data(study: Study) -> Mapping[str, Any]:
+def data(study: ConvergenceStudy) -> Mapping[str, Any]:
     """All numbers."""
     return {
         "reference": study.truth.title,
@@ -434,7 +434,7 @@ def data(study: Study) -> Mapping[str, Any]:
     }
 
 
-def _about(row: Row) -> dict[str, Any]:
+def _about(row: SettingRun) -> dict[str, Any]:
     coupling = row.setting.own.get(row.case, row.setting.coupling)
     return {
         "setting": row.setting.label,
@@ -454,7 +454,7 @@ def _about(row: Row) -> dict[str, Any]:
     }
 
 
-def _row(study: Study, row: Row) -> dict[str, Any]:
+def _row(study: ConvergenceStudy, row: SettingRun) -> dict[str, Any]:
     errors = {
         group: {
             "order": study.order(row, group),
@@ -468,7 +468,7 @@ def _row(study: Study, row: Row) -> dict[str, Any]:
     return {**_about(row), "walls [s]": list(row.walls), "errors": errors}
 
 
-def _flat(study: Study, row: Row) -> dict[str, Any]:
+def _flat(study: ConvergenceStudy, row: SettingRun) -> dict[str, Any]:
     """A line of the CSV: of each group its worst signal."""
     line = _about(row)
     for group in study.truth.groups:

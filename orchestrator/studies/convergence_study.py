@@ -1,4 +1,4 @@
-"""The command `harvester convergence`: what is studied, against what, and what is told of it."""
+"""`harvester convergence`: choose settings, steps and reference, run, print tables, write files."""
 
 from __future__ import annotations
 
@@ -15,17 +15,15 @@ from orchestrator.base.files import folder, there
 from orchestrator.results.reference import read_reference
 from orchestrator.results.validate import another_model
 from orchestrator.ssp.load import load
-from orchestrator.ssp.system import System
 from orchestrator.studies.convergence import (
-    Row,
-    Study,
-    Truth,
+    ConvergenceStudy,
+    SettingRun,
     choose,
     finest,
     from_reference,
     possible,
     rates,
-    study,
+    run_settings,
     usual,
 )
 from orchestrator.studies.convergence_report import duration, ends, show, tables, write
@@ -45,48 +43,51 @@ def convergence(
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
     **options: Any,
-) -> Study:
-    """Study, print, write; a study that is interrupted leaves what it has.
+) -> ConvergenceStudy:
+    """Run, print and write a study; after an interrupt what is finished is printed and written.
 
-    usually   the reference where none is given, if the system and the run are those it is of
+    steps     times [s] with commas
+    masters   names with commas, as of `choose`
+    usually   the reference if none is given, provided that it is one of this system and this run
+    options   of `run`
     """
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
-    settings, lengths = choose(words(masters)), durations(steps)
+    settings, lengths = choose(_items(masters)), durations(steps)
     whole = load(there(system)).without(*cut).swapped(swap or {})
     if not whole.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     folder(out)
     given = {name: value for name, value in options.items() if value not in (None, (), {})}
     if reference is None and not swap and not given.keys() & set(OTHERS):
-        reference = _fitting(whole, usually)
-    truth, note = _truth(whole, reference, signals, lengths, given)
-    bare = rates(whole)
-    chosen, rows = possible(settings, bare), list[Row]()
+        truth = from_reference(read_reference(usually))
+        reference = usually if set(truth.names) <= set(whole.names()) else None
+    if reference:
+        against = read_reference(reference)
+        truth, note = from_reference(against, signals), another_model(whole, against)
+    else:
+        truth = finest(whole, usual(whole, signals), lengths, **given)
+        note = f"no reference for this run: {truth.title}, half the smallest step, takes its place"
+    bare, rows = rates(whole), list[SettingRun]()
+    chosen = possible(settings, bare)
     plain = any(setting.bare for setting in chosen)
     wires = f"plain: without the wires of rate ports: {', '.join(bare)}" if plain else ""
     notes = tuple(filter(None, (note, *truth.notes, wires)))
     try:
-        found = study(whole, truth, chosen, lengths, repeats, bare, **given)
-        total = sum(len(setting.own) or len(lengths) for setting in chosen)
-        for row in watched(found, total):
+        running = run_settings(whole, truth, chosen, lengths, repeats, bare, **given)
+        for row in watched(running, sum(len(setting.own) or len(lengths) for setting in chosen)):
             rows.append(row)
     finally:
-        told = Study(truth, tuple(rows), notes)
+        study = ConvergenceStudy(truth, tuple(rows), notes)
         if rows:
-            tell(told, out)
-    return told
-
-
-def words(text: str) -> list[str]:
-    """The parts of a list with commas."""
-    return [part.strip() for part in text.split(",") if part.strip()]
+            report(study, out)
+    return study
 
 
 def durations(text: str) -> list[float]:
     """Steps [s] from a list with commas, the smallest first."""
     found = []
-    for word in words(text):
+    for word in _items(text):
         try:
             found.append(float(word))
         except ValueError:
@@ -98,29 +99,13 @@ def durations(text: str) -> list[float]:
     return sorted(set(found))
 
 
-def _fitting(system: System, usually: Path) -> Path | None:
-    """The usual reference, if the system has its signals."""
-    truth = from_reference(read_reference(usually))
-    return usually if set(truth.names) <= set(system.names()) else None
+def _items(text: str) -> list[str]:
+    """The items of a list with commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _truth(
-    system: System,
-    reference: Path | None,
-    signals: Sequence[str],
-    steps: Sequence[float],
-    given: Mapping[str, Any],
-) -> tuple[Truth, str]:
-    """What to compare with, and what to say about it."""
-    if reference:
-        against = read_reference(reference)
-        return from_reference(against, signals), another_model(system, against)
-    truth = finest(system, usual(system, signals), steps, **given)
-    return truth, f"no reference for this run: {truth.title}, half the smallest step, takes its place"
-
-
-def watched(rows: Iterable[Row], total: int) -> Iterator[Row]:
-    """The rows as they come, with a bar that tells how many are done."""
+def watched(rows: Iterable[SettingRun], total: int) -> Iterator[SettingRun]:
+    """The rows as they come, with a progress bar."""
     text = TextColumn("{task.completed} of {task.total}  {task.description}")
     console = Console(stderr=True)
     with Progress(text, BarColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -130,7 +115,7 @@ def watched(rows: Iterable[Row], total: int) -> Iterator[Row]:
             yield row
 
 
-def tell(study: Study, out: Path) -> None:
+def report(study: ConvergenceStudy, out: Path) -> None:
     """Print the tables and notes, write the files."""
     console = Console()
     for text in tables(study):

@@ -13,7 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from orchestrator.results.figures import PALETTE, frame
-from orchestrator.studies.path_following import Array, Ride
+from orchestrator.studies.path_following import Array, PathRun
 
 COLOURS = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f")  # of the machines
 WITH, WITHOUT = "-", (0, (3, 1.5))
@@ -22,16 +22,16 @@ STRAIGHT = 1e-3  # width over length, seen from above
 LEAST = 0.1  # mm: nobody looks at less
 
 
-def draw(rides: Sequence[Ride]) -> Figure:
+def draw(runs: Sequence[PathRun]) -> Figure:
     """One row per path: from above, from the side, and the error over time."""
-    paths = list(dict.fromkeys(r.path for r in rides))
-    machines = list(dict.fromkeys(r.machine for r in rides))
+    paths = list(dict.fromkeys(r.path for r in runs))
+    machines = list(dict.fromkeys(r.machine for r in runs))
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
     figure = Figure(figsize=(14, 3.7 * len(paths) + 0.5), layout=layout)
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(paths), 3, squeeze=False, width_ratios=(1, 1, 1.4))
     for (left, middle, right), path in zip(axes, paths, strict=True):
-        mine = [r for r in rides if r.path == path]
+        mine = [r for r in runs if r.path == path]
         title = f"{path}, up to {mine[0].speed:.2g} m/s"
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
         _seen(left, mine, machines, above, ("to the right [m]", "forward [m]"))
@@ -39,7 +39,7 @@ def draw(rides: Sequence[Ride]) -> Figure:
         _seen(middle, mine, machines, side, (name, "height [m]"))
         _errors(right, mine, machines)
     axes[-1][2].set_xlabel("time [s]", color=PALETTE.ink)
-    _legend(figure, rides, machines)
+    _legend(figure, runs, machines)
     return figure
 
 
@@ -66,26 +66,26 @@ def beside(wanted: Array) -> tuple[Callable[[Array], Array], str]:
 
 def _seen(
     axes: Axes,
-    rides: Sequence[Ride],
+    runs: Sequence[PathRun],
     machines: Sequence[str],
     view: Callable[[Array], Array],
     names: tuple[str, str],
 ) -> None:
     """Both axes to the same scale."""
     frame(axes)
-    axes.plot(*view(rides[0].wanted), color=PALETTE.faint, linewidth=4, alpha=0.5)
-    for ride in rides:
-        axes.plot(*view(ride.tip), **_style(ride, machines))
+    axes.plot(*view(runs[0].wanted), color=PALETTE.faint, linewidth=4, alpha=0.5)
+    for run in runs:
+        axes.plot(*view(run.tip), **_style(run, machines))
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(names[0], color=PALETTE.ink)
     axes.set_ylabel(names[1], color=PALETTE.ink)
 
 
-def _errors(axes: Axes, rides: Sequence[Ride], machines: Sequence[str]) -> None:
+def _errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
     """On a logarithmic scale: with and without feedback are far apart."""
     frame(axes)
-    for ride in rides:
-        axes.semilogy(ride.time, np.maximum(1e3 * ride.error, LEAST / 10), **_style(ride, machines))
+    for run in runs:
+        axes.semilogy(run.time, np.maximum(1e3 * run.error, LEAST / 10), **_style(run, machines))
     axes.set_ylim(LEAST, None)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
@@ -93,15 +93,15 @@ def _errors(axes: Axes, rides: Sequence[Ride], machines: Sequence[str]) -> None:
     axes.set_ylabel("distance to the commanded point [mm]", color=PALETTE.ink)
 
 
-def _style(ride: Ride, machines: Sequence[str]) -> dict[str, Any]:
-    colour = COLOURS[machines.index(ride.machine) % len(COLOURS)]
-    return {"color": colour, "linewidth": 1.3, "linestyle": WITH if ride.feedback else WITHOUT}
+def _style(run: PathRun, machines: Sequence[str]) -> dict[str, Any]:
+    colour = COLOURS[machines.index(run.machine) % len(COLOURS)]
+    return {"color": colour, "linewidth": 1.3, "linestyle": WITH if run.feedback else WITHOUT}
 
 
-def _legend(figure: Figure, rides: Sequence[Ride], machines: Sequence[str]) -> None:
+def _legend(figure: Figure, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
     handles = [Line2D([], [], color=PALETTE.faint, linewidth=4, alpha=0.5, label="path")]
     for colour, machine in zip(COLOURS, machines, strict=False):
         handles.append(Line2D([], [], color=colour, linewidth=1.3, label=machine))
-    if any(not r.feedback for r in rides):
+    if any(not r.feedback for r in runs):
         handles.append(Line2D([], [], color=PALETTE.ink, linestyle=WITHOUT, label="without feedback"))
     figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, labelcolor=PALETTE.ink)

@@ -1,12 +1,10 @@
-"""The time that a run spends inside each FMU.
+"""What each variant of a component costs and changes (`harvester variants`).
 
-That of its fmi2DoStep or fmi3DoStep as called through ctypes, less that of an empty call of the same kind
-right after it; of each step, and of each empty call, the least disturbed of several runs counts. Machines
-differ and are noisy: compare figures of one sitting only.
+The cost is the time that a run spends inside an FMU: that of its fmi2DoStep or fmi3DoStep as called through
+ctypes, less that of an empty call of the same kind right after it. Of each step and each empty call the least
+disturbed of several runs counts. Computers differ and are noisy: compare figures of one sitting only.
 
-Every combination of variants of a system: does it come to the end, what does it cost and change.
-
-The command `harvester variants`, as far as it runs FMUs.
+Every combination of variants is run once: whether it comes to the end, what it costs, what it changes.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder
 from orchestrator.data.trace import Trace
-from orchestrator.engine.result import Result, RunFailed
+from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import open_slave, run
 from orchestrator.fmi.calls import Slave
 from orchestrator.ssp.load import load
@@ -80,35 +78,32 @@ def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[
     return [{n: float(np.subtract(*steps.mean(axis=0))) / 1e3 for n, steps in best.items()} for best in least]
 
 
-NAN = float("nan")
-
-
 @dataclass(frozen=True)
-class Row:
-    """One combination.
+class Combination:
+    """The run of one combination of variants.
 
     reached    simulated time [s]
     failure    why it ended there; empty when it came to the end
     inside     time in the steps of all FMUs [us] for each millisecond simulated, ctypes included
     factor     times real time, all included
-    residual   largest energy that the coupling made up at a power bond, share of what the bond exchanged
+    residual   largest energy error of the coupling at a power bond, share of the energy exchanged there
     change     largest RMS difference of a watched signal from the first combination, share of its range
     warnings   of the FMUs
     """
 
     variants: Mapping[str, str]
-    reached: float
-    failure: str
-    inside: float
-    factor: float
-    residual: float
-    change: float
-    warnings: int
+    reached: float = 0.0
+    failure: str = ""
+    inside: float = float("nan")
+    factor: float = float("nan")
+    residual: float = float("nan")
+    change: float = float("nan")
+    warnings: int = 0
 
 
 def combinations(
     system: System, variants: Mapping[str, Sequence[str]], watch: Sequence[str], **options: Any
-) -> Iterator[Row]:
+) -> Iterator[Combination]:
     """Run each combination of `variants` {component: names}; `options` go to `run`."""
     first = None
     for names in product(*variants.values()):
@@ -119,40 +114,33 @@ def combinations(
         except RunFailed as failed:
             result, failure = failed.result, str(failed)
         except Problem as problem:  # before the first step: the next combination may come further
-            yield Row(chosen, 0.0, str(problem), NAN, NAN, NAN, NAN, 0)
+            yield Combination(chosen, failure=str(problem))
             continue
-        first = first or result.trace
-        yield _row(chosen, result, failure, _change(result.trace, first, watch))
-
-
-def _row(chosen: Mapping[str, str], result: Result, failure: str, change: float) -> Row:
-    card = result.card
-    return Row(
-        variants=chosen,
-        reached=card.simulated,
-        failure=failure,
-        inside=sum(card.inside.values()) * 1e3 / max(card.simulated, 1e-9),
-        factor=card.real_time_factor,
-        residual=max((abs(bond.relative) for bond in card.bonds), default=0.0),
-        change=change,
-        warnings=len(card.warnings),
-    )
+        first, card = first or result.trace, result.card
+        yield Combination(
+            variants=chosen,
+            reached=card.simulated,
+            failure=failure,
+            inside=sum(card.inside.values()) * 1e3 / max(card.simulated, 1e-9),
+            factor=card.real_time_factor,
+            residual=max((abs(bond.relative) for bond in card.bonds), default=0.0),
+            change=_change(result.trace, first, watch),
+            warnings=len(card.warnings),
+        )
 
 
 def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
     """Over the time that both have."""
-    rows = min(len(trace.time), len(first.time))
-    found = [0.0]
-    for name in watch if rows else ():
-        reference = first[name][:rows]
-        span = float(np.ptp(reference))
-        found.append(float(np.sqrt(np.mean((trace[name][:rows] - reference) ** 2))) / span if span else 0.0)
-    return max(found)
+    count = min(len(trace.time), len(first.time))
+    changes = [0.0]
+    for name in watch if count else ():
+        reference = first[name][:count]
+        if span := float(np.ptp(reference)):
+            changes.append(float(np.sqrt(np.mean((trace[name][:count] - reference) ** 2))) / span)
+    return max(changes)
 
 
 HEAD = ("reached s", "us per ms", "x real time", "residual", "change", "warnings")
-
-
 COLUMNS = (
     "reached [s]",
     "inside all FMUs [us per ms]",
@@ -163,14 +151,14 @@ COLUMNS = (
 )
 
 
-def figures(row: Row) -> tuple[str, ...]:
-    """The figures of a row as plain numbers, empty where there are none."""
+def figures(row: Combination) -> tuple[str, ...]:
+    """The figures of a run as plain numbers, empty where there are none."""
     numbers = (row.reached, row.inside, row.factor, row.residual, row.change, row.warnings)
     return tuple("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
 
 
-def cells(row: Row) -> tuple[str, ...]:
-    """The figures of a row as text."""
+def cells(row: Combination) -> tuple[str, ...]:
+    """The figures of a run as text."""
     return (
         f"{row.reached:.6g}",
         f"{row.inside:.2f}",
@@ -184,7 +172,6 @@ def cells(row: Row) -> tuple[str, ...]:
 STEP = 1e-3  # communication step [s]
 LENGTH, REPEATS = 4.0, 2  # of the runs that measure what a variant costs [s]
 RUN = {"step": STEP, "record_step": 0.02}  # of each combination [s]
-MAKE = "harvester build"
 
 
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
@@ -201,7 +188,7 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
     The file is complete after each row, also when the user ends it early.
     """
     if not system.exists():
-        raise Problem(f"{system}: no such file; make it with: {MAKE}")
+        raise Problem(f"{system}: no such file; make it with: harvester build")
     folder(out.parent)
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
     total, done, complete = prod(map(len, variants.values())), 0, True

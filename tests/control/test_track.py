@@ -13,7 +13,7 @@ from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.__main__ import main
 from orchestrator.data.trace import Trace
-from orchestrator.studies.path_following import Ride, places, rows
+from orchestrator.studies.path_following import PathRun, points, rows
 
 DETAILED = [
     "--swap", "swing=detailed", "--swap", "boom_stick=detailed",
@@ -21,12 +21,12 @@ DETAILED = [
 ]  # fmt: skip
 
 
-def made(offset: float, feedback: bool) -> Ride:
+def made(offset: float, feedback: bool) -> PathRun:
     """A ride that is `offset` [m] beside a straight path of 2 m, and 3 `offset` at the end."""
     time = np.linspace(0, 4, 5)
     wanted = np.column_stack([np.full(5, 3.0), 0.5 * time, np.ones(5)])
     away = np.array([1, 1, 1, 1, 3])[:, None] * np.array([0.6, 0.0, 0.8]) * offset
-    return Ride("made", "thing", feedback, time, wanted, wanted + away)
+    return PathRun("made", "thing", feedback, time, wanted, wanted + away)
 
 
 def test_error_is_the_distance_in_space_at_the_same_instant():
@@ -45,7 +45,7 @@ def test_parts_of_the_error_are_seen_from_the_column():
     tip = wanted + np.column_stack(
         [away[0] * out[i] + away[1] * left[i] for i in (0, 1)] + [np.full(7, away[2])]
     )
-    parts = Ride("", "", True, np.arange(7.0), wanted, tip).parts
+    parts = PathRun("", "", True, np.arange(7.0), wanted, tip).parts
     assert parts == pytest.approx(np.tile(away, (7, 1)), abs=1e-12)  # rounding of turns there and back
 
 
@@ -53,7 +53,7 @@ def test_a_tip_that_is_late_has_an_error():
     """A tip that is late on its line has the error speed times time, not that to the nearest point."""
     time = np.linspace(0, 4, 401)
     at = [np.column_stack([np.full(401, 3.0), 0.5 * (time - late), np.ones(401)]) for late in (0.0, 0.1)]
-    assert Ride("", "", True, time, *at).largest == pytest.approx(0.05, rel=1e-12)
+    assert PathRun("", "", True, time, *at).largest == pytest.approx(0.05, rel=1e-12)
 
 
 def test_places_are_those_of_the_manipulator():
@@ -67,7 +67,7 @@ def test_places_are_those_of_the_manipulator():
         trace = Trace(
             np.zeros(1), {n: np.array([told[n]]) for n in ("tip_radius", "tip_height", "swing_angle")}
         )
-        found = places(trace, ("tip_radius", "tip_height", "swing_angle"), "")[0]
+        found = points(trace, ("tip_radius", "tip_height", "swing_angle"), "")[0]
         assert found == pytest.approx(
             [told[n] for n in ("tip_x", "tip_y", "tip_height")], abs=1e-12
         )  # rounding

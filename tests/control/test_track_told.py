@@ -11,18 +11,18 @@ import pytest
 from orchestrator.__main__ import main
 from orchestrator.ssp.load import load
 from orchestrator.studies.path_figure import above, beside, draw
-from orchestrator.studies.path_following import Ride, differences, text
+from orchestrator.studies.path_following import PathRun, differences, text
 
 TIME = np.linspace(0, 4, 5)
 STROKE = "controller.stroke_use"
 
 
-def made(offset: float, **uses: float) -> Ride:
+def made(offset: float, **uses: float) -> PathRun:
     """A ride beside a straight path of 2 m, by up to `offset` [m]; limits are reached from 2 s on."""
     wanted = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
     away = np.array([0, 0, 1, 1, 0.5])[:, None] * np.array([0.6, 0.0, 0.8]) * offset
     told = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
-    return Ride("made", "thing", True, TIME, wanted, wanted + away, uses=told)
+    return PathRun("made", "thing", True, TIME, wanted, wanted + away, uses=told)
 
 
 @pytest.mark.parametrize(

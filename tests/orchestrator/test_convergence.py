@@ -14,13 +14,13 @@ from orchestrator.base.errors import Problem
 from orchestrator.results.reference import read_reference
 from orchestrator.studies.convergence import (
     SETTINGS,
+    ConvergenceStudy,
     Setting,
-    Study,
     choose,
     from_reference,
     from_run,
     rates,
-    study,
+    run_settings,
 )
 from orchestrator.studies.convergence_report import UNSTABLE, ends, markdown, nrmse, own_steps
 
@@ -81,8 +81,8 @@ ORDERS = {
 @pytest.mark.parametrize("label", ORDERS)
 def test_orders_of_convergence(moving, truth, label):
     """Sources continued by a polynomial of degree n give order n + 1, and the table shows it."""
-    rows = tuple(study(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
-    found = Study(truth, rows)
+    rows = tuple(run_settings(moving, truth, choose([label]), (2e-3, 4e-3), 1, stop=1.0))
+    found = ConvergenceStudy(truth, rows)
     # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
     assert found.order(rows[1], "position") == pytest.approx(ORDERS[label], abs=0.2)
     (line,) = nrmse(found, "position").lines
@@ -93,15 +93,15 @@ def test_orders_of_convergence(moving, truth, label):
 def test_converged_hermite_has_order_four(moving, truth):
     """Passes that go on until nothing changes leave the error of the cubics."""
     setting = Setting("converged", Coupling("hermite", passes=30, tolerance=1e-12, guard=0))
-    rows = tuple(study(moving, truth, [setting], (1e-2, 2e-2), 1, stop=1.0))
+    rows = tuple(run_settings(moving, truth, [setting], (1e-2, 2e-2), 1, stop=1.0))
     # 0.66 rad of the fast oscillation per step: the next term of the expansion has a share of a few percent
-    assert Study(truth, rows).order(rows[1], "position") == pytest.approx(4, abs=0.3)
+    assert ConvergenceStudy(truth, rows).order(rows[1], "position") == pytest.approx(4, abs=0.3)
 
 
 def test_runs_that_leave_the_truth_are_unstable(moving, truth):
     """An error that grows beyond the range of the signal is no number to compare, and is told."""
-    rows = tuple(study(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
-    found = Study(truth, rows)
+    rows = tuple(run_settings(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
+    found = ConvergenceStudy(truth, rows)
     assert [row.stable for row in rows] == [True, False]
     assert nrmse(found, "position").lines[0][2] == UNSTABLE
     assert f"**{UNSTABLE}**" in markdown(nrmse(found, "position"))
@@ -114,10 +114,12 @@ def test_runs_that_fail_are_rows(fmus):
     """A step that fails ends its run only; the reason is kept."""
     system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
     whole = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
-    rows = tuple(study(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0))
+    rows = tuple(
+        run_settings(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0)
+    )
     assert [row.stable for row in rows] == [False, False]
     assert [row.simulated for row in rows] == [pytest.approx(0.5)] * 2  # rounding of 50 steps
-    assert all("the pump broke" in line for line in ends(Study(whole, rows)))
+    assert all("the pump broke" in line for line in ends(ConvergenceStudy(whole, rows)))
     assert len(rows[0].walls) == 1  # nobody wants to know how long it takes to fail
 
 
@@ -134,31 +136,33 @@ def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
         return open_slave(component)
 
     chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
-    first, second = study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
+    first, second = run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
     assert first.stable
     assert second.refused == "no second run"
-    assert list(ends(Study(truth, (second,)))) == ["gauss-seidel order 0: not possible: no second run"]
+    assert list(ends(ConvergenceStudy(truth, (second,)))) == [
+        "gauss-seidel order 0: not possible: no second run"
+    ]
     with pytest.raises(Problem, match="no second run"):
-        list(study(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
+        list(run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
 
 
 def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, truth):
     """A line for each case, with the steps it took; the tables over given steps do not know them."""
     own = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
     chosen = [Setting("free", Coupling("jacobi"), own=own), *choose(["jacobi order 0"])]
-    found = Study(truth, tuple(study(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
+    found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
     assert len(nrmse(found, "position").lines) == 1
     table = own_steps(found)
     assert [line[0] for line in table.lines] == ["free coarse", "free fine"]
     assert [line[1:3] for line in table.lines] == [("200", "5 ms")] * 2
     assert found.rows[1].error("position") < found.rows[2].error("position")  # order 1 is better than 0
-    assert own_steps(Study(truth, tuple(row for row in found.rows if not row.case))) is None
+    assert own_steps(ConvergenceStudy(truth, tuple(row for row in found.rows if not row.case))) is None
 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
     against = from_reference(read_reference(folder / "exact.csv"))
-    (row,) = study(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
+    (row,) = run_settings(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
     every = against.groups["position"][0].values
     apart = trace["a.x"][::20] - every[::3]
@@ -169,7 +173,7 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
 
 def test_the_worst_signal_counts(moving, truth):
     """The error of a group is that of its worst signal, over the range of the truth."""
-    (row,) = study(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
+    (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
     for signal in truth.groups["position"]:
@@ -182,7 +186,10 @@ def test_units_of_a_reference_are_converted(moving, truth):
     """A truth in millimetres gives the same shares."""
     signals = {s.name: 1e3 * s.values for s in truth.groups["position"]}
     small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
-    rows = [next(study(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)) for t in (truth, small)]
+    rows = [
+        next(run_settings(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0))
+        for t in (truth, small)
+    ]
     assert rows[1].error("position") == pytest.approx(rows[0].error("position"), rel=1e-9)  # rounding
 
 
@@ -203,7 +210,9 @@ def test_bare_settings_go_without_rate_wires(fmus):
     assert rates(system) == ("d.u_rate",)
     time = np.arange(101) * 0.01
     ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
-    plain, wired = study(system, ramp, choose(["jacobi plain", "jacobi order 0"]), (0.01,), 1, stop=1.0)
+    plain, wired = run_settings(
+        system, ramp, choose(["jacobi plain", "jacobi order 0"]), (0.01,), 1, stop=1.0
+    )
     lost = {row.setting.label: row.maximum("without unit").maximum for row in (plain, wired)}
     # held inputs lose h/2 sin t, and the rate, which is a sine too, adds h/2 (1 - cos t); the rest is h^2
     assert lost["jacobi plain"] == pytest.approx(0.5e-2 * np.sin(1), rel=2e-2)
@@ -304,8 +313,8 @@ def test_pictures_name_every_line(moving, group):
     from orchestrator.studies.convergence_report import draw_error, draw_work
 
     whole = finest(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
-    found = Study(
-        whole, tuple(study(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
+    found = ConvergenceStudy(
+        whole, tuple(run_settings(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
     )
     for figure in (draw_error(found, group), draw_work(found, group)):
         (axes,) = figure.axes
