@@ -25,12 +25,6 @@ from orchestrator.studies.convergence import (
     from_run,
     run_settings,
 )
-    SETTINGS,
-    ConvergenceStudy,
-    Setting,
-    Truth,
-    from_run,
-)
 from orchestrator.studies.convergence_report import maximum, show
 from orchestrator.studies.convergence_study import report, watched
 

@@ -1,8 +1,8 @@
 """Error of a coupled run over its communication step, for each way of coupling: settings, reference, runs.
 
 A run is compared with samples of a reference, or of one run that is finer than all others. A reference has
-its own instants, often far apart. A run is compared at the instants that both have: between them a straight line
-would be less accurate than a good master.
+its own instants, often far apart. A run is compared at the instants that both have: between them a straight
+line would be less accurate than a good master.
 """
 
 from __future__ import annotations
