@@ -23,7 +23,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.recorder import BondEnergy
-from orchestrator.fmi.library import Message
+from orchestrator.fmi.messages import Message
 from orchestrator.ssp.system import System
 
 

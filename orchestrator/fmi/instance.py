@@ -1,254 +1,367 @@
-"""One instance of a co-simulation FMU: how it is loaded, initialised and freed.
+"""One instance of an FMU by its C interface: FMI 2.0 and 3.0, Co-Simulation and Model Exchange alike.
 
-How the variables of an FMU are read and set.
-
-Readers and writers are bound once to value references and a slice of a NumPy array; calling one is a
-single call into the FMU without any allocation (types other than Float64 and Int32 are converted).
-
-What the description of an FMU leaves open, found out on an instance that nobody uses.
+Functions have the names of FMI 3.0, without prefix. Instances run without event mode; early return and
+intermediate update only where somebody asks for them. Nothing here needs more than the standard library.
 """
 
 from __future__ import annotations
 
 import ctypes
-import shutil
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
-from orchestrator.fmi.calls import (
-    Access,
-    Buffer,
-    Call,
-    Calls,
-    Derivative,
-    access,
-    address,
-    fitting,
-    packed,
-    unpacked,
-)
-from orchestrator.fmi.description import Interface, Value
-from orchestrator.fmi.library import ERROR, Library, Log
-from orchestrator.fmi.versions import STANDARDS, Open
+from orchestrator.fmi.library import Library, callbacks2, listen, logger3, silence
+from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, label
 
-if TYPE_CHECKING:
-    from orchestrator.fmi.cosimulation import FmuSlave
+SPELLING = {  # FMI 3.0 -> FMI 2.0
+    "GetFMUState": "GetFMUstate",
+    "SetFMUState": "SetFMUstate",
+    "FreeFMUState": "FreeFMUstate",
+    "SerializedFMUStateSize": "SerializedFMUstateSize",
+    "SerializeFMUState": "SerializeFMUstate",
+    "DeserializeFMUState": "DeSerializeFMUstate",
+    "GetContinuousStateDerivatives": "GetDerivatives",
+    "GetOutputDerivatives": "GetRealOutputDerivatives",
+    "UpdateDiscreteStates": "NewDiscreteStates",
+}
+TYPES: dict[int, dict[str, Any]] = {  # word in the name of a function -> what it reads or sets
+    2: {
+        "Real": ctypes.c_double,
+        "Integer": ctypes.c_int,
+        "Boolean": ctypes.c_int,
+        "String": ctypes.c_char_p,
+    },
+    3: {
+        "Float64": ctypes.c_double,
+        "Float32": ctypes.c_float,
+        "Boolean": ctypes.c_bool,
+        "String": ctypes.c_char_p,
+        **{f"{u}Int{n}": getattr(ctypes, f"c_{u.lower()}int{n}") for u in ("", "U") for n in (8, 16, 32, 64)},
+    },
+}
+LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
+GUARD = 64  # bytes behind a serialised state that the FMU must leave alone
+Before = Callable[[str, float], None]
 
-LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+
+class CallFailed(Problem):
+    """A call that ended with a status worse than a warning; the text says which one, when, and why."""
+
+    def __init__(self, text: str, status: int = ERROR) -> None:
+        self.status = status
+        super().__init__(text)
+
+
+class Crashed(Exception):
+    """A crash that this platform turns into an exception (Windows)."""
+
+
+class EventInfo(ctypes.Structure):
+    """fmi2EventInfo."""
+
+    _fields_ = [
+        *((n, ctypes.c_int) for n in ("needed", "terminate", "nominals", "values", "defined")),
+        ("next", ctypes.c_double),
+    ]
+
+
+@dataclass(frozen=True)
+class StepEnd:
+    """What an FMU says about a step: it wants event handling or the end of the run, or ended the step early.
+
+    reached   [s]; NaN where it does not say
+    """
+
+    event: bool = False
+    terminate: bool = False
+    early: bool = False
+    reached: float = math.nan
+
+
+def ready(argument: Any) -> Any:
+    """An argument in the form that ctypes passes on as it is, which halves the cost of a call."""
+    if isinstance(argument, ctypes.Array):
+        return ctypes.byref(argument)
+    if isinstance(argument, ctypes._SimpleCData):
+        return type(argument).from_param(argument.value)
+    return argument
+
+
+class Bound:
+    """A call with all its arguments fixed; `judge` raises on a status that does not do."""
+
+    __slots__ = ("_call", "judge")
+
+    def __init__(self, call: Callable[[], int], judge: Callable[[int], None]) -> None:
+        self._call, self.judge = call, judge
+
+    def __call__(self) -> None:
+        status = self._call()
+        if status:
+            self.judge(status)
 
 
 class Instance:
-    """An instance from its instantiation to its end.
+    """An instance; its calls raise CallFailed, with component, variables and time, when the FMU fails.
 
-    standards   how each version of FMI is spoken; another kind of instance has its own
+    exchange   for Model Exchange, else for Co-Simulation
+    before     is told the name of each function before it is called, and the time [s]
+    handle     NULL before `instantiate` and after `free`
+    worst      the worst status that any call returned
+    flags      FMI 3.0: not zero after a step that wants something; `reached` is how far it got [s]
+    results    FMI 3.0: addresses of what it says about a step: event, terminate, early, last time
     """
 
-    standards: ClassVar[Mapping[int, Open]] = STANDARDS
+    def __init__(
+        self, library: Library, log: Log, exchange: bool = False, before: Before | None = None
+    ) -> None:
+        self.library, self.log, self.exchange, self.before = library, log, exchange, before
+        self.fmi, self.types = library.fmi, TYPES[library.fmi]
+        self.handle, self.worst = ctypes.c_void_p(), 0
+        self._environment: int = listen(log)
+        self._experiment: tuple[Any, ...] = ()
+        self.flags, self.reached = ctypes.c_uint32(0), ctypes.c_double(math.nan)
+        first = ctypes.addressof(self.flags)
+        places = (first, first + 1, first + 2, ctypes.addressof(self.reached))
+        self.results = places if self.fmi == 3 else ()
+        self._results = tuple(ready(ctypes.c_void_p(place)) for place in self.results)
+        self._step: Callable[..., int] = partial(self.status, "DoStep")
 
-    def __init__(self, name: str, interface: Interface, fmu: Location) -> None:
-        self.name, self.interface, self.log = name, interface, Log(name)
-        self._label, self._stepping = f"{name} ({fmu})", False
-        self._undo = ExitStack()
+    # ---- calls
+
+    def name(self, function: str) -> str:
+        """A function as the FMU calls it, without prefix."""
+        return SPELLING.get(function, function) if self.fmi == 2 else function
+
+    def address(self, function: str) -> int:
+        """Where a function is in memory, for calls from C."""
+        return self.library.address(self.name(function))
+
+    def _call(self, name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
+        function = self.library.function(name, result)
+        if self.before:
+            self.before(self.library.prefix + name, self.log.time)
         try:
-            self._open(fmu)
-        except BaseException:
-            self.close()
-            raise
+            return function(*arguments)
+        except OSError as error:
+            raise Crashed(f"{error} in {self.library.prefix}{name}") from None
 
-    def _open(self, fmu: Location) -> None:
-        folder = fmu.path.resolve() if fmu.is_folder else Path(tempfile.mkdtemp(prefix="fmu-"))
-        if not fmu.is_folder:
-            self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
-            fmu.extract(folder)
-        library = Library(folder, self.interface.identifier, self._label, self.interface.fmi)
-        self._fmi = self.standards[self.interface.fmi](self.interface, self.log)
-        self.calls = Calls(library, self._fmi.prefix, self.log)
-        self._undo.callback(self.calls.unless_fatal, library.close)
-        self._undo.callback(self._fmi.release)
-        handle = self._fmi.instantiate(library, folder, False) or self._fmi.instantiate(library, folder, True)
-        if not handle:  # the second, verbose try made it say what is wrong
-            raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.last()}")
-        self.calls.handle = ctypes.c_void_p(handle)
-        self._undo.callback(self.calls.unless_fatal, self.calls.function("FreeInstance", None))
-        self._listen()
+    def status(self, function: str, *arguments: Any) -> int:
+        """Call, and return the status."""
+        status: int = self._call(self.name(function), self.handle, *arguments)
+        return status
 
-    def _listen(self) -> None:
-        """Ask for warnings and errors, not for the rest."""
-        wanted = [c.encode() for c in LOGGED if c in self.interface.categories]
-        if wanted:
-            array = (ctypes.c_char_p * len(wanted))(*wanted)
-            on = self._fmi.types["Boolean"](1)
-            with suppress(Problem):  # an FMU that cannot choose its messages still runs
-                self.calls.function("SetDebugLogging")(on, ctypes.c_size_t(len(wanted)), array)
+    def call(self, function: str, *arguments: Any, of: Sequence[str] = ()) -> None:
+        """Call and judge; `of` are the variables that it is about."""
+        status = self.status(function, *arguments)
+        if status:
+            self.judge(status, self.what(function, of))
 
-    def setup(self, start: float, stop: float, tolerance: float | None) -> None:
-        """Announce the experiment; times in [s]."""
-        self.log.time = start
-        self._fmi.setup(self.calls, start, stop, tolerance)
+    def bound(self, function: str, *arguments: Any, of: Sequence[str] = ()) -> Bound:
+        """A call with all arguments fixed."""
+        name, what = self.name(function), self.what(function, of)
+        call = partial(self.library.function(name), ready(self.handle), *map(ready, arguments))
+        if self.before:
+            call = partial(self._call, name, self.handle, *arguments)
+        return Bound(call, lambda status: self.judge(status, what))
+
+    def what(self, function: str, of: Sequence[str] = ()) -> str:
+        """A call in words: fmi2GetReal of a, b, c, ..."""
+        about = f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else ""
+        return f"{self.library.prefix}{self.name(function)}{about}"
+
+    def judge(self, status: int, what: str) -> None:
+        """Let warnings pass, raise on anything worse."""
+        self.worst = max(self.worst, status)
+        if status != WARNING:
+            raise CallFailed(self.log.located(f"{what} failed", f"with status {label(status)}"), status)
+
+    def flag(self, value: bool = False) -> Any:
+        """A boolean of this version of FMI."""
+        return self.types["Boolean"](value)
+
+    # ---- life
+
+    def instantiate(
+        self,
+        token: str,
+        resources: str | None,
+        name: str = "",
+        verbose: bool = False,
+        update: Any = None,
+        early: bool = False,
+        required: Sequence[int] = (),
+    ) -> bool:
+        """Make the instance; False where the FMU gives none.
+
+        resources   their location: a URI in FMI 2.0, a path in FMI 3.0
+        update      callback inside a step (FMI 3.0), which may read `required` and, with `early`, end the step
+        """
+        texts = (name or self.log.component).encode(), token.encode()
+        place = None if resources is None else os.fsencode(resources)
+        if self.fmi == 2:
+            function, kind = "Instantiate", 0 if self.exchange else 1
+            self._callbacks = callbacks2(self._environment)
+            callbacks = ctypes.byref(self._callbacks)
+            arguments = [texts[0], kind, texts[1], place, callbacks, 0, int(verbose)]
+        else:
+            function = f"Instantiate{'ModelExchange' if self.exchange else 'CoSimulation'}"
+            arguments = [*texts, place, self.flag(False), self.flag(verbose)]
+            if not self.exchange:
+                inner = (ctypes.c_uint * len(required))(*required) if required else None
+                arguments += [self.flag(False), self.flag(early), inner, ctypes.c_size_t(len(required))]
+            arguments += [ctypes.c_void_p(self._environment), logger3]
+            arguments += [] if self.exchange else [update]
+        self.handle = ctypes.c_void_p(self._call(function, *arguments, result=ctypes.c_void_p))
+        if self.before is None and self.library.has("DoStep"):  # the shorter way
+            self._step = partial(self.library.function("DoStep"), ready(self.handle))
+        return bool(self.handle)
+
+    def setup(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
+        """Announce the experiment; times in [s]. FMI 3.0 is told when initialisation mode is entered."""
+        self.log.time, number = start, ctypes.c_double
+        accuracy = self.flag(tolerance is not None), number(tolerance or 0.0)
+        times = number(start), self.flag(stop is not None), number(stop or 0.0)
+        self._experiment = (*accuracy, *times)
+        if self.fmi == 2:
+            self.call("SetupExperiment", *self._experiment)
 
     def enter(self) -> None:
         """Enter initialisation mode."""
-        self._fmi.enter(self.calls)
+        self.call("EnterInitializationMode", *(self._experiment if self.fmi == 3 else ()))
 
-    def exit(self) -> None:
-        """Leave initialisation mode; steps may follow."""
-        self.calls.call("ExitInitializationMode")
-        self._stepping = True
+    def leave(self) -> None:
+        """Leave initialisation mode."""
+        self.call("ExitInitializationMode")
 
-    def close(self) -> None:
-        """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
-        if self._stepping and self.calls.worst < ERROR:
-            self._stepping = False
-            with suppress(Problem):
-                self.calls.call("Terminate")
-        self._undo.close()
+    def free(self) -> None:
+        """Free the instance, unless it ended with a fatal error; may be repeated."""
+        if self.handle and self.worst < FATAL:
+            self._call("FreeInstance", self.handle, result=None)
+        self.handle = ctypes.c_void_p()
+        silence(self._environment)
+
+    # ---- values
+
+    def references(self, references: Sequence[int]) -> tuple[Any, Any]:
+        """Value references as arguments of a call."""
+        return (ctypes.c_uint * len(references))(*references), ctypes.c_size_t(len(references))
+
+    def values(self, values: Any, count: int) -> tuple[Any, ...]:
+        """Values as arguments of a call: FMI 3.0 has their number, too."""
+        return (values, ctypes.c_size_t(count)) if self.fmi == 3 else (values,)
+
+    def doubles(self, function: str, *arguments: Any, count: int) -> list[float]:
+        """What a function writes behind its other arguments, shape (count,)."""
+        result = (ctypes.c_double * count)()
+        self.call(function, *arguments, *self.values(result, count))
+        return list(result)
+
+    def directional(self, unknowns: Sequence[int], known: int) -> list[float]:
+        """Derivatives of the unknowns with respect to one known, by value references."""
+        given = *self.references(unknowns), *self.references([known])
+        seed = self.values((ctypes.c_double * 1)(1.0), 1)
+        return self.doubles("GetDirectionalDerivative", *given, *seed, count=len(unknowns))
+
+    def adjoint(self, unknown: int, knowns: Sequence[int]) -> list[float]:
+        """Derivatives of one unknown with respect to the knowns (FMI 3.0)."""
+        given = *self.references([unknown]), *self.references(knowns)
+        seed = self.values((ctypes.c_double * 1)(1.0), 1)
+        return self.doubles("GetAdjointDerivative", *given, *seed, count=len(knowns))
+
+    def output_derivatives(self, references: Sequence[int]) -> list[float]:
+        """First time derivatives of outputs."""
+        count = len(references)
+        orders = (ctypes.c_int32 * count)(*[1] * count)
+        return self.doubles("GetOutputDerivatives", *self.references(references), orders, count=count)
+
+    # ---- steps
+
+    def step(self, t: float, h: float, final: bool = True) -> int:
+        """Advance from t to t + h [s]; `final`: no state of before t will be restored. Returns the status."""
+        self.log.begin_step(t)
+        times = ctypes.c_double(t), ctypes.c_double(h)
+        return self._step(*times, self.flag(final), *self._results)
+
+    def step_end(self, status: int) -> StepEnd:
+        """What the FMU says about a step that returned this status."""
+        if self.fmi == 3:
+            event, terminate, early, _ = map(bool, bytes(self.flags))
+            self.flags.value = 0
+            return StepEnd(event, terminate, early, self.reached.value)
+        if status != DISCARD:
+            return StepEnd()
+        reached, ended = ctypes.c_double(math.nan), ctypes.c_int(0)
+        for function, what, answer in (("Real", LAST_TIME, reached), ("Boolean", TERMINATED, ended)):
+            with suppress(Problem):  # an FMU need not have these functions
+                self.status(f"Get{function}Status", what, ctypes.byref(answer))
+        return StepEnd(terminate=bool(ended.value), reached=reached.value)
+
+    # ---- states of the FMU
+
+    def save(self, state: ctypes.c_void_p | None = None) -> ctypes.c_void_p:
+        """A snapshot of the FMU's state, written over an earlier one if given; give it back with `forget`."""
+        state = ctypes.c_void_p() if state is None else state
+        self.call("GetFMUState", ctypes.byref(state))
+        return state
+
+    def restore(self, state: ctypes.c_void_p) -> None:
+        """Go back to a snapshot."""
+        self.call("SetFMUState", state)
+
+    def forget(self, state: ctypes.c_void_p) -> None:
+        """Free a snapshot."""
+        self.call("FreeFMUState", ctypes.byref(state))
+
+    def pack(self, state: ctypes.c_void_p) -> bytes:
+        """A snapshot as bytes, for another process."""
+        size = ctypes.c_size_t()
+        self.call("SerializedFMUStateSize", state, ctypes.byref(size))
+        room = (ctypes.c_ubyte * (size.value + GUARD))(*[0] * size.value, *[0xA5] * GUARD)
+        self.call("SerializeFMUState", state, room, size)
+        if bytes(room[size.value :]) != b"\xa5" * GUARD:
+            raise CallFailed(f"serialising a state: more is written than the announced {size.value} bytes")
+        return bytes(room[: size.value])
+
+    def unpack(self, data: bytes) -> ctypes.c_void_p:
+        """The snapshot in bytes that `pack` made; give it back with `forget`."""
+        state, room = ctypes.c_void_p(), (ctypes.c_ubyte * max(len(data), 1)).from_buffer_copy(data or b"\0")
+        self.call("DeserializeFMUState", room, ctypes.c_size_t(len(data)), ctypes.byref(state))
+        return state
+
+    # ---- model exchange
+
+    def set_time(self, t: float) -> None:
+        """Set the time [s]."""
+        self.log.time = t
+        self.call("SetTime", ctypes.c_double(t))
+
+    def vector(self, function: str, values: Any, count: int) -> None:
+        """Get or set states, their derivatives or nominal values, or event indicators, shape (count,)."""
+        if count:
+            self.call(function, values, ctypes.c_size_t(count))
+
+    def update_discrete_states(self) -> tuple[bool, bool, float]:
+        """One round of event iteration: is another needed, does the run end, and the next time event [s]."""
+        if self.fmi == 2:
+            info = EventInfo()
+            self.call("UpdateDiscreteStates", ctypes.byref(info))
+            return bool(info.needed), bool(info.terminate), info.next if info.defined else math.inf
+        flags, following = [self.flag() for _ in range(5)], ctypes.c_double()
+        self.call("UpdateDiscreteStates", *map(ctypes.byref, flags), ctypes.byref(following))
+        return flags[0].value, flags[1].value, following.value if flags[4].value else math.inf
 
 
-class BoundInstance(Instance):
-    """An instance with calls for rows of variables, and for single ones."""
-
-    def _references(self, variables: Sequence[str]) -> NDArray[np.uint32]:
-        return np.array([self.interface.variables[v].reference for v in variables], np.uint32)
-
-    def _listed(self, variables: Sequence[str]) -> tuple[Any, Any]:
-        """Value references as the first arguments of a call."""
-        found = [self.interface.variables[v].reference for v in variables]
-        return (ctypes.c_uint * len(found))(*found), ctypes.c_size_t(len(found))
-
-    def _access(
-        self, name: str, variables: Sequence[str], values: Buffer, word: str, orders: Sequence[int] = ()
-    ) -> Access:
-        """The call of a function that gets or sets a row of variables of the type `word`."""
-        count, kind = len(variables), self._fmi.types[word]
-        own = fitting(values, count, kind)
-        given = [(ctypes.c_int * count)(*orders)] if orders else []
-        arguments = *self._listed(variables), *given, *self._fmi.array(address(own), count)
-        return Access(
-            call=self.calls.bound(name, *arguments, of=variables),
-            address=self.calls.address(name),
-            component=self.calls.handle.value or 0,
-            fmi=self.interface.fmi,
-            references=self._references(variables),
-            orders=np.array(orders, np.int32) if orders else None,
-            own=own,
-            values=values[:count],
-            sets=name.startswith("Set"),
-            names=variables,
-        )
-
-    def reader(self, variables: Sequence[str], into: Buffer) -> Access:
-        """A call that reads the variables into `into`, shape (n,)."""
-        word = access(self.interface.variables[variables[0]])
-        return self._access(f"Get{word}", variables, into, word)
-
-    def writer(self, variables: Sequence[str], values: Buffer) -> Access:
-        """A call that sets the variables to what stands in `values`, shape (n,)."""
-        word = access(self.interface.variables[variables[0]])
-        return self._access(f"Set{word}", variables, values, word)
-
-    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Access:
-        """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
-        return self._access(self._fmi.slopes, variables, into, self._real, [1] * len(variables))
-
-    def slope_writer(self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()) -> Access:
-        """A call that gives inputs the time derivatives in `slopes`, shape (n,), for the next step.
-
-        orders   of each derivative; default: all 1
-        FMI 3.0 has no function for it; there the inputs that carry the derivatives are set.
-        """
-        orders = orders or [1] * len(variables)
-        if self.interface.interpolates:
-            return self._access("SetRealInputDerivatives", variables, slopes, self._real, orders)
-        for v, order in zip(variables, orders, strict=True):
-            if v not in self.interface.sloped or order != 1:
-                raise Problem(f"{self.name}: {v}: the FMU takes no derivative of order {order} of this input")
-        return self.writer([self.interface.rates[v] for v in variables], slopes)
-
-    @property
-    def _real(self) -> str:
-        return "Real" if self.interface.fmi == 2 else "Float64"
-
-    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Derivative:
-        """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
-        name, given = "GetDirectionalDerivative", (*self._listed(of), *self._listed(by))
-        seed, into = fitting(seed, len(by), ctypes.c_double), fitting(into, len(of), ctypes.c_double)
-        seeds = self._fmi.array(address(seed), len(by))
-        changes = self._fmi.array(address(into), len(of))
-        return Derivative(
-            call=self.calls.bound(name, *given, *seeds, *changes, of=of),
-            address=self.calls.address(name),
-            component=self.calls.handle.value or 0,
-            fmi=self.interface.fmi,
-            of=self._references(of),
-            by=self._references(by),
-            seed=seed,
-            into=into,
-        )
-
-    # ---- single variables
-
-    def get(self, variable: str) -> Value:
-        """The value of one variable."""
-        known = self.interface.variables[variable]
-        cell = self._fmi.types[access(known)]()
-        self._single("Get", variable, cell)
-        return unpacked(known, cell)
-
-    def set(self, variable: str, value: Value) -> None:
-        """Set one variable of any kind."""
-        known = self.interface.variables[variable]
-        cell = packed(known, self._fmi.types[access(known)], value)
-        structural = known.causality == "structuralParameter"
-        if structural:
-            self.calls.call("EnterConfigurationMode")
-        self._single("Set", variable, cell)
-        if structural:
-            self.calls.call("ExitConfigurationMode")
-
-    def _single(self, verb: str, variable: str, cell: Any) -> None:
-        array = self._fmi.array(ctypes.c_void_p(ctypes.addressof(cell)), 1)
-        word = access(self.interface.variables[variable])
-        self.calls.call(verb + word, *self._listed([variable]), *array, of=[variable])
-
-
-class Rehearsal:
-    """Tries calls; an instance that refused one is given up, because an error may have broken it."""
-
-    def __init__(self, fresh: Callable[[], FmuSlave]) -> None:
-        """fresh: makes an instance that is ready for its first step, or raises Problem."""
-        self._fresh, self._able = fresh, True
-        self._instance: FmuSlave | None = None
-
-    def passes(self, ask: Callable[[FmuSlave], Call]) -> bool | None:
-        """Does the FMU do this without a complaint? None: there is no instance to try it on."""
-        instance = self._ready()
-        if instance is None:
-            return None
-        try:
-            ask(instance)()
-        except Problem:
-            self.end()
-            return False
-        return instance.calls.worst == 0
-
-    def _ready(self) -> FmuSlave | None:
-        if self._instance is None and self._able:
-            try:
-                self._instance = self._fresh()
-            except Problem:
-                self._able = False
-        return self._instance
-
-    def end(self) -> None:
-        """Free the instance."""
-        if self._instance is not None:
-            self._instance.close()
-            self._instance = None
+def resources(folder: Path, fmi: int) -> str | None:
+    """The location of the resources of an unpacked FMU, in the form of its version; None: it has none."""
+    there = folder / "resources"
+    if fmi == 2:
+        return there.as_uri()
+    return f"{there}{os.sep}" if there.is_dir() else None

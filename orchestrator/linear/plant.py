@@ -23,7 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import Tangent
 from orchestrator.fmi.calls import Call, Slave
-from orchestrator.fmi.model_exchange import ExchangeSlave, open_exchange
+from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.linear.model import Choice
 from orchestrator.ssp.system import Port
 
@@ -59,7 +59,7 @@ class Stacked(Protocol):
 class Member:
     """One component: its places in the stacked arrays, and its calls."""
 
-    def __init__(self, slave: ExchangeSlave, x: slice, v: slice, y: slice) -> None:
+    def __init__(self, slave: ExchangeFmu, x: slice, v: slice, y: slice) -> None:
         self.slave, self.x, self.v, self.y = slave, x, v, y
         face = slave.interface
         self.inputs = [u.name for u in face.of("input") if u.is_continuous]
@@ -79,7 +79,7 @@ class Member:
 
     def look(self) -> None:
         """Set states and inputs, read derivatives and outputs."""
-        self.slave.put(self._plant.x[self.x])
+        self.slave.set_states(self._plant.x[self.x])
         for call in (*self.writes, *self.reads):
             call()
 
@@ -113,11 +113,11 @@ class Plant:
 
     def __init__(self, choice: Choice) -> None:
         self.choice, self.system = choice, choice.system
-        self.slaves: dict[str, ExchangeSlave] = {}
+        self.slaves: dict[str, ExchangeFmu] = {}
         self.members: list[Member] = []
         try:
             for name, component in self.system.components.items():
-                self.slaves[name] = open_exchange(component)
+                self.slaves[name] = open_exchange(name, component.source)
         except BaseException:
             self.close()
             raise
@@ -230,7 +230,7 @@ class Plant:
     def at(self, time: float) -> None:
         """Set the time [s]."""
         for slave in self.slaves.values():
-            slave.at(time)
+            slave.set_time(time)
 
     def close(self) -> None:
         """Free all instances."""

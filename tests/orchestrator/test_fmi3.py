@@ -14,7 +14,7 @@ from orchestrator.base.files import Location
 from orchestrator.fmi import library
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
-from orchestrator.fmi.library import named
+from orchestrator.fmi.messages import named
 from orchestrator.ssp.assembly import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
@@ -205,13 +205,13 @@ def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3):
 
 def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch):
     """linux64 does not tell the processor: on ARM aarch64-linux comes first, and linux64 may still do."""
-    monkeypatch.setattr(library, "platform_tuple", "aarch64-linux")
-    monkeypatch.setattr(library, "platform", "linux64")
+    monkeypatch.setattr(library, "TUPLE", "aarch64-linux")
+    monkeypatch.setattr(library, "PLATFORM", "linux64")
     assert library.folders(2) == ["aarch64-linux", "linux64"]
     opened(fmus.make("gain", "arm", platform="aarch64-linux")).close()
     with pytest.raises(Problem, match="expected binaries/aarch64-linux/windows"):
         opened(fmus.make("gain", "windows", platform="win64"))
-    monkeypatch.setattr(library, "platform_tuple", "x86_64-linux")
+    monkeypatch.setattr(library, "TUPLE", "x86_64-linux")
     assert library.folders(2) == ["linux64", "x86_64-linux"]
 
 

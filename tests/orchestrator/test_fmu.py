@@ -12,7 +12,7 @@ from orchestrator.base.files import Location
 from orchestrator.fmi.calls import fitting
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
-from orchestrator.fmi.library import Library
+from orchestrator.fmi.library import unpacked_library
 
 
 def opened(path, name="it"):
@@ -191,7 +191,7 @@ def test_a_missing_function_is_named_when_it_is_needed(fmus):
     """Optional functions may be absent until somebody asks for them."""
     slave = started(fmus["gain"])
     with pytest.raises(Problem, match="its binary lacks the function fmi2CancelStep"):
-        slave.calls.call("CancelStep")
+        slave.fmu.call("CancelStep")
     slave.close()
 
 
@@ -203,7 +203,7 @@ def test_a_broken_binary_is_told(tmp_path):
     folder.mkdir(parents=True)
     (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
     with pytest.raises(Problem, match=r"label: x\..* cannot be loaded"):
-        Library(tmp_path, "x", "label")
+        unpacked_library(tmp_path, "x", 2, "label")
 
 
 def test_hundreds_of_instances_leave_nothing_behind(each):

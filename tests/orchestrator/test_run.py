@@ -9,7 +9,7 @@ from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, run
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.result import Card, compare
 from orchestrator.fmi.description import Interface, Variable
-from orchestrator.fmi.library import WARNING, Log
+from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
 
 
