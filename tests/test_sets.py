@@ -7,7 +7,7 @@ from fmus.machine.build import parts
 from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.system import parameter_sets
+from fmus.machine.ssp import parameter_sets
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import numbers, values
 from orchestrator.__main__ import main

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.build import build_all
-from fmus.export.ssp import write_ssp
 from fmus.monolith import join, simulate
 from orchestrator.data.trace import Trace
+from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.write import write_ssp
 
 Array = NDArray[np.float64]
 Wires = tuple[tuple[str, str], ...]
@@ -50,7 +51,8 @@ def build(folder: Path) -> dict[str, Path]:
     wires = {"rates": SIGNALS + RATES + HOLDING, "held": SIGNALS + HOLDING}
     return {
         name: write_ssp(
-            folder / f"hydraulic_manipulator_{name}.ssp", "hydraulic_manipulator", fmus, w, INPUTS
+            assemble(fmus, w, name="hydraulic_manipulator", inputs=INPUTS, stop=10.0, step=1e-3),
+            folder / f"hydraulic_manipulator_{name}.ssp",
         )
         for name, w in wires.items()
     }

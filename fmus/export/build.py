@@ -9,8 +9,9 @@ from pathlib import Path
 
 from fmus.contract import Subsystem
 from fmus.export.compile import binaries, host, shared_library
-from fmus.export.package import Package, pack, package
+from fmus.export.package import Package, package
 from fmus.parameters import Values
+from orchestrator.base.files import pack
 
 
 def build(

@@ -20,11 +20,12 @@ from markupsafe import Markup
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
-from fmus.export.model_description import LOG_CATEGORIES, package_version
+from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.reference_experiment import PAGE, proof
 from fmus.machine.files import shipped
 from fmus.parameters import SOURCES, Number, Tables, numbers
 from orchestrator.base.units import display
+from orchestrator.ssp.common import package_version
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)

@@ -8,7 +8,6 @@ terminalsAndIcons/terminalsAndIcons.xml of FMI 3.0: the ports of a subsystem, an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 
 from lxml import etree
 
@@ -17,6 +16,8 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import display, parse, spelled
+from orchestrator.base.xml import digits
+from orchestrator.ssp.common import generation_tool, package_version
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations
@@ -44,27 +45,13 @@ COSIMULATION = {
 Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]  # by element, with knowns
 
 
-def package_version() -> str:
-    """Version of the installed distribution, "0" when it is not installed."""
-    try:
-        return version("harvester-cosim")
-    except PackageNotFoundError:
-        return "0"
-
-
-def digits(value: float) -> str:
-    """The shortest decimal that reads back as the same number: tools show it as it stands."""
-    short = f"{value:.15g}"
-    return short if float(short) == value else repr(value)
-
-
 def identity(face: Interface) -> dict[str, str]:
     """Attributes of the model description, the same in FMI 2 and 3."""
     return {
         "modelName": face.name,
         "description": face.text,
         "version": package_version(),
-        "generationTool": f"harvester-cosim {package_version()}",
+        "generationTool": generation_tool(),
         "author": "the harvester-cosim authors",
         "copyright": COPYRIGHT,
         "license": "MIT",

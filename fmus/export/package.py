@@ -1,13 +1,10 @@
-"""The content of an FMU but its binaries, and the zip file."""
+"""The content of an FMU but its binaries."""
 
 from __future__ import annotations
 
-import os
 import uuid
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, sources
@@ -85,20 +82,3 @@ def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -
     elif sub.values.is_file():
         content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
     return content
-
-
-def pack(path: Path, content: Mapping[str, bytes]) -> None:
-    """A zip file with fixed times and order; there is the whole file or the one that was there before."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in sorted(content):
-                entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.create_system = 3
-                entry.external_attr = 0o644 << 16
-                archive.writestr(entry, content[name])
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)

@@ -13,15 +13,17 @@ from pathlib import Path
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from fmus.export.model_description import digits
-from fmus.export.ssp_xml import add, root, tag, text
+from orchestrator.base.xml import digits
+from orchestrator.fmi.description import Variable
+from orchestrator.ssp.common import NAMESPACES, xml_text
+from orchestrator.ssp.write import parameter_set
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"
 STEP = 1e-2  # s, at which the inputs are set
 TOLERANCE = 1e-9  # of the FMU's solver, tighter than its default: what is left is hardly its error
 BOUND = 1e-5  # largest deviation, over range; hundreds of times more at the default tolerance
-_PARAMETER = tag("ssv:Parameter")
+_PARAMETER = f"{{{NAMESPACES['ssv']}}}Parameter"
 _LS = "http://fmi-standard.org/fmi-ls-manifest"
 # file -> MIME type, role, text
 _RELATED = {
@@ -84,7 +86,7 @@ def _manifest(names: list[str]) -> bytes:
     for name in names:
         kind, role, words = _RELATED[name]
         etree.SubElement(element, "Related", type=kind, source=name, role=role, description=words)
-    return text(element)
+    return xml_text(element)
 
 
 def _experiment(sub: Subsystem, stop: float, stimuli: bool) -> bytes:
@@ -98,17 +100,13 @@ def _experiment(sub: Subsystem, stop: float, stimuli: bool) -> bytes:
     if stimuli:
         etree.SubElement(one, "Stimuli", source="input.csv")
     etree.SubElement(one, "References", source="result.csv")
-    return text(element)
+    return xml_text(element)
 
 
-def parameter_set(sub: Subsystem, values: Mapping[str, float]) -> bytes:
-    """The SSV file, in the units of the variables."""
-    element = root("ssv:ParameterSet", "1.0", name=f"{sub.name} reference experiment")
-    element.attrib.pop("generationTool", None)  # another version with the same numbers is the same file
-    parameters = add(element, "ssv:Parameters")
-    for name, value in values.items():
-        add(add(parameters, "ssv:Parameter", name=name), "ssv:Real", value=float(value))
-    return text(element)
+def reference_parameters(sub: Subsystem, values: Mapping[str, float]) -> bytes:
+    """The SSV file, in the units of the variables; another version with the same numbers is the same file."""
+    known = {name: (Variable(name), value) for name, value in values.items()}
+    return parameter_set(f"{sub.name} reference experiment", known)
 
 
 def _page(sub: Subsystem, stop: float, signals: list[str], stimuli: bool) -> str:

@@ -17,7 +17,7 @@ from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.scenarios import WORK_CYCLE_STOP
-from fmus.machine.system import write_control, write_system
+from fmus.machine.ssp import write_control, write_system
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Set, read, read_set, with_numbers
 from fmus.swing import SWING
@@ -59,8 +59,8 @@ def build_machine(
         usual = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
         arm, oil = own[MANIPULATOR.name], own[BOOM_STICK.name]
         systems = (
-            write_system(folders[fmi], fmus, STEP, fmi, arm),
-            write_control(folders[fmi], fmus, STEP, fmi, arm, oil),
+            write_system(folders[fmi], fmus, STEP, arm),
+            write_control(folders[fmi], fmus, STEP, arm, oil),
         )
         paths += [*built, *systems, *usual]
     return paths

@@ -6,8 +6,8 @@ At each communication point the inputs are set; within a step of length H input 
 
 (docs/design.md, "Inputs inside a step"), and CVODES solves dx/dt = f(x, u(tau), p) from step to step. So a
 tool that sets the inputs at the communication points and holds them reproduces the result, whatever the step
-does to the accuracy of a coupling. `python -m fmus.machine.reference` writes the files again, to be done whenever
-equations or numbers have changed.
+does to the accuracy of a coupling. `python -m fmus.machine.reference` writes the files again, to be done
+whenever equations or numbers have changed.
 
 Makes work cycle, reference trace, operator's program, and the experiments that FMUs carry as their proof.
 
@@ -33,7 +33,7 @@ from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
 from fmus.controller.paths import spells
 from fmus.export.interface import interface
-from fmus.export.reference_experiment import STEP, data_file, parameter_set
+from fmus.export.reference_experiment import STEP, data_file, reference_parameters
 from fmus.machine.files import write_csv
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
@@ -190,7 +190,7 @@ def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     settable = {
         x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
     }
-    data_file(sub, "parameters.ssv").write_bytes(parameter_set(sub, settable))
+    data_file(sub, "parameters.ssv").write_bytes(reference_parameters(sub, settable))
 
 
 if __name__ == "__main__":

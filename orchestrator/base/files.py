@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
@@ -124,3 +125,20 @@ def folder(path: Path) -> None:
         raise Problem(f"{path}: expected a folder, and none can be made: {error.strerror}") from None
     if not os.access(path, os.W_OK):
         raise Problem(f"{path}: expected a folder to write to, got no permission")
+
+
+def pack(path: Path, content: Mapping[str, bytes]) -> None:
+    """A zip file with fixed times and order; there is the whole file or the one that was there before."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in sorted(content):
+                entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.create_system = 3
+                entry.external_attr = 0o644 << 16
+                archive.writestr(entry, content[name])
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

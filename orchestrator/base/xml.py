@@ -1,28 +1,98 @@
-"""Small helpers for the XML of SSP files: elements by local name, attributes by type.
+"""Reading XML files: elements by their names without namespace, attributes by type, messages with file and
+line.
 
-Numbers and truth values as XML Schema writes them.
-
-Python reads more than that: 1_000, digits of other scripts, Infinity. What another tool would read otherwise,
-or not at all, is refused here.
+Numbers and truth values are those of XML Schema. Python reads more: 1_000, digits of other scripts, Infinity.
+What another tool would read differently, or not at all, is refused.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, Linear
 
 Element = Any  # lxml ships no types
-MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
+
+
+@dataclass(frozen=True)
+class XmlElement:
+    """An element of the file `file`."""
+
+    file: Location
+    element: Element
+
+    @property
+    def name(self) -> str:
+        """The name without namespace or prefix; empty for comments."""
+        return local(self.element)
+
+    @property
+    def place(self) -> str:
+        """File and line, to begin a message."""
+        return f"{self.file}: line {self.element.sourceline}"
+
+    def problem(self, text: str) -> Problem:
+        """An error in this element."""
+        return Problem(f"{self.place}: {self.name}: {text}")
+
+    def children(self, *path: str) -> Iterator[XmlElement]:
+        """The elements at a path of names; without a path all elements directly inside."""
+        found = children(self.element, *path) if path else (e for e in self.element if local(e))
+        return (XmlElement(self.file, e) for e in found)
+
+    def child(self, *path: str) -> XmlElement | None:
+        """The first element at a path of names."""
+        return next(self.children(*path), None)
+
+    @property
+    def attributes(self) -> Mapping[str, str]:
+        """The attributes without those of other namespaces."""
+        return {str(n): str(text) for n, text in self.element.attrib.items() if not str(n).startswith("{")}
+
+    def get(self, name: str) -> str | None:
+        """The text of an attribute."""
+        text = self.element.get(name)
+        return None if text is None else str(text)
+
+    def required(self, name: str) -> str:
+        """The text of an attribute that has to be there."""
+        text = self.get(name)
+        if text is None:
+            got = ", ".join(str(n).rpartition("}")[2] for n in self.element.attrib) or "none"
+            raise self.problem(f"expected an attribute {name}, got {got}")
+        return text
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """An attribute that is a finite number."""
+        text = self.get(name)
+        if text is None and default is not None:
+            return default
+        try:
+            return finite(text or "")
+        except ValueError:
+            raise self.problem(f"expected a finite number for {name}, got {text!r}") from None
+
+    def truth(self, name: str) -> bool:
+        """An attribute that is true or false; false where it is missing."""
+        text = self.element.get(name, "false")
+        try:
+            return truth(text)
+        except ValueError:
+            raise self.problem(f"expected true or false for {name}, got {text!r}") from None
+
+
+def read_xml(file: Location, expected: str) -> XmlElement:
+    """The root of an XML file, which must have the name `expected`."""
+    return XmlElement(file, parse(file, expected))
 
 
 def parse(file: Location, expected: str) -> Element:
-    """The root element of an XML file, which must have the local name `expected`."""
+    """The root of an XML file as lxml has it; its name must be `expected`."""
     root = _root(file)
     if local(root) != expected:
         raise Problem(f"{file}: expected the element {expected}, got {local(root)}")
@@ -30,7 +100,7 @@ def parse(file: Location, expected: str) -> Element:
 
 
 def _root(file: Location) -> Element:
-    """The root element; a prefix that is not declared is let pass, for there are files with one."""
+    """The root of a file; a prefix without declaration is let pass, because there are files with one."""
     from lxml import etree
 
     text, safe = file.read(), {"resolve_entities": False, "no_network": True}
@@ -41,14 +111,14 @@ def _root(file: Location) -> Element:
         if fault := _fault(error, parser.error_log):
             raise Problem(f"{file}: is not XML: {fault}") from error
         root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
-    for entity in root.iter(etree.Entity):  # they are not resolved, so what they stand for would be missing
-        told = f"expected the content itself, got the entity {entity.text}"
-        raise Problem(f"{file}: line {entity.getparent().sourceline}: {local(entity.getparent())}: {told}")
+    for entity in root.iter(etree.Entity):  # entities are not resolved: their content would be missing
+        message = f"expected the content itself, got the entity {entity.text}"
+        raise XmlElement(file, entity.getparent()).problem(message)
     return root
 
 
 def _fault(error: Exception, log: Any) -> str:
-    """The first error that is not a prefix without declaration; empty if there are only such."""
+    """The first error other than a prefix without declaration; empty if there is no other."""
     from lxml import etree
 
     undeclared = etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE
@@ -59,13 +129,13 @@ def _fault(error: Exception, log: Any) -> str:
 
 
 def local(element: Element) -> str:
-    """Name without namespace or prefix; comments have none."""
+    """The name without namespace or prefix; empty for comments."""
     name = str(element.tag).rpartition("}")[2] if isinstance(element.tag, str) else ""
     return name.rpartition(":")[2]
 
 
 def children(element: Element | None, *path: str) -> Iterator[Element]:
-    """Elements reached by a path of local names."""
+    """Elements at a path of names."""
     if element is None:
         return
     if not path:
@@ -77,115 +147,17 @@ def children(element: Element | None, *path: str) -> Iterator[Element]:
 
 
 def child(element: Element | None, *path: str) -> Element | None:
-    """The first element reached by a path of local names, or None."""
+    """The first element at a path of names, or None."""
     return next(children(element, *path), None)
 
 
-def number(file: Location, element: Element, name: str, default: float | None = None) -> float:
-    """A real attribute."""
-    text = element.get(name)
-    if text is None and default is not None:
-        return default
-    try:
-        return finite(text)
-    except (AttributeError, ValueError):  # AttributeError: there is none
-        raise Problem(
-            f"{file}: line {element.sourceline}: {local(element)}: "
-            f"expected a finite number for {name}, got {text!r}"
-        ) from None
-
-
-def required(file: Location, element: Element, name: str) -> str:
-    """An attribute that has to be there."""
-    text = element.get(name)
-    if text is None:
-        there = ", ".join(str(n).rpartition("}")[2] for n in element.attrib) or "none"
-        raise Problem(
-            f"{file}: line {element.sourceline}: {local(element)}: expected an attribute {name}, got {there}"
-        )
-    return str(text)
-
-
 def flag(element: Element, name: str) -> bool:
-    """A boolean attribute, false when missing or odd."""
+    """A truth value, false when missing or odd."""
     return element.get(name) in ("true", "1")
 
 
-def truth(file: Location, element: Element, name: str) -> bool:
-    """A boolean attribute, false when missing."""
-    text = element.get(name, "false")
-    try:
-        return truth_numerals(text)
-    except ValueError:
-        told = f"expected true or false for {name}, got {text!r}"
-        raise Problem(f"{file}: line {element.sourceline}: {local(element)}: {told}") from None
-
-
-def units(file: Location, root: Element) -> dict[str, DeclaredUnit]:
-    """The units that a file defines."""
-    named = ((required(file, unit, "name"), unit) for unit in children(root, "Units", "Unit"))
-    return {name: _unit(file, name, unit) for name, unit in named}
-
-
-def _unit(file: Location, name: str, element: Element) -> DeclaredUnit:
-    """One unit; a fault in it is kept for whoever converts a value: files define units that nothing has."""
-    base = child(element, "BaseUnit")
-    if base is None:
-        return DeclaredUnit(name)
-    try:
-        exponents = tuple(_whole(file, base, b) for b in BASES)
-        factor, offset = number(file, base, "factor", 1.0), number(file, base, "offset", 0.0)
-    except Problem as problem:
-        return DeclaredUnit(name, fault=str(problem))
-    return DeclaredUnit(name, exponents, factor, offset, _zero(file, base, factor))
-
-
-def _zero(file: Location, base: Element, factor: float) -> str:
-    """What to say of a factor that makes all values one."""
-    place = f"{file}: line {base.sourceline}: BaseUnit"
-    return "" if factor else f"{place}: expected a factor other than 0, got {base.get('factor')!r}"
-
-
-def _whole(file: Location, base: Element, name: str) -> int:
-    """An exponent of a base unit."""
-    value = number(file, base, name, 0)
-    if not float(value).is_integer():
-        raise Problem(
-            f"{file}: line {base.sourceline}: BaseUnit: expected a whole number for {name}, got {value:g}"
-        )
-    return int(value)
-
-
-def transformation(file: Location, element: Element) -> tuple[Linear, Mapping[str, str]]:
-    """The transformation inside a connection or mapping entry: a linear map, and a table of texts."""
-    linear = child(element, "LinearTransformation")
-    if linear is not None:
-        return Linear(number(file, linear, "factor", 1.0), number(file, linear, "offset", 0.0)), {}
-    for e in element:
-        if local(e) in MAPPINGS:
-            return IDENTITY, _table(file, e)
-        if local(e).endswith("Transformation"):
-            told = f"expected LinearTransformation or one of {', '.join(MAPPINGS)}"
-            raise Problem(f"{file}: line {e.sourceline}: {local(e)}: {told}")
-    return IDENTITY, {}
-
-
-def _table(file: Location, mapping: Element) -> dict[str, str]:
-    """Source -> target; each source once."""
-    table = dict[str, str]()
-    for e in children(mapping, "MapEntry"):
-        source = required(file, e, "source")
-        if source in table:
-            told = f"expected each source once, got {source!r} again"
-            raise Problem(f"{file}: line {e.sourceline}: MapEntry: {told}")
-        table[source] = required(file, e, "target")
-    if not table:
-        raise Problem(f"{file}: line {mapping.sourceline}: {local(mapping)}: expected a MapEntry, got none")
-    return table
-
-
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf|nan", re.ASCII | re.IGNORECASE)
-_WHOLE = re.compile(r"[+-]?\d{1,400}", re.ASCII)  # no more digits than a float has room for
+_WHOLE = re.compile(r"[+-]?\d{1,400}", re.ASCII)  # a float has room for no more digits
 _TRUTH = {"true": True, "1": True, "false": False, "0": False}
 
 
@@ -211,9 +183,15 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def truth_numerals(text: str) -> bool:
+def truth(text: str) -> bool:
     """true, false, 1 or 0; ValueError for any other text."""
     try:
         return _TRUTH[text.strip()]
     except KeyError:
         raise ValueError(text) from None
+
+
+def digits(value: float) -> str:
+    """The shortest decimal that reads back as the same number, because tools show it as it stands."""
+    short = f"{value:.15g}"
+    return short if float(short) == value else repr(value)

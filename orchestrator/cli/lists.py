@@ -68,7 +68,7 @@ def signals(
     """List the variables of a system with unit and meaning."""
 
     from orchestrator.base.files import there
-    from orchestrator.ssp.assembly import lines
+    from orchestrator.ssp.listing import lines
     from orchestrator.ssp.load import load
 
     print("\n".join(lines(load(there(system)).swapped(swaps(swap or [])), kind)))

@@ -1,148 +1,464 @@
-"""What an SSP suggests for the coupling of its components: an annotation of ours, else of other tools.
+"""What an SSP suggests for the coupling of its components: master and communication step, read and written.
 
-Ours, which other tools pass over:
+SSP has no place for them, so each tool has an annotation of its own. Ours, which other tools pass over, is
 
-<ssd:DefaultExperiment>
-  <ssd:Annotations>
-    <ssc:Annotation type="harvester-cosim">
-      <hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" master="hermite" step="0.005" passes="2">
-        <hc:Factor component="arm" steps="4"/>
-      </hc:Coupling>
-    </ssc:Annotation>
-  </ssd:Annotations>
-</ssd:DefaultExperiment>
+    <ssd:DefaultExperiment>
+      <ssd:Annotations>
+        <ssc:Annotation type="harvester-cosim">
+          <hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" master="hermite" step="0.005" passes="2">
+            <hc:Factor component="arm" steps="4"/>
+          </hc:Coupling>
+        </ssc:Annotation>
+      </ssd:Annotations>
+    </ssd:DefaultExperiment>
 
-The attributes are those of `Coupling`, and the communication step [s]. The annotation may also be one of the
-outermost System, or of the whole file. One in another place, such as a nested file, is left out, and a note
-says so.
+with the attributes of `Coupling` and the communication step [s]. It may also be an annotation of the
+outermost System, or of the whole file. In other places, such as a nested file, it is ignored with a note.
+
+Without ours, the annotations of other tools count. They are followed, or a run is refused until the user says
+how to couple: a run with another step than that of the file would look like its result.
+
+    OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster, or a solver in attributes; Jacobi,
+                  held inputs a draft       SimulationInformation directly in a System, as in drafts of SSP:
+                  as that of OMSimulator
+    libcosim      com.opensimulationplatform, org.open-simulation-platform: FixedStepAlgorithm; as before
+    Vico          com.github.ntnu-ihb.vico: FixedStepAlgorithm, FixedStepMaster; Jacobi, held inputs
+    OpenMCx       com.avl.model.connect.ssp.task: Task; Gauss-Seidel if it is sequential, else Jacobi
+    FMIGo, Ecos   arguments, order of execution, kinematic constraints, scenarios: refused
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, NamedTuple
 
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.files import Location
-from orchestrator.base.xml import Element, children, finite, local, truth_numerals, whole
-from orchestrator.ssp.vendor_annotations import read_vendors
+from orchestrator.base.xml import Element, XmlElement, finite, local, truth, whole
+from orchestrator.ssp.common import add
 
-TYPE = "harvester-cosim"
+OWN = "harvester-cosim"
 PLACES = ("DefaultExperiment",), ("System",), ()  # of the annotations, from the root
 
 
-class Kind(NamedTuple):
-    """A type of attributes; `read` raises ValueError for another text than expected."""
+def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
+    """The suggestion in .ssd files, the outermost first, for these components."""
+    own = list(_own_couplings(roots[0]))
+    if not own:
+        return _of_other_tools(roots)
+    if len(own) > 1:
+        numbers = ", ".join(str(e.element.sourceline) for e in own)
+        message = f"expected one Coupling in annotations of type {OWN}, got some in lines {numbers}"
+        raise Problem(f"{roots[0].file}: {message}")
+    (element,) = own
+    given = _attributes(element, ATTRIBUTES)
+    step = given.pop("step", None)
+    if step is not None and not step > 0:
+        raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
+    factors = _factors(element)
+    try:
+        coupling = Coupling(**given, factors=factors)
+        coupling.check(components)
+    except Problem as problem:
+        raise element.problem(str(problem)) from None
+    return Suggestion(coupling, step, place=f"{element.place}: Coupling")
+
+
+def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
+    """Notes on annotations of ours in other places than `PLACES`, such as inner systems and nested files."""
+    taken = [e.element for place in PLACES for e in roots[0].children(*place, "Annotations", "Annotation")]
+    reason = f"annotation of type {OWN}: left out, only one of the outermost system counts"
+    return [
+        f"{root.file}: line {e.sourceline}: {reason}"
+        for root in roots
+        for e in root.element.iter()
+        if local(e) == "Annotation" and e.get("type") == OWN and e not in taken
+    ]
+
+
+# ---- ours --------------------------------------------------------------------------------------------------
+
+
+class Attribute(NamedTuple):
+    """The type of an attribute; `read` raises ValueError for a text other than expected."""
 
     expected: str
     read: Callable[[str], Any]
 
 
-TEXT, WHOLE, NUMBER = Kind("a text", str), Kind("a whole number", whole), Kind("a number", finite)
-TRUTH = Kind("true or false", truth_numerals)
-KINDS: Mapping[str, Kind] = {
-    "master": TEXT,
-    "step": NUMBER,
-    "order": WHOLE,
-    "passes": WHOLE,
-    "tolerance": NUMBER,
-    "correct": TRUTH,
-    "lag": WHOLE,
-    "adaptive": NUMBER,
-    "guard": NUMBER,
-    "control": TEXT,
-    "smallest": NUMBER,
-    "largest": NUMBER,
+_TEXT, _WHOLE, _NUMBER = (
+    Attribute("a text", str),
+    Attribute("a whole number", whole),
+    Attribute("a number", finite),
+)
+ATTRIBUTES: Mapping[str, Attribute] = {
+    "master": _TEXT,
+    "step": _NUMBER,
+    **dict.fromkeys(("order", "passes", "lag"), _WHOLE),
+    **dict.fromkeys(("tolerance", "adaptive", "guard", "smallest", "largest"), _NUMBER),
+    "correct": Attribute("true or false", truth),
+    "control": _TEXT,
 }
-FACTOR: Mapping[str, Kind] = {"component": TEXT, "steps": WHOLE}
+FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
 
 
-def read_suggestion(roots: Sequence[tuple[Location, Element]], components: Iterable[str]) -> Suggestion:
-    """The suggestion in .ssd files, the outermost first, with these components.
-
-    Ours, which is that of the outermost file, before those of other tools, which are taken together.
-    """
-    file, root = roots[0]
-    found = list(_elements(file, root))
-    if not found:
-        return read_vendors(roots)
-    if len(found) > 1:
-        lines = ", ".join(str(e.sourceline) for e in found)
-        raise Problem(
-            f"{file}: expected one Coupling in annotations of type {TYPE}, got some in lines {lines}"
-        )
-    (element,) = found
-    given = _attributes(file, element, KINDS)
-    step = given.pop("step", None)
-    if step is not None and not step > 0:
-        raise _problem(file, element, f"expected a positive number of seconds for step, got {step:g}")
-    factors = _factors(file, element)
-    try:
-        coupling = Coupling(**given, factors=factors)
-        coupling.check(components)
-    except Problem as problem:
-        raise _problem(file, element, str(problem)) from None
-    return Suggestion(coupling, step, place=f"{file}: line {element.sourceline}: Coupling")
-
-
-def left_out(roots: Sequence[tuple[Location, Element]]) -> list[str]:
-    """Notes on our annotations in other places than `PLACES`, such as inner systems and nested files."""
-    taken = [e for place in PLACES for e in children(roots[0][1], *place, "Annotations", "Annotation")]
-    reason = f"annotation of type {TYPE}: left out, only one of the outermost system counts"
-    return [
-        f"{file}: line {e.sourceline}: {reason}"
-        for file, root in roots
-        for e in root.iter()
-        if local(e) == "Annotation" and e.get("type") == TYPE and e not in taken
-    ]
-
-
-def _elements(file: Location, root: Element) -> Iterator[Element]:
-    """What stands in annotations of our type."""
+def _own_couplings(root: XmlElement) -> Iterator[XmlElement]:
+    """The elements in annotations of our type."""
     for place in PLACES:
-        for annotation in children(root, *place, "Annotations", "Annotation"):
-            for e in annotation if annotation.get("type") == TYPE else ():
-                if local(e) and local(e) != "Coupling":
-                    raise _problem(file, e, f"expected Coupling in an annotation of type {TYPE}")
-                if local(e):
-                    yield e
+        for annotation in root.children(*place, "Annotations", "Annotation"):
+            for e in annotation.children() if annotation.get("type") == OWN else ():
+                if e.name != "Coupling":
+                    raise e.problem(f"expected Coupling in an annotation of type {OWN}")
+                yield e
 
 
-def _factors(file: Location, element: Element) -> dict[str, int]:
-    """Component -> how many steps it takes in each communication step."""
+def _factors(element: XmlElement) -> dict[str, int]:
+    """Component -> its number of steps in each communication step."""
     factors = dict[str, int]()
-    for e in element:
-        if not local(e):
-            continue  # a comment
-        if local(e) != "Factor":
-            raise _problem(file, e, "expected Factor in a Coupling")
-        given = _attributes(file, e, FACTOR)
+    for e in element.children():
+        if e.name != "Factor":
+            raise e.problem("expected Factor in a Coupling")
+        given = _attributes(e, FACTOR)
         for name in FACTOR:
             if name not in given:
-                raise _problem(file, e, f"expected an attribute {name}, got none")
+                raise e.problem(f"expected an attribute {name}, got none")
         if given["component"] in factors:
-            raise _problem(file, e, f"component {given['component']} has a Factor already, expected one")
+            raise e.problem(f"component {given['component']} has a Factor already, expected one")
         factors[given["component"]] = given["steps"]
     return factors
 
 
-def _attributes(file: Location, element: Element, kinds: Mapping[str, Kind]) -> dict[str, Any]:
-    """The attributes in their types; those of other namespaces are not ours."""
+def _attributes(element: XmlElement, types: Mapping[str, Attribute]) -> dict[str, Any]:
+    """The attributes in their types."""
     found = dict[str, Any]()
-    for name, text in element.attrib.items():
-        if name.startswith("{"):
-            continue
-        if name not in kinds:
-            near = suggest(name, kinds) or f"; there are {', '.join(kinds)}"
-            raise _problem(file, element, f"unknown attribute {name!r}{near}")
+    for name, text in element.attributes.items():
+        if name not in types:
+            close = suggest(name, types) or f"; there are {', '.join(types)}"
+            raise element.problem(f"unknown attribute {name!r}{close}")
         try:
-            found[name] = kinds[name].read(text.strip())
+            found[name] = types[name].read(text.strip())
         except ValueError:
-            told = f"expected {kinds[name].expected} for {name}, got {text!r}"
-            raise _problem(file, element, told) from None
+            raise element.problem(f"expected {types[name].expected} for {name}, got {text!r}") from None
     return found
 
 
-def _problem(file: Location, element: Element, text: str) -> Problem:
-    return Problem(f"{file}: line {element.sourceline}: {local(element)}: {text}")
+# ---- those of other tools ----------------------------------------------------------------------------------
+
+NEAR = 1e-9  # relative: two texts of one step size
+DRAFT = "a draft of SSP"
+JACOBI = Coupling("jacobi")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What one element of a tool's annotation asks for.
+
+    coupling    None where it asks for a step alone
+    step        [s]
+    component   the only one that is meant; empty: all are
+    """
+
+    tool: str
+    element: XmlElement
+    coupling: Coupling | None
+    step: float
+    component: str = ""
+
+    def __str__(self) -> str:
+        master = self.coupling.master if self.coupling else "any master"
+        how = f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
+        line = self.element.element.sourceline
+        return f"line {line} ({self.tool}) wants {master}{how}, step {self.step:g} s"
+
+    def agrees(self, other: Request) -> bool:
+        """Do both ask for the same?"""
+        same_step = abs(self.step - other.step) <= NEAR * self.step
+        return same_step and (None in (self.coupling, other.coupling) or self.coupling == other.coupling)
+
+
+def _of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
+    """What the annotations of other tools in these files ask for together."""
+    try:
+        requests = [r for root in roots for r in _requests(root)]
+        for one, other in combinations(requests, 2):
+            if not one.agrees(other):
+                here, there = one.element.file, other.element.file
+                raise Problem(f"{here}: {one}, but {'' if there == here else f'{there}: '}{other}")
+    except Problem as problem:
+        return Suggestion(refusal=str(problem))
+    if not requests:
+        return Suggestion()
+    masters = [r for r in requests if r.coupling is not None]
+    chosen = masters or requests
+    tools = (
+        f"SimulationInformation of {r.tool}" if r.tool == DRAFT else f"the annotation of {r.tool}"
+        for r in chosen
+    )
+    files = dict.fromkeys(str(r.element.file) for r in chosen)
+    first = chosen[0]
+    return Suggestion(
+        coupling=first.coupling,
+        step=first.step,
+        source=f"{' and '.join(dict.fromkeys(tools))} in {' and '.join(files)}",
+        place=f"{first.element.place} ({first.tool})",
+        only=() if masters else tuple(dict.fromkeys(r.component for r in requests)),
+    )
+
+
+def _requests(root: XmlElement) -> Iterator[Request]:
+    """All requests of a file, in its order."""
+    for raw in root.element.iter():
+        element = XmlElement(root.file, raw)
+        if element.name == "Annotation":
+            kind = (element.get("type") or "").strip()
+            for beginning, tool in REFUSED.items():
+                if kind.startswith(beginning):
+                    raise _refusal(element, f"the annotation {kind} of {tool} is not supported")
+            if kind in TOOLS:
+                yield from _elements(element, TOOLS[kind])
+        elif element.name == "SimulationInformation" and local(raw.getparent()) == "System":
+            yield from _simulation_information(element, DRAFT)
+
+
+def _elements(parent: XmlElement, tool: Tool) -> Iterator[Request]:
+    """The elements of an annotation, which OMSimulator puts into another one."""
+    for e in parent.children():
+        if e.name == "Annotations":
+            yield from _elements(e, tool)
+        elif e.name in tool.readers:
+            yield from tool.readers[e.name](e, tool.name)
+        elif e.name not in tool.harmless:
+            raise _unsupported(e, tool.name)
+
+
+def _refusal(element: XmlElement, reason: str) -> Problem:
+    return Problem(f"{element.place}: {reason}")
+
+
+def _unsupported(element: XmlElement, tool: str) -> Problem:
+    """An unknown element may say anything about the run, so it is not passed over."""
+    return _refusal(element, f"{element.name} of {tool} is not supported")
+
+
+def _step(element: XmlElement, name: str) -> float:
+    """A step [s], which has to be there: with another one the run would not be that of the file."""
+    element.required(name)
+    value = element.number(name)
+    if not value > 0:
+        raise element.problem(f"expected a positive number of seconds for {name}, got {element.get(name)!r}")
+    return value
+
+
+def _owner(element: XmlElement) -> str:
+    """The component whose annotation this is, or the system."""
+    above = (e.get("name") for e in element.element.iterancestors() if local(e) in ("Component", "System"))
+    return next(filter(None, above), "the system")
+
+
+# libcosim, Vico and OpenMCx
+
+ORDERS: Mapping[str | None, Coupling] = {  # stepType of OpenMCx; without one it is sequential
+    **dict.fromkeys((None, "sequential"), Coupling("gauss-seidel")),
+    **dict.fromkeys(("parallel", "parallel_single_thread", "parallel_multi_thread"), JACOBI),
+}
+
+
+def _algorithm(element: XmlElement, tool: str) -> Iterator[Request]:
+    """Algorithm and MasterAlgorithm: one element inside holds the step."""
+    inside = list(element.children())
+    if not inside:
+        raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
+    for e in inside:
+        if e.name not in ("FixedStepAlgorithm", "FixedStepMaster"):
+            raise _unsupported(e, tool)
+        for size in e.children("StepSizes", "StepSize"):
+            many = size.required("multipleOf")
+            if many.strip() != "1":
+                wish = f"{size.get('component') or 'a component'} wants a step of its own, {many} times"
+                raise _refusal(size, f"{wish} the base step of {tool}, which is not supported")
+        yield Request(tool, e, JACOBI, _step(e, "baseStepSize"))
+
+
+def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Request]:
+    """StepSizeHint of libcosim and Vico: the step of one component."""
+    yield Request(tool, element, None, _step(element, "value"), _owner(element))
+
+
+def _component_step(element: XmlElement, tool: str) -> Iterator[Request]:
+    """Component of OpenMCx: its own step."""
+    if element.get("deltaTime") is not None:
+        yield Request(tool, element, None, _step(element, "deltaTime"), _owner(element))
+
+
+def _task(element: XmlElement, tool: str) -> Iterator[Request]:
+    """Task of OpenMCx."""
+    kind, end = element.get("stepType"), element.get("endType")
+    if kind not in ORDERS:
+        raise _refusal(element, f"stepType {kind!r} of {tool} is not supported")
+    if end not in (None, "end_time"):
+        raise _refusal(element, f"endType {end!r} of {tool} is not supported, expected 'end_time'")
+    yield Request(tool, element, ORDERS[kind], _step(element, "deltaTime"))
+
+
+# SimulationInformation of OMSimulator, drafts of SSP and early libcosim. An element inside holds the master.
+# OMSimulator's Python API writes attributes instead: a solver, and its name in annotations of components.
+
+MODEL_EXCHANGE = ("euler", "cvode")  # methods that solve by Model Exchange
+VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
+USUAL = dict(zip(VARIABLE, (1e-6, 1e-12, 1e-3, 1e-4), strict=True))  # of the API, where it gives no attribute
+METHODS = {"oms_ma": ("fixedStepSize", "relativeTolerance"), "oms_mav": VARIABLE, "oms_mav2": VARIABLE}
+TOLERANCES = ("tolerance", "absoluteTolerance")  # the API writes them and does not read them
+RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
+
+
+def _simulation_information(element: XmlElement, tool: str) -> Iterator[Request]:
+    if element.get("method") is not None:
+        yield _solver(element, tool)
+    else:
+        _refuse_other_attributes(element, tool, RESULTS)
+        name = element.get("name")
+        if name is not None and name not in [
+            e.get("name") for e in _all(element) if e.get("method") is not None
+        ]:
+            raise _refusal(element, f"no solver of {tool} has the name {name!r}")
+    for e in element.children():
+        if e.name == "FixedStepMaster":
+            yield Request(tool, e, JACOBI, _step(e, "stepSize"))
+        elif e.name == "VariableStepMaster":
+            for name in VARIABLE:
+                e.required(name)
+            yield _variable_step(e, tool, {})
+        elif e.name == "VariableStepSolver":
+            raise _wants_model_exchange(e, tool)
+        else:
+            raise _unsupported(e, tool)
+
+
+def _solver(element: XmlElement, tool: str) -> Request:
+    """A solver in attributes."""
+    method = element.get("method") or ""
+    if method in MODEL_EXCHANGE:
+        raise _wants_model_exchange(element, tool)
+    if method not in METHODS:
+        raise _refusal(element, f"the method {method!r} of {tool} is not supported")
+    _refuse_other_attributes(element, tool, (*RESULTS, "method", *METHODS[method], *TOLERANCES))
+    name = element.get("name")
+    users = {e.get("name") for e in _all(element) if e.get("method") is None}
+    if name is not None and name not in users:  # OMSimulator would couple by its usual master
+        raise _refusal(element, f"no component names the solver {name!r} of {tool}")
+    if method == "oms_ma":
+        return Request(tool, element, JACOBI, _step(element, "fixedStepSize"))
+    return _variable_step(element, tool, USUAL)
+
+
+def _variable_step(element: XmlElement, tool: str, usual: Mapping[str, float]) -> Request:
+    """A master that chooses its steps; the nearest of ours has the same tolerance and limits."""
+    first, smallest, largest, tolerance = (element.number(name, usual.get(name)) for name in VARIABLE)
+    if not first > 0:
+        message = f"initialStepSize: expected a positive number of seconds, got {first:g}"
+        raise _refusal(element, message)
+    try:
+        coupling = Coupling("jacobi", adaptive=tolerance, smallest=smallest or None, largest=largest)
+    except Problem as problem:
+        raise element.problem(str(problem)) from None
+    return Request(tool, element, coupling, first)
+
+
+def _wants_model_exchange(element: XmlElement, tool: str) -> Problem:
+    how = element.get("description") or element.get("method") or element.name
+    wish = f"{element.name} of {tool} wants Model Exchange ({how})"
+    return _refusal(element, f"{wish}, here FMUs take part by Co-Simulation only")
+
+
+def _refuse_other_attributes(element: XmlElement, tool: str, known: tuple[str, ...]) -> None:
+    """Refuse attributes that are not read: one may be a step."""
+    for name in element.attributes:
+        if name not in known:
+            raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
+
+
+def _all(element: XmlElement) -> list[Element]:
+    """Every SimulationInformation in the file of this one."""
+    return [e for e in element.element.getroottree().iter() if local(e) == "SimulationInformation"]
+
+
+Reader = Callable[[XmlElement, str], Iterator[Request]]
+
+
+class Tool(NamedTuple):
+    """How the elements in a type of annotations are read, and which do not matter to a run."""
+
+    name: str
+    readers: Mapping[str, Reader]
+    harmless: tuple[str, ...] = ()
+
+
+_LIBCOSIM = Tool(
+    "libcosim",
+    {
+        "Algorithm": _algorithm,
+        "SimulationInformation": _simulation_information,
+        "StepSizeHint": _step_size_hint,
+    },
+)
+TOOLS = {
+    "org.openmodelica": Tool("OMSimulator", {"SimulationInformation": _simulation_information}, ("Buses",)),
+    "com.opensimulationplatform": _LIBCOSIM,
+    "org.open-simulation-platform": _LIBCOSIM,
+    "com.github.ntnu-ihb.vico": Tool(
+        "Vico",
+        {"Algorithm": _algorithm, "MasterAlgorithm": _algorithm, "StepSizeHint": _step_size_hint},
+        ("Transform",),
+    ),
+    "com.avl.model.connect.ssp.task": Tool("OpenMCx", {"Task": _task}),
+    "com.avl.model.connect.ssp.component": Tool("OpenMCx", {"Component": _component_step}),
+}
+REFUSED = {  # by the beginning of their type
+    "se.umu.math.umit.": "FMIGo",
+    "com.avl.model.connect.ssp.connection": "OpenMCx",
+    "com.github.ecos-platform.scenario": "Ecos",
+}
+
+
+# ---- writing -----------------------------------------------------------------------------------------------
+
+# on the root of a file: libcosim takes a declaration on osp:Algorithm for a child
+VENDOR_NAMESPACES = {
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "hc": "urn:harvester-cosim:coupling",
+}
+
+
+def write_suggestion(system: Element, experiment: Element, suggestion: Suggestion) -> None:
+    """Write how to couple, in our annotation, and the step for OMSimulator and libcosim.
+
+    OMSimulator opens no system without a step. Its master and that of libcosim step all components at once.
+    """
+    coupling, step = suggestion.coupling or Coupling(), suggestion.step
+    if step is not None:
+        decimal = f"{step:.12f}".rstrip("0")  # the schema of OMSimulator allows no exponent
+        holder = add(_annotation(system, "org.openmodelica"), "oms:Annotations")
+        master = {"description": "oms-ma", "stepSize": decimal, "relativeTolerance": "0.0001"}
+        add(add(holder, "oms:SimulationInformation"), "oms:FixedStepMaster", **master)
+        algorithm = add(_annotation(experiment, "com.opensimulationplatform"), "osp:Algorithm")
+        add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=decimal)
+    if step is None and suggestion.coupling is None:
+        return
+    usual = Coupling()
+    values = {"step": step} | {
+        name: getattr(coupling, name)
+        for name in ATTRIBUTES
+        if name != "step" and (name == "master" or getattr(coupling, name) != getattr(usual, name))
+    }
+    own = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
+    for component, steps in coupling.factors.items():
+        add(own, "hc:Factor", component=component, steps=steps)
+
+
+def _annotation(parent: Element, kind: str) -> Element:
+    """A new annotation of a type."""
+    holder = parent.find("{*}Annotations")
+    return add(add(parent, "ssd:Annotations") if holder is None else holder, "ssc:Annotation", type=kind)

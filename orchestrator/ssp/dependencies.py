@@ -1,13 +1,10 @@
-"""In which order outputs become known at a communication point, from the declared direct feed-through.
+"""Direct feed-through between components: in which order outputs become known, and where they form algebraic
+loops.
 
-An output without feed-through is known right after the step. One with feed-through is known once the
-inputs it depends on are set. Outputs that depend on each other in a circle are one `Knot`, which
-`coupling/loop.py` unties: it solves a loop of declared feed-through. Where a circle exists only because an
-FMU does not declare its dependencies it carries values round, and solves only if they do not settle.
-
-Groups of a graph that depend on each other in a circle.
-
-Which outputs depend on which others through connections, and where they do so in a circle.
+An output without feed-through is known right after the step, one with feed-through once the inputs that it
+depends on are set. Outputs that depend on each other in a circle are one `DependencyLoop`. A loop of declared
+feed-through is solved. Where a circle exists only because an FMU does not declare its dependencies, values
+are carried round first, and the loop is solved only if they do not settle (`engine/algebraic_loop.py`).
 """
 
 from __future__ import annotations
@@ -19,153 +16,19 @@ from itertools import pairwise
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.system import Connection, Port, System
 
-
-@dataclass(frozen=True)
-class Order:
-    """stages[port]: the stages, counted from 0, in which an output is read. `notes`: remarks for the user.
-
-    knots   with the stages in which they are untied; nothing else reads their outputs and sets their inputs
-    """
-
-    stages: Mapping[Port, tuple[int, ...]]
-    notes: tuple[str, ...] = ()
-    knots: tuple[tuple[Knot, tuple[int, ...]], ...] = ()
-
-    @property
-    def count(self) -> int:
-        return max((s[-1] for s in self.stages.values()), default=-1) + 1
-
-
-def output_order(system: System) -> Order:
-    """Stages of all outputs of the system during the run."""
-    flow = Feedthrough(system)
-    stages: dict[Port, tuple[int, ...]] = {}
-    notes: list[str] = []
-    knots: list[tuple[Knot, tuple[int, ...]]] = []
-    for group in components(flow.graph):
-        first = 1 + max((stages[p][-1] for y in group for p in flow.graph[y] if p not in group), default=-1)
-        knot = flow.knot(group)
-        when = tuple(range(first, first + (knot.rounds if knot else 1)))
-        stages |= dict.fromkeys(group, when)
-        if knot:
-            notes += _checked(system, knot)
-            knots += [(knot, when)] if knot.connections else []
-    return Order(stages, tuple(notes), tuple(knots))
-
-
-def _checked(system: System, knot: Knot) -> list[str]:
-    """What to say about signals of a knot that are not Real."""
-    if knot.discrete:
-        kind = system.variable(knot.discrete).kind
-        raise Problem(f"{knot.text}: expected Real signals, to be solved for, got {kind} {knot.discrete}")
-    if knot.rounds == 1:
-        return []
-    return [f"{knot.text}; its signals that are not Real are read {knot.rounds} times per step"]
-
-
-def sequence(system: System) -> list[str]:
-    """Components in the order in which Gauss-Seidel steps them.
-
-    Next comes the component with the fewest inputs that feed through to its outputs and still wait for a
-    component not yet stepped; then the one with the fewest waiting inputs; then one that holds its inputs
-    before one that interpolates them (which gains from coming later); then the given order.
-    """
-    direct = {
-        Port(c.name, u)
-        for c in system.components.values()
-        for y in c.interface.of("output")
-        for u in c.interface.depends(y.name)
-    }
-    left, done = list(system.components), list[str]()
-    while left:
-        best = min(left, key=lambda name: _waiting(system, name, left, direct))
-        left.remove(best)
-        done.append(best)
-    return done
-
-
-def _waiting(system: System, name: str, left: list[str], direct: set[Port]) -> tuple[int, int, bool]:
-    open_: list[Connection] = [
-        c for c in system.connections if c.target.component == name and c.source.component in left
-    ]
-    open_ = [c for c in open_ if c.source.component != name]
-    interpolates = system.components[name].interface.sloped
-    return sum(c.target in direct for c in open_), len(open_), bool(interpolates)
-
-
-Graph = Mapping[Port, Iterable[Port]]  # node -> nodes that must be known before
-
-
-def components(graph: Graph) -> list[list[Port]]:
-    """Strongly connected groups, each after the groups it depends on (Tarjan's algorithm)."""
-    index: dict[Port, int] = {}
-    low: dict[Port, int] = {}
-    stack: list[Port] = []
-    on_stack: set[Port] = set()
-    groups: list[list[Port]] = []
-    for root in graph:
-        work: list[tuple[Port, Iterator[Port]]] = [] if root in index else [(root, iter(()))]
-        while work:
-            node, remaining = work[-1]
-            if node not in index:
-                index[node] = low[node] = len(index)
-                stack.append(node)
-                on_stack.add(node)
-                remaining = iter(graph[node])
-                work[-1] = (node, remaining)
-            for before in remaining:
-                if before not in index:
-                    work.append((before, iter(())))
-                    break
-                if before in on_stack:
-                    low[node] = min(low[node], index[before])
-            else:
-                work.pop()
-                if work:
-                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
-                if low[node] == index[node]:
-                    groups.append(_pop(stack, on_stack, node))
-    return groups
-
-
-def _pop(stack: list[Port], on_stack: set[Port], node: Port) -> list[Port]:
-    """The group that ends with `node`."""
-    group: list[Port] = []
-    while not group or group[-1] != node:
-        group.append(stack.pop())
-        on_stack.discard(group[-1])
-    return group[::-1]
-
-
-def circular(graph: Graph, group: list[Port]) -> bool:
-    """Do the nodes of a strongly connected group depend on themselves?"""
-    return len(group) > 1 or group[0] in graph[group[0]]
-
-
-def circle(graph: Graph, group: list[Port]) -> list[Port]:
-    """One way round in a circular group; it ends where it begins, and each node needs the one before it."""
-    path, inside = [group[0]], set(group)
-    while True:
-        before = next(p for p in graph[path[-1]] if p in inside)
-        if before in path:
-            return [*path[path.index(before) :], before][::-1]
-        path.append(before)
-
-
 SHOWN = 6  # connections in a text
 
 
 @dataclass(frozen=True)
-class Knot:
+class DependencyLoop:
     """Outputs that depend on each other in a circle: an algebraic loop, or perhaps one.
 
-    connections   of Real values from outputs of the knot to inputs that outputs of the knot depend on
-    declared      the FMUs declare these dependencies; else some do not say, and there may be no loop at all
-    rounds        how often its outputs are read where signals in it are not Real, which nobody can solve for;
-                  else 1
+    connections   of Real values from outputs of the loop to inputs that outputs of the loop depend on
+    declared      the FMUs declare these dependencies; else some declare none, and there may be no loop at all
+    rounds        how often its outputs are read where some signals are not Real, so not solved for; else 1
     discrete      an output in a circle of declared dependencies that is not Real
     sweeps        how often values are carried round before a loop is supposed; 0 where one is declared
-    text          what it is, to begin a note or a message
+    text          the loop, to begin a note or a message
     """
 
     connections: tuple[Connection, ...]
@@ -174,6 +37,81 @@ class Knot:
     discrete: Port | None
     sweeps: int
     text: str
+
+
+@dataclass(frozen=True)
+class OutputOrder:
+    """When outputs are read at a communication point, in stages counted from 0.
+
+    stages   output -> its stages
+    notes    remarks for the user
+    loops    with their stages; nothing else reads their outputs and sets their inputs
+    """
+
+    stages: Mapping[Port, tuple[int, ...]]
+    notes: tuple[str, ...] = ()
+    loops: tuple[tuple[DependencyLoop, tuple[int, ...]], ...] = ()
+
+    @property
+    def knots(self) -> tuple[tuple[DependencyLoop, tuple[int, ...]], ...]:
+        return self.loops  # the name that the engine still uses
+
+    @property
+    def count(self) -> int:
+        return max((s[-1] for s in self.stages.values()), default=-1) + 1
+
+
+def output_order(system: System) -> OutputOrder:
+    """The stages of all outputs of the system during the run."""
+    feedthrough = Feedthrough(system)
+    graph = feedthrough.graph
+    stages: dict[Port, tuple[int, ...]] = {}
+    notes: list[str] = []
+    loops: list[tuple[DependencyLoop, tuple[int, ...]]] = []
+    for group in strongly_connected(graph):
+        first = 1 + max((stages[p][-1] for y in group for p in graph[y] if p not in group), default=-1)
+        loop = feedthrough.loop(group)
+        when = tuple(range(first, first + (loop.rounds if loop else 1)))
+        stages |= dict.fromkeys(group, when)
+        if loop is None:
+            continue
+        if loop.discrete:
+            kind = system.variable(loop.discrete).kind
+            got = f"expected Real signals, to be solved for, got {kind} {loop.discrete}"
+            raise Problem(f"{loop.text}: {got}")
+        if loop.rounds > 1:
+            notes.append(f"{loop.text}; its signals that are not Real are read {loop.rounds} times per step")
+        loops += [(loop, when)] if loop.connections else []
+    return OutputOrder(stages, tuple(notes), tuple(loops))
+
+
+def gauss_seidel_order(system: System) -> list[str]:
+    """Components in the order in which Gauss-Seidel steps them.
+
+    Next comes the component with the fewest inputs that feed through to its outputs and wait for a component
+    not yet stepped; then the one with the fewest waiting inputs; then one that holds its inputs before one
+    that interpolates them (which gains from coming later); then the given order.
+    """
+    direct = {
+        Port(c.name, u)
+        for c in system.components.values()
+        for y in c.interface.of("output")
+        for u in c.interface.depends(y.name)
+    }
+    left, order = list(system.components), list[str]()
+
+    def waiting(name: str) -> tuple[int, int, bool]:
+        targets = [
+            c.target
+            for c in system.connections
+            if c.target.component == name and c.source.component in left and c.source.component != name
+        ]
+        return sum(t in direct for t in targets), len(targets), bool(system.components[name].interface.sloped)
+
+    while left:
+        order.append(min(left, key=waiting))
+        left.remove(order[-1])
+    return order
 
 
 class Feedthrough:
@@ -195,54 +133,117 @@ class Feedthrough:
 
     def depends(self, output: Port) -> set[Port]:
         """The variables of its own component that an output depends on; all where the FMU does not say."""
-        face = self._system.components[output.component].interface
-        known = face.depends_initially if self._initially else face.depends
+        interface = self._system.components[output.component].interface
+        known = interface.depends_initially if self._initially else interface.depends
         return {Port(output.component, name) for name in known(output.variable)}
 
     def declares(self, output: Port) -> bool:
-        """Does the FMU tell what an output depends on?"""
-        face = self._system.components[output.component].interface
-        return (face.initially if self._initially else face.feedthrough).get(output.variable) is not None
+        """Does the FMU declare what an output depends on?"""
+        interface = self._system.components[output.component].interface
+        declared = interface.initially if self._initially else interface.feedthrough
+        return declared.get(output.variable) is not None
 
-    def knot(self, group: list[Port]) -> Knot | None:
-        """What there is to untie in one of the `components` of the graph."""
-        if not circular(self.graph, group):
+    def loop(self, group: list[Port]) -> DependencyLoop | None:
+        """The loop of a strongly connected group of outputs; None where the output does not depend on
+        itself."""
+        if not _circular(self.graph, group):
             return None
-        declared = {y: self._inside(y, group) if self.declares(y) else [] for y in group}
-        circles = [g for g in components(declared) if circular(declared, g)]
+        declared = {y: [p for p in self.graph[y] if p in group and self.declares(y)] for y in group}
+        circles = [g for g in strongly_connected(declared) if _circular(declared, g)]
         involved = sorted({y.component for y in group})
         discrete = [y for y in group if not self._real(y)]
         needed = set().union(*map(self.depends, group))
         inside = [c for c in self._system.connections if c.source in group and c.target in needed]
-        return Knot(
+        return DependencyLoop(
             connections=tuple(c for c in inside if self._real(c.source)),
             declared=bool(circles),
             rounds=len(involved) + 1 if discrete else 1,
             discrete=next((y for g in circles for y in g if y in discrete), None),
             sweeps=0 if circles else len(involved) + 1,
-            text=self._loop(circles[0], inside) if circles else self._silence(group, involved),
+            text=self._loop_text(circles[0], inside) if circles else self._silent_text(group, involved),
         )
 
-    def _inside(self, output: Port, group: list[Port]) -> list[Port]:
-        return [p for p in self.graph[output] if p in group]
+    knot = loop  # the name that the engine still uses
 
     def _real(self, port: Port) -> bool:
         return self._system.variable(port).is_real
 
-    def _loop(self, group: list[Port], inside: list[Connection]) -> str:
+    def _loop_text(self, group: list[Port], inside: list[Connection]) -> str:
         """The connections of a loop, beginning with one way round."""
-        first = [self._wire(*pair) for pair in pairwise(circle(self.graph, group))]
+        first = [self._connection(*pair) for pair in pairwise(_way_round(self.graph, group))]
         names = [str(c) for c in dict.fromkeys([*first, *inside])]
         more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         return f"algebraic loop {', '.join(names[:SHOWN])}{more}"
 
-    def _silence(self, group: list[Port], involved: list[str]) -> str:
+    def _silent_text(self, group: list[Port], involved: list[str]) -> str:
         silent = ", ".join(sorted(str(y) for y in group if not self.declares(y)))
-        whole = " and ".join(involved)
-        told = f"{silent}: direct dependencies are not declared"
-        return f"{told}, which would make an algebraic loop of {whole}"
+        message = f"{silent}: direct dependencies are not declared"
+        return f"{message}, which would make an algebraic loop of {' and '.join(involved)}"
 
-    def _wire(self, source: Port, output: Port) -> Connection:
+    def _connection(self, source: Port, output: Port) -> Connection:
         """The connection by which `source` reaches `output`."""
         known = self.depends(output)
         return next(c for c in self._system.connections if c.source == source and c.target in known)
+
+
+# ---- graphs; NetworkX has these, too, but takes longer to import than a short run ---------------------------
+
+Graph = Mapping[Port, Iterable[Port]]  # node -> nodes that must be known before
+
+
+def strongly_connected(graph: Graph) -> list[list[Port]]:
+    """Strongly connected groups, each after the groups it depends on (Tarjan 1972, doi 10.1137/0201010)."""
+    index: dict[Port, int] = {}
+    low: dict[Port, int] = {}
+    stack: list[Port] = []  # visited nodes that are in no group yet
+    grouped: set[Port] = set()
+    groups: list[list[Port]] = []
+
+    def visit(node: Port) -> tuple[Port, Iterator[Port]]:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        return node, iter(graph[node])
+
+    for root in graph:
+        path = [] if root in index else [visit(root)]
+        while path:
+            node, rest = path[-1]
+            for before in rest:
+                if before not in index:
+                    path.append(visit(before))
+                    break
+                if before not in grouped:
+                    low[node] = min(low[node], index[before])
+            else:
+                path.pop()
+                if path:
+                    parent = path[-1][0]
+                    low[parent] = min(low[parent], low[node])
+                if low[node] == index[node]:
+                    start = stack.index(node)
+                    groups.append(stack[start:])
+                    grouped.update(stack[start:])
+                    del stack[start:]
+    return groups
+
+
+def _circular(graph: Graph, group: list[Port]) -> bool:
+    """Do the nodes of a strongly connected group depend on themselves?"""
+    return len(group) > 1 or group[0] in graph[group[0]]
+
+
+def _way_round(graph: Graph, group: list[Port]) -> list[Port]:
+    """One way round in a circular group; it ends where it begins, and each node needs the one before it."""
+    path, inside = [group[0]], set(group)
+    while True:
+        before = next(p for p in graph[path[-1]] if p in inside)
+        if before in path:
+            return [*path[path.index(before) :], before][::-1]
+        path.append(before)
+
+
+# names that the engine still uses
+Knot = DependencyLoop
+Order = OutputOrder
+sequence = gauss_seidel_order
+components = strongly_connected

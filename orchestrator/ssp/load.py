@@ -1,6 +1,6 @@
 """Reading SSP 1.0 and 2.0: a .ssp archive, an unpacked one, a .ssd file, or a single .fmu.
 
-Nested systems (also those in other .ssd and .ssp files) are flattened: components are named by their path,
+Nested systems, also those in other .ssd and .ssp files, are flattened: components are named by their path,
 and each component input is traced back through the connectors of systems to the output that feeds it.
 """
 
@@ -11,13 +11,13 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear
-from orchestrator.ssp.assembly import connection, open_component
-from orchestrator.ssp.parameters import apply
-from orchestrator.ssp.structure import SINKS, Flat, Node, Wire, find_wires, read_ssd
+from orchestrator.base.units import IDENTITY, Linear
+from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
+from orchestrator.ssp.assembly import check_connection, open_component
+from orchestrator.ssp.parameters import bound_values
+from orchestrator.ssp.signal_paths import SignalPath, signal_paths
+from orchestrator.ssp.structure import DEFINITION, SINKS, Connector, FlatStructure, read_structure
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System
-
-DEFINITION = "SystemStructure.ssd"
 
 
 def load(path: str | Path, exchange: bool = False) -> System:
@@ -47,55 +47,51 @@ def single(fmu: Location, exchange: bool = False) -> System:
     return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
 
 
-def _load_ssd(ssd: Location, exchange: bool = False) -> System:
-    flat = read_ssd(ssd)
+def _load_ssd(ssd: Location, exchange: bool) -> System:
+    flat = read_structure(ssd)
+    suggestion = read_suggestion(flat.roots, flat.sources)
+    flat.notes += ignored_annotations(flat.roots)
     components = {name: open_component(name, fmu, exchange) for name, fmu in flat.sources.items()}
     try:
-        system = _flatten(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
+        system = _connected(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    return replace(system, suggestion=flat.suggestion)
+    return replace(system, suggestion=suggestion)
 
 
-def _flatten(flat: Flat, system: System) -> System:
-    """Connections, inlets, outlets and start values of the flat system."""
+def _connected(flat: FlatStructure, system: System) -> System:
+    """The system with its connections, inputs, outputs and start values."""
     notes = list(flat.notes)
-    wires = find_wires(flat, system)
-    maps = [(wire, wire.map(flat, system, notes)) for wire in wires]
-    inputs = {n.connector: _inlet(flat, system, n, maps) for n in flat.connectors("", *SINKS)}
-    start = apply(flat, system, wires, notes)
-    components = {name: replace(c, start=start[name]) for name, c in system.components.items()}
+    signals = signal_paths(flat, system, notes)
+    maps = [(path, signals.map(path)) for path in signals.paths]
+    inputs = {c.name: _inlet(flat, system, c, maps) for c in flat.of_kind("", *SINKS)}
+    start = bound_values(signals)
+    connections, outputs = list[Connection](), dict[str, Outlet]()
+    for path, linear in maps:
+        source, target = Port(*path.source), Port(*path.target)
+        if source.component in flat.sources and target.component in flat.sources:
+            connections.append(check_connection(system, source, target, linear))
+        elif source.component in flat.sources:
+            unit = flat.unit(path.target) or system.variable(source).unit
+            outputs[path.target.name] = Outlet(path.target.name, unit, source, linear)
     return replace(
         system,
-        components=components,
-        connections=tuple(c for wire, linear in maps for c in _connection(flat, system, wire, linear)),
+        components={name: replace(c, start=start[name]) for name, c in system.components.items()},
+        connections=tuple(connections),
         inputs=inputs,
-        outputs={o.name: o for wire, linear in maps for o in _outlet(flat, system, wire, linear)},
+        outputs=outputs,
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def _connection(flat: Flat, system: System, wire: Wire, linear: Linear) -> list[Connection]:
-    if wire.nodes[0].owner in flat.sources and wire.nodes[-1].owner in flat.sources:
-        return [connection(system, wire.source, wire.target, linear)]
-    return []
-
-
-def _outlet(flat: Flat, system: System, wire: Wire, linear: Linear) -> list[Outlet]:
-    first, last = wire.nodes[0], wire.nodes[-1]
-    if first.owner in flat.sources and last.owner not in flat.sources:
-        unit = flat.units.get(last) or system.variable(wire.source).unit
-        return [Outlet(last.connector, unit, wire.source, linear)]
-    return []
-
-
-def _inlet(flat: Flat, system: System, node: Node, maps: list[tuple[Wire, Linear]]) -> Inlet:
+def _inlet(
+    flat: FlatStructure, system: System, connector: Connector, maps: list[tuple[SignalPath, Linear]]
+) -> Inlet:
     """An input of the outermost system; without a unit of its own it has that of the inputs it feeds."""
-    targets = tuple(
-        (w.target, m) for w, m in maps if w.nodes[0] == node and w.nodes[-1].owner in flat.sources
-    )
-    units: set[DeclaredUnit | None] = {system.variable(port).unit for port, _ in targets}
-    own = flat.units.get(node) or (units.pop() if len(units) == 1 else None)
-    return Inlet(node.connector, own, targets)
+    fed = [(path, m) for path, m in maps if path.source == connector and path.target.owner in flat.sources]
+    targets = tuple((Port(*path.target), m) for path, m in fed)
+    units = {system.variable(port).unit for port, _ in targets}
+    own = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
+    return Inlet(connector.name, own, targets)

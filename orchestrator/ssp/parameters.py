@@ -1,6 +1,6 @@
 """Start values from an SSP: parameter bindings, parameter sets (SSV) and parameter mappings (SSM).
 
-Parameter sets that a user picks, such as poses and programs: by name from the SSP, or a .ssv file.
+A user picks further parameter sets, such as poses and programs: by name from the SSP, or as .ssv files.
 """
 
 from __future__ import annotations
@@ -13,27 +13,20 @@ from typing import NamedTuple
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
-from orchestrator.base.xml import (
-    Element,
-    child,
-    children,
-    local,
-    parse,
-    required,
-    transformation,
-    truth,
-    units,
-)
+from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
-from orchestrator.ssp.structure import Binding, Flat, Node, Wire
+from orchestrator.ssp.common import read_transformation, read_units
+from orchestrator.ssp.signal_paths import SignalPaths
+from orchestrator.ssp.structure import Connector, ParameterBinding
 from orchestrator.ssp.swap import lost
 from orchestrator.ssp.system import Port, System, coerce, settable
 
+MappingEntry = tuple[str, Linear, Mapping[str, str], bool]  # target, transformation, table, suppressed
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 
 
-class Entry(NamedTuple):
-    """One value on its way to a variable: convert its unit (unless suppressed), then apply `map`."""
+class ParameterValue(NamedTuple):
+    """A value on its way to a variable: its unit is converted (unless suppressed), then `map` is applied."""
 
     name: str
     text: str
@@ -41,152 +34,121 @@ class Entry(NamedTuple):
     map: Linear = IDENTITY
     suppressed: bool = False
 
+    def map_to(self, target: DeclaredUnit | None, where: str) -> tuple[Linear, str | None]:
+        """The whole map to a value in the unit `target`, and a note when it rests on an assumption."""
+        if self.suppressed:
+            return self.map, None
+        linear, note = conversion(self.unit, target, where)
+        return linear.then(self.map), note
 
-def apply(flat: Flat, system: System, wires: list[Wire], notes: list[str]) -> dict[str, dict[str, Value]]:
+
+def read_parameter_set(root: XmlElement, known: Mapping[str, DeclaredUnit]) -> list[ParameterValue]:
+    """The values of a parameter set, in its own units or, else, in those known around it."""
+    units, found = {**known, **read_units(root)}, list[ParameterValue]()
+    for parameter in root.children("Parameters", "Parameter"):
+        value = next((e for e in parameter.children() if e.name in KINDS), None)
+        text = value.get("value") if value is not None else None
+        if value is None or text is None:
+            message = f"parameter {parameter.get('name')!r}: expected a value, got none"
+            raise Problem(f"{parameter.place}: {message}")
+        unit = value.get("unit")
+        declared = units.get(unit, DeclaredUnit(unit)) if unit else None
+        found.append(ParameterValue(parameter.required("name"), text, declared))
+    return found
+
+
+# ---- bound in the SSP --------------------------------------------------------------------------------------
+
+
+def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
     """Start values by component; bindings of outer systems win over inner ones, later over earlier."""
-    fresh: dict[str, dict[str, Value]] = {name: {} for name in system.components}
+    flat, system = signals.flat, signals.system
+    found: dict[str, dict[str, Value]] = {name: {} for name in system.components}
     for binding in flat.bindings:
-        for entry in _entries(flat, binding):
-            targets = list(_targets(flat, system, wires, binding, entry))
+        file = binding.element.file
+        for value in _values(signals, binding):
+            targets = list(_targets(signals, binding, value))
             if not targets:
                 owner = binding.owner or flat.name
-                notes.append(f"{binding.file}: parameter {entry.name!r} of {owner} fits no variable")
+                signals.notes.append(f"{file}: parameter {value.name!r} of {owner} fits no variable")
             for port, linear, note in targets:
                 variable = system.variable(port)
-                notes.extend([note] if note else [])
+                signals.notes.extend([note] if note else [])
                 if variable.settable:
-                    fresh[port.component][port.variable] = coerce(str(port), variable, entry.text, linear)
+                    found[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
                 else:
-                    notes.append(f"{binding.file}: {port} keeps its value: the FMU determines it itself")
-    return fresh
+                    signals.notes.append(f"{file}: {port} keeps its value: the FMU determines it itself")
+    return found
 
 
 def _targets(
-    flat: Flat, system: System, wires: list[Wire], binding: Binding, entry: Entry
+    signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
 ) -> Iterator[tuple[Port, Linear, str | None]]:
-    """The variables that an entry sets, with the map from the entry's value."""
-    full = f"{binding.owner}.{entry.name}" if binding.owner else entry.name
+    """The variables that a value sets, with the map from the value: one, or all that a connector feeds."""
+    flat, system = signals.flat, signals.system
+    full = f"{binding.owner}.{value.name}" if binding.owner else value.name
     for owner in sorted([*flat.sources, *flat.systems], key=len, reverse=True):
         name = full.removeprefix(f"{owner}.") if owner else full
         if owner and name == full:
             continue
         if owner in flat.sources:
-            system.components[owner].interface.allow(name, f"parameter {full}")
-        if owner in flat.sources and name in system.components[owner].interface.variables:
-            port = Port(owner, name)
-            target = system.variable(port).unit
-            yield (port, *_value_map(entry, target, str(port)))
+            interface, port = system.components[owner].interface, Port(owner, name)
+            interface.allow(name, f"parameter {full}")
+            if name in interface.variables:
+                yield (port, *value.map_to(system.variable(port).unit, f"parameter {port}"))
+                return
+        connector = Connector(owner, name)
+        if owner in flat.systems and connector in flat.connectors:
+            unit = flat.unit(connector)
+            for path in (p for p in signals.paths if connector in p.connectors):
+                first, note = value.map_to(unit, f"parameter {connector}")
+                rest = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
+                yield Port(*path.target), first.then(rest), note
             return
-        node = Node(owner, name)
-        if owner in flat.systems and node in flat.kinds:
-            for wire in wires:
-                if node in wire.nodes:
-                    first, note = _value_map(entry, flat.units.get(node), str(node))
-                    start = flat.units.get(node) or entry.unit
-                    yield wire.target, first.then(wire.map_from(flat, system, node, start, [])), note
-            return
 
 
-def _value_map(entry: Entry, target: DeclaredUnit | None, where: str) -> tuple[Linear, str | None]:
-    if entry.suppressed:
-        return entry.map, None
-    linear, note = conversion(entry.unit, target, f"parameter {where}")
-    return linear.then(entry.map), note
-
-
-def _entries(flat: Flat, binding: Binding) -> list[Entry]:
+def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterValue]:
     """The values of a binding after prefix and mapping. Names without mapping stay as they are."""
-    values = _parameter_set(flat, binding)
-    prefix = binding.element.get("prefix") or ""
-    mapped: dict[str, list[tuple[str, Linear, Mapping[str, str], bool]]] = {}
-    for entry in _mapping(flat, binding):
-        mapped.setdefault(entry[0], []).append(entry[1:])
+    content = _content(signals, binding, binding.element, SET, "ParameterValues", "ParameterSet")
+    prefix, entries = binding.element.get("prefix") or "", dict[str, list[MappingEntry]]()
+    mapping = binding.element.child("ParameterMapping")
+    if mapping is not None:
+        root = _content(signals, binding, mapping, MAPPING, "ParameterMapping")
+        for e in root.children("MappingEntry"):
+            entry = e.required("target"), *read_transformation(e), e.truth("suppressUnitConversion")
+            entries.setdefault(e.required("source"), []).append(entry)
     found = []
-    for value in values:
+    for value in read_parameter_set(content, binding.units):
         name = prefix + value.name
-        for target, linear, table, suppressed in mapped.get(name, [(name, IDENTITY, {}, False)]):
+        for target, linear, table, suppressed in entries.get(name, [(name, IDENTITY, {}, False)]):
             text = table.get(value.text, value.text)
-            found.append(Entry(target, text, value.unit, linear, suppressed))
+            found.append(ParameterValue(target, text, value.unit, linear, suppressed))
     return found
 
 
-def _parameter_set(flat: Flat, binding: Binding) -> list[Entry]:
-    _check_type(binding, binding.element, SET)
-    inline = child(binding.element, "ParameterValues", "ParameterSet")
-    file, root = _content(flat, binding, binding.element, inline, "ParameterSet")
-    return entries(file, root, flat.known_units)
-
-
-def entries(file: Location, root: Element, known: Mapping[str, DeclaredUnit]) -> list[Entry]:
-    """The values of a parameter set, whose units are its own or, else, those known around it."""
-    there = {**known, **units(file, root)}
-    return [_entry(file, p, there) for p in children(root, "Parameters", "Parameter")]
-
-
-def _entry(file: Location, parameter: Element, known: Mapping[str, DeclaredUnit]) -> Entry:
-    value = next((e for e in parameter if local(e) in KINDS), None)
-    if value is None or value.get("value") is None:
-        raise Problem(
-            f"{file}: line {parameter.sourceline}: parameter {parameter.get('name')!r}: "
-            "expected a value, got none"
-        )
-    unit = value.get("unit")
-    return Entry(
-        required(file, parameter, "name"),
-        value.get("value"),
-        known.get(unit, DeclaredUnit(unit)) if unit else None,
-    )
-
-
-def _mapping(flat: Flat, binding: Binding) -> Iterator[tuple[str, str, Linear, Mapping[str, str], bool]]:
-    """Source name, target name, transformation and table of the entries of a parameter mapping."""
-    element = child(binding.element, "ParameterMapping")
-    if element is None:
-        return
-    _check_type(binding, element, MAPPING)
-    inline = child(element, "ParameterMapping")
-    file, root = _content(flat, binding, element, inline, "ParameterMapping")
-    for e in children(root, "MappingEntry"):
-        linear, table = transformation(file, e)
-        names = required(file, e, "source"), required(file, e, "target")
-        yield *names, linear, table, truth(file, e, "suppressUnitConversion")
-
-
-def _check_type(binding: Binding, element: Element, expected: str) -> None:
-    kind = element.get("type") or expected
-    if kind != expected:
-        raise _problem(binding, element, f"expected the type {expected}, got {kind}")
-
-
 def _content(
-    flat: Flat, binding: Binding, element: Element, inline: Element | None, name: str
-) -> tuple[Location, Element]:
-    """What a binding or its mapping consists of, with its file: it stands inside, or in a file of its own."""
-    source = element.get("source")
-    if source and inline is not None:
-        raise _problem(binding, element, f"expected a source or a {name} inside, got both")
-    if inline is not None:
-        return binding.file, inline
-    if not source:
-        raise _problem(binding, element, f"expected a source or a {name} inside, got neither")
-    file = _source(flat, binding, element, source)
-    return file, parse(file, name)
-
-
-def _source(flat: Flat, binding: Binding, element: Element, source: str) -> Location:
-    """The file that a binding refers to: beside the SSD, or inside the component."""
-    base = element.get("sourceBase") or "SSD"
-    if base == "component" and binding.owner in flat.sources:
-        return flat.sources[binding.owner].member(source)
+    signals: SignalPaths, binding: ParameterBinding, element: XmlElement, expected: str, *path: str
+) -> XmlElement:
+    """What a binding or its mapping consists of: the element at `path` inside, or the root of another
+    file."""
+    kind, name = element.get("type") or expected, path[-1]
+    if kind != expected:
+        raise element.problem(f"expected the type {expected}, got {kind}")
+    source, inside = element.get("source"), element.child(*path)
+    if bool(source) == (inside is not None):
+        raise element.problem(f"expected a source or a {name} inside, got {'both' if source else 'neither'}")
+    if inside is not None:
+        return inside
+    base, fmu = element.get("sourceBase") or "SSD", signals.flat.sources.get(binding.owner)
+    if base == "component" and fmu is not None:
+        return read_xml(fmu.member(source or ""), name)
     if base != "SSD":
-        there = "SSD or component" if binding.owner in flat.sources else "SSD"
-        raise _problem(binding, element, f"expected {there} for sourceBase, got {base!r}")
-    return binding.file.beside(source)
+        choice = "SSD or component" if fmu is not None else "SSD"
+        raise element.problem(f"expected {choice} for sourceBase, got {base!r}")
+    return read_xml(element.file.beside(source or ""), name)
 
 
-def _problem(binding: Binding, element: Element, text: str) -> Problem:
-    return Problem(f"{binding.file}: line {element.sourceline}: {local(element)}: {text}")
-
+# ---- chosen by the user ------------------------------------------------------------------------------------
 
 FOLDER, SUFFIX = "resources", ".ssv"
 
@@ -194,37 +156,38 @@ FOLDER, SUFFIX = "resources", ".ssv"
 def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     """The system with start values from parameter sets, later ones over earlier ones.
 
-    A set may name connected inputs: what it says of them holds until the run has initialised. What it says of
-    a variable that was lost in a swap, or cannot be set any more, is left out.
+    A set may name connected inputs: its values for them hold until the run has initialised. Values of a
+    variable that was lost in a swap, or cannot be set any more, are left out.
     """
     for chosen in sets:
         file = _file(system, chosen)
         gone = lost(system)
-        for entry in entries(file, parse(file, "ParameterSet"), {}):
-            if entry.name in gone:
-                note = f"{file}: {entry.name} is left out: {gone[entry.name]}"
+        for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
+            if value.name in gone:
+                note = f"{file}: {value.name} is left out: {gone[value.name]}"
                 system = replace(system, notes=(*system.notes, note))
             else:
-                system = _with_entry(system, file, entry)
+                system = _with_value(system, file, value)
     return system
 
 
-def _with_entry(system: System, file: Location, entry: Entry) -> System:
-    where = f"{file}: parameter {entry.name}"
+def _with_value(system: System, file: Location, value: ParameterValue) -> System:
+    where = f"{file}: parameter {value.name}"
     try:
-        targets = system.targets(entry.name)
+        targets = system.targets(value.name)
     except Problem as problem:
         raise Problem(f"{file}: {problem}") from None
-    fresh = {name: dict(c.start) for name, c in system.components.items()}
+    start = {name: dict(c.start) for name, c in system.components.items()}
     notes: list[str] = []
     for port, linear in targets:
-        variable = system.variable(port)
         settable(port, system.components[port.component].interface)
-        own = system.inputs[entry.name].unit if entry.name in system.inputs else system.unit(port)
-        first, note = conversion(entry.unit, own, where)
+        own = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
+        first, note = value.map_to(own, where)
         notes += [note] if note else []
-        fresh[port.component][port.variable] = coerce(where, variable, entry.text, first.then(linear))
-    components = {n: replace(c, start=fresh[n]) for n, c in system.components.items()}
+        start[port.component][port.variable] = coerce(
+            where, system.variable(port), value.text, first.then(linear)
+        )
+    components = {n: replace(c, start=start[n]) for n, c in system.components.items()}
     return replace(system, components=components, notes=(*system.notes, *notes))
 
 
@@ -235,9 +198,9 @@ def _file(system: System, chosen: str | Path) -> Location:
     known = names(system)
     if str(chosen) not in known:
         home = system.source.parent if system.source and system.source.inside else system.source
-        there = f"{home or system.name} holds {', '.join(known) or 'none'}"
+        holds = f"{home or system.name} holds {', '.join(known) or 'none'}"
         raise Problem(
-            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), known)}; {there};"
+            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), known)}; {holds};"
             f" a file name ends in {SUFFIX}"
         )
     return known[str(chosen)]
@@ -248,7 +211,7 @@ def names(system: System) -> Mapping[str, Location]:
     source = system.source
     if source is None or not str(source).endswith(".ssd"):
         return {}
-    home = source.parent if source.inside else Location(source.path.parent / "resources")
+    home = source.parent if source.inside else Location(source.path.parent / FOLDER)
     inside = f"{FOLDER}/" if source.inside else ""
     found = [n for n in sorted(home.names()) if n.startswith(inside) and n.endswith(SUFFIX)]
     return {PurePosixPath(n).stem: home.member(n) for n in found if n.count("/") == inside.count("/")}

@@ -1,370 +1,260 @@
-"""The structure in a .ssd file as flat tables: components, connectors, connections, bindings.
+"""Reads .ssd files: components, connectors, connections and parameter bindings of all nested systems, flat.
 
-From chains of connectors to direct connections between components, with one linear map each.
+Components and systems are known by their path, such as "arm.drive"; the outermost system has an empty one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
-from orchestrator.base.coupling import Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
-from orchestrator.base.xml import (
-    Element,
-    child,
-    children,
-    finite,
-    local,
-    number,
-    parse,
-    required,
-    transformation,
-    truth,
-    units,
-)
+from orchestrator.base.units import DeclaredUnit, Linear
+from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import FLOATS
-from orchestrator.ssp.annotations import left_out, read_suggestion
-from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.common import as_linear, read_transformation, read_units
 
+DEFINITION = "SystemStructure.ssd"
 SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
 SINKS = ("input", "parameter", "structuralParameter")
-FMU, SSD, SSP = "application/x-fmu-sharedlibrary", "application/x-ssp-definition", "application/x-ssp-package"
+FMU, SSD, PACKAGE = (
+    f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
+)
 SOURCE, SINK = "source", "sink"
 
 
-class Node(NamedTuple):
-    """A connector; `owner` is the path of its component or system, empty for the outermost system."""
+class Connector(NamedTuple):
+    """A connector; `owner` is the path of its component or system."""
 
     owner: str
-    connector: str
+    name: str
 
     def __str__(self) -> str:
-        return f"{self.owner}.{self.connector}" if self.owner else self.connector
+        return f"{self.owner}.{self.name}" if self.owner else self.name
 
 
-class Hop(NamedTuple):
-    """What feeds a connector."""
+class ConnectorType(NamedTuple):
+    """What a file declares of a connector."""
 
-    source: Node
-    map: Linear
+    kind: str | None
+    unit: DeclaredUnit | None
+    array: bool
+
+
+class IncomingConnection(NamedTuple):
+    """The connection that feeds a connector; `suppressed`: without conversion of the unit."""
+
+    source: Connector
+    transformation: Linear
     suppressed: bool
 
 
-class Binding(NamedTuple):
-    """A ParameterBinding of the component or system at `owner`, found in `file`."""
+class ParameterBinding(NamedTuple):
+    """A parameter binding of the component or system at `owner`, with the units known around it."""
 
     owner: str
-    element: Element
-    file: Location
+    element: XmlElement
+    units: Mapping[str, DeclaredUnit]
 
 
 @dataclass
-class Flat:
-    """All systems of an SSP in flat tables.
+class FlatStructure:
+    """All systems of an SSP.
 
-    roots   every .ssd file that was read, the outermost first
+    sources    path of a component -> its FMU
+    incoming   connector -> what feeds it
+    bindings   the innermost first
+    roots      of every .ssd file that was read, the outermost first
     """
 
     name: str
-    file: Location
-    sources: dict[str, Location] = field(default_factory=dict)  # component path -> FMU
+    sources: dict[str, Location] = field(default_factory=dict)
     systems: set[str] = field(default_factory=set)
-    kinds: dict[Node, str] = field(default_factory=dict)
-    units: dict[Node, DeclaredUnit] = field(default_factory=dict)
-    hops: dict[Node, Hop] = field(default_factory=dict)
-    arrays: set[Node] = field(default_factory=set)
-    bindings: list[Binding] = field(default_factory=list)  # innermost first
-    known_units: dict[str, DeclaredUnit] = field(default_factory=dict)
+    connectors: dict[Connector, ConnectorType] = field(default_factory=dict)
+    incoming: dict[Connector, IncomingConnection] = field(default_factory=dict)
+    bindings: list[ParameterBinding] = field(default_factory=list)
     start: float | None = None
     stop: float | None = None
-    suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
-    roots: list[tuple[Location, Element]] = field(default_factory=list)
+    roots: list[XmlElement] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def connectors(self, owner: str, *kinds: str) -> list[Node]:
+    def unit(self, connector: Connector) -> DeclaredUnit | None:
+        """The unit that a file declares for a connector."""
+        return self.connectors[connector].unit if connector in self.connectors else None
+
+    def of_kind(self, owner: str, *kinds: str) -> list[Connector]:
         """Connectors of one component or system, of some kinds."""
-        return [n for n, kind in self.kinds.items() if n.owner == owner and kind in kinds]
+        return [c for c, declared in self.connectors.items() if c.owner == owner and declared.kind in kinds]
 
 
-def read_ssd(file: Location) -> Flat:
+def read_structure(file: Location) -> FlatStructure:
     """Read a .ssd file and every system inside it."""
-    root = parse(file, "SystemStructureDescription")
-    flat = Flat(root.get("name") or "system", file)
+    root = read_xml(file, "SystemStructureDescription")
+    flat = FlatStructure(root.get("name") or "system")
     if not (root.get("version") or "").startswith(("1.", "2.")):
         flat.notes.append(f"{file}: SSP version {root.get('version')} is read as version 2.0")
-    experiment = child(root, "DefaultExperiment")
+    experiment = root.child("DefaultExperiment")
     if experiment is not None:
-        flat.start = number(file, experiment, "startTime") if "startTime" in experiment.attrib else None
-        flat.stop = number(file, experiment, "stopTime") if "stopTime" in experiment.attrib else None
-    _read_root(flat, file, root, "", ())
-    flat.suggestion = read_suggestion(flat.roots, flat.sources)
-    flat.notes += left_out(flat.roots)
+        flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
+        flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
+    _Reader(flat, root, (), {}).file("")
     return flat
 
 
-def _read_root(flat: Flat, file: Location, root: Element, path: str, around: tuple[Location, ...]) -> None:
-    """A file as the system `path`; `around` it are those that include it, one in the other."""
-    flat.roots.append((file, root))
-    flat.known_units |= units(file, root)
-    system = child(root, "System")
-    if system is None:
-        raise Problem(f"{file}: expected a System inside {local(root)}, got none")
-    _Reader(flat, file, (*around, _same(file))).system(system, path, {})
-
-
 class _Reader:
-    """Walks the elements of one .ssd file."""
+    """Walks the elements of one .ssd file.
 
-    def __init__(self, flat: Flat, file: Location, open: tuple[Location, ...]) -> None:
-        self._flat, self._file, self._open = flat, file, open
+    including   the files that include this one, one in the other
+    units       known in this file: its own, and those of the files that include it
+    """
 
-    def system(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        flat: FlatStructure,
+        root: XmlElement,
+        including: tuple[Location, ...],
+        units: Mapping[str, DeclaredUnit],
+    ) -> None:
+        self._flat, self._root, self._including = flat, root, including
+        self._units = {**units, **read_units(root)}
+
+    def file(self, path: str) -> None:
+        """The system of the file, as the one at `path`."""
+        self._flat.roots.append(self._root)
+        system = self._root.child("System")
+        if system is None:
+            raise Problem(f"{self._root.file}: expected a System inside {self._root.name}, got none")
+        self._system(system, path, {})
+
+    def _system(self, element: XmlElement, path: str, dictionaries: Mapping[str, str]) -> None:
         """A system: its elements first, so that bindings come innermost first."""
         self._flat.systems.add(path)
         self._connectors(element, path)
-        inner = {
-            required(self._file, d, "name"): _join(path, required(self._file, d, "name"))
-            for d in children(element, "SignalDictionaries", "SignalDictionary")
-        }
-        known = {**dictionaries, **inner}
-        owners: dict[str, str] = {}
-        for part in children(element, "Elements"):
-            for e in part:
-                if local(e):
-                    name = self._name(e, path, owners)
-                    owners[name] = self._element(e, path, known)
-        for c in children(element, "Connections", "Connection"):
+        inner = [d.required("name") for d in element.children("SignalDictionaries", "SignalDictionary")]
+        known = {**dictionaries, **{name: _join(path, name) for name in inner}}
+        owners: dict[str, str] = {}  # of the connectors of each element
+        for part in element.children("Elements"):
+            for e in part.children():
+                name = self._name(e, path, owners)
+                owners[name] = self._element(e, path, known)
+        for c in element.children("Connections", "Connection"):
             self._connection(c, path, owners)
         self._bindings(element, path)
 
-    def _name(self, element: Element, path: str, owners: Mapping[str, str]) -> str:
-        """The name of an element; no other has the same, as connections and start values find it by that."""
-        name = required(self._file, element, "name")
+    def _name(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> str:
+        """The name of an element, unique because connections and start values find it by its name."""
+        name = element.required("name")
         full = _join(path, name)
         if not name:
-            raise self._problem(element, "expected a name, got an empty one")
+            raise element.problem("expected a name, got an empty one")
         if name in owners or full in self._flat.sources or full in self._flat.systems:
-            raise self._problem(element, f"expected a name of its own, {full} is there already")
+            raise element.problem(f"expected a name of its own, {full} is there already")
         return name
 
-    def _problem(self, element: Element, text: str) -> Problem:
-        return Problem(f"{self._file}: line {element.sourceline}: {local(element)}: {text}")
-
-    def _element(self, element: Element, path: str, dictionaries: Mapping[str, str]) -> str:
+    def _element(self, element: XmlElement, path: str, dictionaries: Mapping[str, str]) -> str:
         """One element of a system; returns the owner of its connectors."""
-        kind, name = local(element), required(self._file, element, "name")
-        full = _join(path, name)
-        if kind == "System":
-            self.system(element, full, dictionaries)
-        elif kind == "Component":
+        full = _join(path, element.required("name"))
+        if element.name == "System":
+            self._system(element, full, dictionaries)
+        elif element.name == "Component":
             self._component(element, full)
-        elif kind == "SignalDictionaryReference":
-            dictionary = element.get("dictionary")
+        elif element.name == "SignalDictionaryReference":
+            dictionary = element.get("dictionary") or ""
             if dictionary not in dictionaries:
-                raise Problem(f"{self._file}: {full}: no signal dictionary named {dictionary!r}")
+                raise element.problem(f"{full}: no signal dictionary named {dictionary!r}")
             return f"{dictionaries[dictionary]}()"  # no component has such a name
         else:
-            raise self._problem(element, f"{full}: expected Component, System or SignalDictionaryReference")
+            raise element.problem(f"{full}: expected Component, System or SignalDictionaryReference")
         return full
 
-    def _component(self, element: Element, full: str) -> None:
+    def _component(self, element: XmlElement, full: str) -> None:
         kind = element.get("type") or FMU
-        source = self._file.beside(required(self._file, element, "source"))
+        source = element.file.beside(element.required("source"))
         implementation = element.get("implementation") or "any"
         if implementation not in ("any", "CoSimulation"):
-            raise Problem(f"{self._file}: component {full}: expected CoSimulation, got {implementation}")
+            raise Problem(f"{element.place}: component {full}: expected CoSimulation, got {implementation}")
         if kind == FMU:
             self._flat.sources[full] = source
-        elif kind in (SSD, SSP):
-            self._inner(element, full, source if kind == SSD else source.member("SystemStructure.ssd"))
+        elif kind in (SSD, PACKAGE):
+            self._inner_file(element, full, source if kind == SSD else source.member(DEFINITION))
         else:
-            raise Problem(f"{self._file}: component {full}: expected an FMU, got type {kind}")
+            raise Problem(f"{element.place}: component {full}: expected an FMU, got type {kind}")
         self._connectors(element, full)
         self._bindings(element, full)
 
-    def _inner(self, element: Element, full: str, file: Location) -> None:
+    def _inner_file(self, element: XmlElement, full: str, file: Location) -> None:
         """The system of another file, as a component."""
-        root = parse(file, "SystemStructureDescription")
-        if _same(file) in self._open:
-            raise self._problem(element, f"{full}: expected another file, {file} includes itself")
-        _read_root(self._flat, file, root, full, self._open)
+        root = read_xml(file, "SystemStructureDescription")
+        including = (*self._including, _resolved(element.file))
+        if _resolved(file) in including:
+            raise element.problem(f"{full}: expected another file, {file} includes itself")
+        _Reader(self._flat, root, including, self._units).file(full)
 
-    def _connectors(self, element: Element, owner: str) -> None:
-        seen = set[Node]()
-        for connector in children(element, "Connectors", "Connector"):
-            node = Node(owner, required(self._file, connector, "name"))
-            if node in seen:
-                raise self._problem(connector, f"expected a name of its own, {node} is there already")
-            seen.add(node)
-            self._flat.kinds[node] = connector.get("kind")
-            if child(connector, "Dimension") is not None:
-                self._flat.arrays.add(node)
-            for name in (e.get("unit") for e in connector if local(e) in FLOATS):
-                if name:
-                    self._flat.units[node] = self._flat.known_units.get(name, DeclaredUnit(name))
+    def _connectors(self, element: XmlElement, owner: str) -> None:
+        seen = set[Connector]()
+        for e in element.children("Connectors", "Connector"):
+            connector = Connector(owner, e.required("name"))
+            if connector in seen:
+                raise e.problem(f"expected a name of its own, {connector} is there already")
+            seen.add(connector)
+            names = [name for typed in e.children() if typed.name in FLOATS and (name := typed.get("unit"))]
+            unit = self._units.get(names[-1], DeclaredUnit(names[-1])) if names else None
+            array = e.child("Dimension") is not None
+            if inner := self._flat.connectors.get(connector):  # the file of the component declares it, too
+                unit, array = unit or inner.unit, array or inner.array
+            self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, array)
 
-    def _bindings(self, element: Element, owner: str) -> None:
-        for binding in children(element, "ParameterBindings", "ParameterBinding"):
-            self._flat.bindings.append(Binding(owner, binding, self._file))
+    def _bindings(self, element: XmlElement, owner: str) -> None:
+        for e in element.children("ParameterBindings", "ParameterBinding"):
+            self._flat.bindings.append(ParameterBinding(owner, e, self._units))
 
-    def _connection(self, element: Element, path: str, owners: Mapping[str, str]) -> None:
-        """One connection; its direction follows from the kinds of the connectors, not from start and end."""
+    def _connection(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> None:
+        """One connection; the kinds of its connectors decide the direction, not which one is the start."""
         ends = [self._end(element, side, path, owners) for side in ("start", "end")]
         (start, first), (end, last) = ends
-        where = f"{self._file}: connection {start} -> {end}"
+        where = f"{element.file}: connection {start} -> {end}"
         if first is not None and first == last:
             raise Problem(f"{where}: expected one source and one sink, got two connectors of kind {first}")
         if first == SINK or last == SOURCE:
             start, end = end, start
-        if end in self._flat.hops:
-            raise Problem(f"{where}: {end} is fed twice, also by {self._flat.hops[end].source}")
-        linear, table = transformation(self._file, element)
+        if end in self._flat.incoming:
+            raise Problem(f"{where}: {end} is fed twice, also by {self._flat.incoming[end].source}")
+        linear, table = read_transformation(element)
         if table:
-            linear = _as_linear(table, where)
-        self._flat.hops[end] = Hop(start, linear, truth(self._file, element, "suppressUnitConversion"))
+            linear = as_linear(table, where)
+        self._flat.incoming[end] = IncomingConnection(start, linear, element.truth("suppressUnitConversion"))
 
     def _end(
-        self, element: Element, side: str, path: str, owners: Mapping[str, str]
-    ) -> tuple[Node, str | None]:
-        """One end of a connection and its role there."""
+        self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]
+    ) -> tuple[Connector, str | None]:
+        """One end of a connection, and whether it is its source or sink; None where the file leaves it
+        open."""
         # some tools write an empty name for a connector of the system itself
-        name = element.get(f"{side}Element") or None
-        connector = required(self._file, element, f"{side}Connector")
+        name, connector = element.get(f"{side}Element") or None, element.required(f"{side}Connector")
+        where = f"{element.file}: connection to"
         if name is not None and name not in owners:
+            raise Problem(f"{where} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
+        found = Connector(path if name is None else owners[name], connector)
+        declared = self._flat.connectors.get(found, ConnectorType(None, None, False))
+        if declared.array or element.get(f"{side}Indices"):
+            raise Problem(f"{where} {found}: expected a scalar, arrays are not supported")
+        if declared.kind is None and found.owner in self._flat.systems:
+            known = [c.name for c in self._flat.connectors if c.owner == found.owner]
+            label = found.owner or self._flat.name
             raise Problem(
-                f"{self._file}: connection to {name}.{connector}: no element {name!r}{suggest(name, owners)}"
+                f"{element.file}: {label} has no connector {connector!r}{suggest(connector, known)}"
             )
-        node = Node(path if name is None else owners[name], connector)
-        if node in self._flat.arrays or element.get(f"{side}Indices"):
-            raise Problem(f"{self._file}: connection to {node}: expected a scalar, arrays are not supported")
-        kind = self._flat.kinds.get(node)
-        if kind is None and node.owner in self._flat.systems:
-            known = [n.connector for n in self._flat.kinds if n.owner == node.owner]
-            label = node.owner or self._flat.name
-            raise Problem(f"{self._file}: {label} has no connector {connector!r}{suggest(connector, known)}")
-        if kind not in (*SOURCES, *SINKS):
-            return node, None
-        return node, SOURCE if (kind in SOURCES) != (name is None) else SINK
+        if declared.kind not in (*SOURCES, *SINKS):
+            return found, None
+        return found, SOURCE if (declared.kind in SOURCES) != (name is None) else SINK
 
 
-def _same(file: Location) -> Location:
+def _resolved(file: Location) -> Location:
     """One name for a file, however a source spells its path."""
     return Location(file.path.resolve(), file.inside)
 
 
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
-
-
-def _as_linear(table: Mapping[str, str], where: str) -> Linear:
-    """A mapping of boolean or integer values on a connection, where it is a straight line."""
-    words = {"true": "1", "false": "0"}
-    try:
-        points = sorted({(finite(words.get(a, a)), finite(words.get(b, b))) for a, b in table.items()})
-    except ValueError:
-        points = []
-    for (x, _), (other, _) in pairwise(points):
-        if x == other:
-            raise Problem(f"{where}: this mapping gives two values for {x:g}, expected one")
-    if len(points) == 1:
-        return Linear(0.0, points[0][1])
-    if len(points) >= 2:
-        (x0, y0), (x1, y1) = points[0], points[1]
-        line = Linear((y1 - y0) / (x1 - x0), y0 - (y1 - y0) / (x1 - x0) * x0)
-        if all(line(x) == y for x, y in points):
-            return line
-    raise Problem(f"{where}: this mapping of values is not supported on a connection")
-
-
-@dataclass(frozen=True)
-class Wire:
-    """The way from `nodes[0]` to the component connector `nodes[-1]`; hops[i] leads to nodes[i + 1]."""
-
-    nodes: tuple[Node, ...]
-    hops: tuple[Hop, ...]
-
-    @property
-    def source(self) -> Port:
-        return Port(*self.nodes[0])
-
-    @property
-    def target(self) -> Port:
-        return Port(*self.nodes[-1])
-
-    def map(self, flat: Flat, system: System, notes: list[str]) -> Linear:
-        """The map over the whole way, unit conversions included."""
-        first = self.nodes[0]
-        start = flat.units.get(first)
-        if first.owner not in flat.sources:
-            return self.map_from(flat, system, first, start, notes)
-        unit = system.variable(Port(*first)).unit
-        linear, note = conversion(unit, start, str(first))
-        notes.extend([note] if note else [])
-        return linear.then(self.map_from(flat, system, first, start or unit, notes))
-
-    def map_from(
-        self, flat: Flat, system: System, node: Node, unit: DeclaredUnit | None, notes: list[str]
-    ) -> Linear:
-        """The map from a connector on the way, whose value is in `unit`, to the variable at the end."""
-        at = self.nodes.index(node)
-        own = system.variable(self.target).unit if self.nodes[-1].owner in flat.sources else None
-        where = f"{self._label(flat, system, 0)} -> {self._label(flat, system, -1)}"
-        linear = IDENTITY
-        for hop, after in zip(self.hops[at:], self.nodes[at + 1 :], strict=True):
-            declared = flat.units.get(after) or (own if after == self.nodes[-1] else None)
-            if not hop.suppressed:
-                linear = linear.then(_noted(unit, declared, where, notes))
-            unit = declared or unit
-            linear = linear.then(hop.map)
-        return linear.then(_noted(flat.units.get(self.nodes[-1]), own, where, notes))
-
-    def _label(self, flat: Flat, system: System, which: int) -> str:
-        node = self.nodes[which]
-        unit = flat.units.get(node)
-        if node.owner in flat.sources:
-            unit = system.variable(Port(*node)).unit
-        return f"{node} {unit}" if unit else str(node)
-
-
-def _noted(source: DeclaredUnit | None, target: DeclaredUnit | None, where: str, notes: list[str]) -> Linear:
-    linear, note = conversion(source, target, where)
-    notes.extend([note] if note else [])
-    return linear
-
-
-def find_wires(flat: Flat, system: System) -> list[Wire]:
-    """The way to every fed component connector, and to every output of the outermost system."""
-    ends = [n for n in flat.hops if n.owner in flat.sources]
-    ends += [n for n in flat.connectors("", "output", "calculatedParameter") if n in flat.hops]
-    wires = [_follow(flat, end) for end in ends]
-    for node in dict.fromkeys(n for wire in wires for n in wire.nodes):
-        _check(flat, system, node)
-    return wires
-
-
-def _follow(flat: Flat, end: Node) -> Wire:
-    nodes, hops = [end], list[Hop]()
-    while nodes[0] in flat.hops:
-        hops.insert(0, flat.hops[nodes[0]])
-        if hops[0].source in nodes:
-            raise Problem(f"connection to {end}: the connectors form a circle at {hops[0].source}")
-        nodes.insert(0, hops[0].source)
-    return Wire(tuple(nodes), tuple(hops))
-
-
-def _check(flat: Flat, system: System, node: Node) -> None:
-    """A connector of a component must be a variable of its FMU."""
-    if node.owner not in flat.sources:
-        return
-    interface = system.components[node.owner].interface
-    interface.allow(node.connector, f"connection to {node}")
-    variables = interface.variables
-    if node.connector not in variables:
-        fmu = flat.sources[node.owner]
-        close = suggest(node.connector, variables)
-        raise Problem(f"connection to {node}: {fmu} has no variable {node.connector!r}{close}")

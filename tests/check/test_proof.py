@@ -14,7 +14,7 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.reference_experiment import BOUND, PAGE, PLACE, TOLERANCE, data_file, parameter_set, proof
+from fmus.export.reference_experiment import BOUND, PAGE, PLACE, TOLERANCE, data_file, proof, reference_parameters
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
@@ -170,5 +170,5 @@ def test_the_files_are_small(name):
 def test_a_parameter_set_reads_back(tmp_path):
     """Every digit that a double has."""
     path = tmp_path / "p.ssv"
-    path.write_bytes(parameter_set(SWING, {"a": 0.1 + 0.2, "b": 1e-300}))
+    path.write_bytes(reference_parameters(SWING, {"a": 0.1 + 0.2, "b": 1e-300}))
     assert {n: float(x) for n, x in read_parameters(path).items()} == {"a": 0.1 + 0.2, "b": 1e-300}

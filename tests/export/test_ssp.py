@@ -10,8 +10,9 @@ from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
 from lxml import etree
 
 from fmus.export.build import build
-from fmus.export.ssp import write_ssp
 from orchestrator.base.errors import Problem
+from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.write import write_ssp
 
 WIRES = [("first.level", "second.target"), ("second.mixed", "product.left")]
 
@@ -26,14 +27,18 @@ def fmus(toy_dir):
 @pytest.fixture(scope="module")
 def system(fmus, tmp_path_factory):
     """The SSP of two filters in a row and a product."""
-    return write_ssp(
-        tmp_path_factory.mktemp("ssp") / "chain.ssp",
-        "chain",
+    chain = assemble(
         fmus,
         WIRES,
-        inputs={"command": ("first.target", "product.right")},
         start={"first.level": 0.5, "second.gain": 4.0},
+        name="chain",
+        inputs={"command": ("first.target", "product.right")},
         stop=2.0,
+        step=1e-3,
+    )
+    return write_ssp(
+        chain,
+        tmp_path_factory.mktemp("ssp") / "chain.ssp",
         resources={"readme.txt": b"read me"},
         sets={"slow": {"first.gain": 0.1, "second.gain": 0.2}, "fast": {"first.gain": 10.0}},
         bound=("slow",),
@@ -102,24 +107,41 @@ def test_fmpy_simulates_the_system(system):
 @pytest.mark.parametrize(
     ("wires", "inputs", "start", "words"),
     [
-        ([("first.level", "third.target")], {}, {}, "third.target names no component"),
-        ([("first.nothing", "second.target")], {}, {}, "first.nothing has no such variable"),
-        ([("first.target", "second.target")], {}, {}, "first.target has causality input"),
-        ([*WIRES, ("second.level", "second.target")], {}, {}, "second.target is connected to first.level"),
-        (WIRES, {}, {"first.nothing": 1.0}, "start value of first.nothing, which is no variable"),
+        (
+            [("first.level", "third.target")],
+            {},
+            {},
+            "unknown variable 'third.target'; did you mean first.target",
+        ),
+        ([("first.nothing", "second.target")], {}, {}, "unknown variable 'first.nothing'"),
+        ([("first.target", "second.target")], {}, {}, "expected an output and an input, got input and input"),
+        (
+            [*WIRES, ("second.level", "second.target")],
+            {},
+            {},
+            "second.target is fed twice, by first.level and by second.level",
+        ),
+        (
+            WIRES,
+            {"command": ("second.target",)},
+            {},
+            "second.target is fed twice, by first.level and by comm",
+        ),
+        (WIRES, {"command": ("first.level",)}, {}, "command -> first.level: expected an input, got output"),
+        (WIRES, {}, {"first.nothing": 1.0}, "unknown variable 'first.nothing'"),
     ],
 )
-def test_impossible_system_is_refused_by_name(fmus, tmp_path, wires, inputs, start, words):
+def test_impossible_system_is_refused_by_name(fmus, wires, inputs, start, words):
     """A connection to nothing, of wrong direction or to a taken input is an error that names it."""
     with pytest.raises(Problem, match=words):
-        write_ssp(tmp_path / "x.ssp", "x", fmus, wires, inputs, start)
+        assemble(fmus, wires, start, "x", inputs)
 
 
-def test_unit_mismatch_is_refused(toy_dir, tmp_path):
+def test_unit_mismatch_is_refused(toy_dir):
     """Metres per second do not fit metres."""
     fmus = {"path": toy_dir / "path.fmu", "chamber": toy_dir / "chamber.fmu"}
-    with pytest.raises(Problem, match=r"path.where is in m, chamber.supply in Pa"):
-        write_ssp(tmp_path / "x.ssp", "x", fmus, [("path.where", "chamber.supply")])
+    with pytest.raises(Problem, match=r"path.where \[m\] -> chamber.supply \[Pa\]: the units cannot"):
+        assemble(fmus, [("path.where", "chamber.supply")])
 
 
 def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
@@ -131,7 +153,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
             if name == "modelDescription.xml":
                 data = data.replace(b"<BaseUnit/>", b'<BaseUnit K="1" offset="273.15"/>')
             new.writestr(name, data)
-    system = write_ssp(tmp_path / "x.ssp", "x", {"warm": target}, [])
+    system = write_ssp(assemble({"warm": target}), tmp_path / "x.ssp")
     root = structure(system)
     assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.15"}
 
@@ -139,7 +161,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"sets": {"odd": {"first.nothing": 1.0}}}, "set odd of first.nothing, which is no variable"),
+        ({"sets": {"odd": {"first.nothing": 1.0}}}, "set odd: unknown variable 'first.nothing'"),
         ({"sets": {"one": {}}, "bound": ("two",)}, "two is bound, expected one of the sets one"),
         ({"version": "3.0"}, "SSP version '3.0', expected one of 1.0, 2.0"),
     ],
@@ -147,7 +169,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
     """Values of no variable, a binding to no set, a version that does not exist."""
     with pytest.raises(Problem, match=words):
-        write_ssp(tmp_path / "x.ssp", "x", fmus, WIRES, **options)
+        write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options)
 
 
 SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues", "ssb": "SignalDictionary"}
@@ -158,14 +180,10 @@ def test_version_2_is_valid_against_its_schema(toys, tmp_path):
     sub, numbers = toys["decay"]
     decay = build(sub, tmp_path, numbers=numbers, fmi=3)
     system = write_ssp(
+        assemble({"first": decay, "second": decay}, WIRES[:1], start={"first.level": 0.5}, name="chain"),
         tmp_path / "chain.ssp",
-        "chain",
-        {"first": decay, "second": decay},
-        WIRES[:1],
-        start={"first.level": 0.5},
         sets={"slow": {"first.gain": 0.1}},
         bound=("slow",),
-        version="2.0",
     )
     folder = files("pyssp_standard") / "resources" / "ssp2"
     with zipfile.ZipFile(system) as archive:

@@ -15,7 +15,7 @@ from orchestrator.fmi import library
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.messages import named
-from orchestrator.ssp.assembly import lines
+from orchestrator.ssp.listing import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>

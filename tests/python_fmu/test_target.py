@@ -19,9 +19,9 @@ from driver import Driver
 from fmpy import read_model_description
 
 from fmus.export.compile import HEADERS, PLATFORMS, host
-from fmus.export.package import pack
 from fmus.export.python.build import build_python, library
 from fmus.machine.parts import SUBSYSTEMS
+from orchestrator.base.files import pack
 from orchestrator.check import check
 from python_fmu.lag import built, in_new_process
 

@@ -17,13 +17,14 @@ from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from fmus.export.interface import interface
-from fmus.export.model_description import LOG_CATEGORIES, package_version
+from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.python.behaviour import Behaviour, Continuous, Functions
 from fmus.export.python.instance import Instance, told
 from fmus.export.python.user_file import fingerprint, load, subsystem
 from fmus.export.python.user_model import Stepwise, face
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
+from orchestrator.ssp.common import package_version
 
 CARD = "model.json"  # in resources/: what the FMU was built from
 

@@ -1,6 +1,7 @@
-"""harvester.ssp: the machine, its supply and its operator as connected FMUs, with poses and programs.
+"""The systems of the machine as SSPs, with poses and programs as parameter sets.
 
-harvester_control.ssp: the controller in the place of the operator, with poses and starts of paths.
+harvester.ssp           the machine, its supply and its operator
+harvester_control.ssp   the controller in the place of the operator; its sets are poses and starts of paths
 """
 
 from __future__ import annotations
@@ -10,26 +11,22 @@ from pathlib import Path
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
-from fmus.export.ssp import write_ssp
 from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY_WIRES
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
 from fmus.operator.model import OPERATOR
+from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.write import write_ssp
 
-NAME = "harvester"
-# some tools initialise in the order of the file: holding forces and supply pressure come first
-ORDER = ("manipulator", "supply", "boom_stick", "swing", "operator")
-COLUMNS = (("operator", "supply"), ("boom_stick", "swing"), ("manipulator",))
-CONTROL = "harvester_control"
+NAME, CONTROL = "harvester", "harvester_control"
 CONTROL_STOP = 20.0  # s
-CONTROL_ORDER = (*ORDER[:-1], "controller")
-CONTROL_COLUMNS = (("controller", "supply"), *COLUMNS[1:])
-VERSIONS = {2: "1.0", 3: "2.0"}  # of SSP, by the version of FMI
+# some tools initialise in the order of the file: holding forces and supply pressure come first
+ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
 
 def write_system(
-    folder: Path, fmus: Mapping[str, Path], step: float, fmi: int = 2, manipulator: Subsystem = MANIPULATOR
+    folder: Path, fmus: Mapping[str, Path], step: float, manipulator: Subsystem = MANIPULATOR
 ) -> Path:
     """Write harvester.ssp to `folder` from the .fmu files by component; `step` is the communication step [s].
 
@@ -37,17 +34,13 @@ def write_system(
 
     Without inputs of the system, which Ecos and libcosim refuse and FMPy passes on a step late.
     """
+    wires, files = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, OPERATOR.name)}
     return write_ssp(
+        assemble(files, wires, name=NAME, stop=WORK_CYCLE_STOP, step=step),
         Path(folder) / f"{NAME}.ssp",
-        NAME,
-        {name: fmus[name] for name in ORDER},
-        CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES,
-        stop=WORK_CYCLE_STOP,
-        step=step,
         sets=parameter_sets(manipulator),
         bound=(NOMINAL, DEFAULT),
-        columns=COLUMNS,
-        version=VERSIONS[fmi],
+        columns=((OPERATOR.name, "supply"), ("boom_stick", "swing"), ("manipulator",)),
     )
 
 
@@ -55,25 +48,18 @@ def write_control(
     folder: Path,
     fmus: Mapping[str, Path],
     step: float,
-    fmi: int = 2,
     manipulator: Subsystem = MANIPULATOR,
     boom_stick: Subsystem = BOOM_STICK,
 ) -> Path:
-    """Write harvester_control.ssp, as `write_system`; it stands until the controller is driven."""
+    """Write harvester_control.ssp, as `write_system`; it stands still until the controller is driven."""
+    wires, files = CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, "controller")}
+    poses = controlled_poses(manipulator).items()
     return write_ssp(
+        assemble(files, wires, name=CONTROL, stop=CONTROL_STOP, step=step),
         Path(folder) / f"{CONTROL}.ssp",
-        CONTROL,
-        {name: fmus[name] for name in CONTROL_ORDER},
-        CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES,
-        stop=CONTROL_STOP,
-        step=step,
-        sets={
-            name: controller_set(pose, manipulator, boom_stick)
-            for name, pose in controlled_poses(manipulator).items()
-        },
+        sets={name: controller_set(pose, manipulator, boom_stick) for name, pose in poses},
         bound=(NOMINAL,),
-        columns=CONTROL_COLUMNS,
-        version=VERSIONS[fmi],
+        columns=(("controller", "supply"), ("boom_stick", "swing"), ("manipulator",)),
     )
 
 

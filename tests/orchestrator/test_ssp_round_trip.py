@@ -1,0 +1,98 @@
+"""A system that is written as an SSP is the same system when it is read: connections, values, how to
+couple."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from orchestrator import Coupling, System, assemble, load
+from orchestrator.base.coupling import Suggestion
+from orchestrator.base.units import IDENTITY, Linear
+from orchestrator.ssp.system import Connection, Inlet, Outlet, Port
+from orchestrator.ssp.write import write_ssp
+
+NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=False)
+MAPS = st.one_of(st.just(IDENTITY), st.builds(Linear, NUMBERS.filter(bool), NUMBERS))
+COUPLINGS = st.one_of(
+    st.none(),
+    st.builds(Coupling, st.sampled_from(("jacobi", "gauss-seidel")), st.sampled_from((None, 0, 2))),
+    st.builds(
+        lambda tolerance, factor: Coupling("hermite", tolerance=tolerance, factors={"p": factor}),
+        st.floats(1e-9, 1.0),
+        st.integers(1, 9),
+    ),
+    st.builds(lambda x: Coupling(adaptive=x, control="energy", correct=True), st.floats(1e-9, 1.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def gains(fmus):
+    """Gains with pascals, with bars at the input, and with a unit that the FMU does not define."""
+    units = {"plain": ("Pa", "Pa"), "mixed": ("bar", "Pa"), "odd": ("odd", "degC")}
+    return [fmus.make("gain", f"{n}_units", units={"u": u, "y": y}) for n, (u, y) in units.items()]
+
+
+@st.composite
+def systems(draw, files) -> System:
+    """Gains in any connection, with start values, inputs and outputs of the system."""
+    names = ["p", "q", "inner.r"][: draw(st.integers(1, 3))]
+    system = assemble({n: draw(st.sampled_from(files)) for n in names}, name="any")
+    start = {
+        n: {v: draw(NUMBERS) for v in draw(st.lists(st.sampled_from(["factor", "offset"]), unique=True))}
+        for n in names
+    }
+    connections, inputs = [], {}
+    for name in names:
+        target = Port(name, "u")
+        kind = draw(st.sampled_from(["connected", "input", "open"]))
+        if kind == "connected":
+            connections.append(Connection(Port(draw(st.sampled_from(names)), "y"), target, draw(MAPS)))
+        elif kind == "input":
+            key = draw(st.sampled_from(["command", "other"]))
+            unit = inputs[key].unit if key in inputs else system.variable(target).unit
+            before = inputs[key].targets if key in inputs else ()
+            inputs[key] = Inlet(key, unit, (*before, (target, draw(MAPS))))
+    units = [system.variable(Port(n, v)).unit for n in names for v in "uy"]
+    outputs = [Outlet(f"result_{n}", draw(st.sampled_from(units)), Port(n, "y"), draw(MAPS)) for n in names]
+    return replace(
+        system,
+        components={n: replace(c, start=start[n]) for n, c in system.components.items()},
+        connections=tuple(connections),
+        inputs=inputs,
+        outputs={o.name: o for o in draw(st.lists(st.sampled_from(outputs), unique=True))},
+        start=draw(st.floats(-10, 10)),
+        stop=draw(st.floats(11, 20)),
+        suggestion=Suggestion(draw(COUPLINGS), draw(st.one_of(st.none(), st.floats(1e-6, 1.0)))),
+    )
+
+
+@examples(100)
+@given(data=st.data(), version=st.sampled_from(("1.0", "2.0")))
+def test_a_system_is_read_as_it_was_written(gains, tmp_path_factory, data, version):
+    """To the last digit: all numbers are written so that they read back."""
+    system = data.draw(systems(gains))
+    read = load(write_ssp(system, tmp_path_factory.mktemp("ssp") / "any.ssp", version=version))
+    assert (read.name, list(read.components)) == (system.name, list(system.components))
+    assert sorted(map(repr, read.connections)) == sorted(map(repr, system.connections))
+    assert (read.start, read.stop) == (system.start, system.stop)
+    assert read.inputs.keys() == system.inputs.keys()
+    for name, inlet in system.inputs.items():
+        assert sorted(map(repr, read.inputs[name].targets)) == sorted(map(repr, inlet.targets))
+        assert read.inputs[name].unit == inlet.unit
+    for name, outlet in system.outputs.items():
+        unit = (
+            outlet.unit or system.variable(outlet.source).unit
+        )  # an output without one has that of its source
+        assert read.outputs[name] == replace(outlet, unit=unit)
+    for name, component in system.components.items():
+        fed = {p for i in system.inputs.values() for p, _ in i.targets if p.component == name}
+        started = {v: x for v, x in read.components[name].start.items() if Port(name, v) not in fed}
+        assert started == component.start
+    suggested = system.suggestion
+    if suggested.coupling is not None or suggested.step is not None:
+        assert (read.coupling, read.step) == (suggested.coupling or Coupling(), suggested.step)
