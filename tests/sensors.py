@@ -25,6 +25,7 @@ class Sampled(FmuSlave):
     period = 10  # steps of the master
     done = 0
     live = False
+    stepping = None  # type: ignore[assignment]  # Python steps it
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """The last sample may end after the run."""

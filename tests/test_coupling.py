@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from any_fmu.outcome import in_python
 
 from fmus.machine.build import data
 from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.engine.simulation_loop import March
 from orchestrator.results.compare import Validation, compare
 from orchestrator.results.reference import read_reference
 
@@ -160,7 +160,7 @@ def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tol
     assert worst(found, "pressure") < tolerance
 
 
-# ---- the loop in C and the one in Python
+# ---- FMUs that C calls, and that Python calls
 
 
 COUPLINGS = [
@@ -171,12 +171,10 @@ COUPLINGS = [
 ]
 
 
-def same(monkeypatch, system: System, **options: object) -> None:
-    """Run in both loops: all numbers of the record and of the power bonds are equal to the last bit."""
-    with monkeypatch.context() as patch:
-        patch.setattr(March, "_next", None)  # it is the loop in Python
-        fast = run(system, **options)
-    slow = run(system, native=False, **options)
+def same(system: System, **options: object) -> None:
+    """Run with FMUs that C calls and that Python calls: all numbers are equal to the last bit."""
+    fast = run(system, **options)
+    slow = run(system, open=in_python, **options)
     for name, values in slow.trace.signals.items():
         np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
     assert (fast.card.steps, fast.card.passes) == (slow.card.steps, slow.card.passes)
@@ -184,24 +182,24 @@ def same(monkeypatch, system: System, **options: object) -> None:
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=lambda c: c.text)
-def test_both_loops_give_the_same_bits_over_a_thousand_steps(monkeypatch, system, coupling):
+def test_both_ways_to_call_fmus_give_the_same_bits_over_a_thousand_steps(system, coupling):
     """Led by the scenario, from where the machine moves."""
-    same(monkeypatch, system, scenario=data("scenarios/work_cycle.csv"), master=coupling, step=1e-3, stop=1.0)
+    same(system, scenario=data("scenarios/work_cycle.csv"), master=coupling, step=1e-3, stop=1.0)
 
 
 @pytest.mark.parametrize("coupling", COUPLINGS[::3], ids=lambda c: c.text)
-def test_both_loops_give_the_same_bits_with_fmi_3(monkeypatch, fmi3_dir, coupling):
+def test_both_ways_to_call_fmus_give_the_same_bits_with_fmi_3(fmi3_dir, coupling):
     """Led by the levers, whose ramps have corners; inputs move at rate inputs."""
-    same(monkeypatch, load(fmi3_dir / "harvester.ssp"), master=coupling, step=1e-3, stop=1.0)
+    same(load(fmi3_dir / "harvester.ssp"), master=coupling, step=1e-3, stop=1.0)
 
 
 @pytest.mark.parametrize("folder", ["fmu_dir", "fmi3_dir"])
 @pytest.mark.parametrize("control", ["error", "energy"])
-def test_both_loops_take_the_same_adaptive_steps(monkeypatch, request, folder, control):
+def test_both_ways_to_call_fmus_take_the_same_adaptive_steps(request, folder, control):
     """All of one length and one error, and the same ones are repeated."""
     machine = load(request.getfixturevalue(folder) / "harvester.ssp")
     coupling = Coupling("hermite", adaptive=1e-4, control=control)
-    same(monkeypatch, machine, scenario=data("scenarios/work_cycle.csv"), master=coupling, stop=3.0)
+    same(machine, scenario=data("scenarios/work_cycle.csv"), master=coupling, stop=3.0)
 
 
 def test_outputs_exist_at_the_first_instant(system):

@@ -1,67 +1,74 @@
-"""One component in a run: its slave, the inputs it is given as polynomials, and the outputs others need."""
+"""One component in a run: its FMU, the inputs it is given as polynomials, and the outputs others need."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+from collections.abc import Callable, Sequence
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
-from orchestrator.engine.input_signal import Signal, at, projected, shifted, slope_at
-from orchestrator.fmi.calls import Buffer, Call, Slave, access
+from orchestrator.engine.c_library import Binding
+from orchestrator.fmi.calls import Buffer, Call, Slave, Stepping, access
+
+MakeCall = Callable[[Sequence[str], Buffer], Call]
 
 
-class Part:
-    """A component as masters see it.
+def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: MakeCall) -> list[Call]:
+    """One call for each row of variables of one type; `values`, shape (n,), are in the order of the names."""
+    made, first = list[Call](), 0
+    for _, group in groupby(names, key=lambda name: access(slave.interface.variables[name])):
+        row = list(group)
+        made.append(make(row, values[first : first + len(row)]))
+        first += len(row)
+    return made
 
-    signals   its inputs that move inside a step
-    reads     calls that bring the outputs that others use into the bank
-    tell      call that reads the slopes of those outputs, where the FMU tells them
-    newest    calls that set inputs which cannot move to their newest value, for masters that step one by one
-    rough     some inputs cannot follow the polynomial that is wanted
-    factor    how many steps the FMU takes in one communication step
-    even      length of each of them [s] if it must be the same to the last bit, else 0
-    kept      its state is kept at the beginning of every step, to go back there
+
+class Component:
+    """A component as masters see it; C has it as `Component` of engine.h.
+
+    inputs         the numbers of its coupling inputs, one after the other
+    input_writes   calls that set values and derivatives of these
+    output_reads   calls that bring the outputs that others use into the bank
+    slope_reads    calls that read the slopes of those outputs, where the FMU gives them
+    held_inputs    calls that set inputs which cannot move to their newest value, for sequential masters
+    factor         how many steps the FMU takes in one communication step
+    even           length of each of them [s] if it must be the same to the last bit, else 0
+    rollback       its state is saved at the beginning of every step, to go back there
+    made           `Component` of engine.h
     """
 
-    def __init__(self, slave: Slave, used: Buffer) -> None:
-        """used: shape (2, n): what Real inputs were at both ends of the step, where a master moved them."""
-        self.slave, self._used = slave, used
-        self.signals: list[Signal] = []
-        self.reads: Sequence[Call] = ()
-        self.newest: Sequence[Call] = ()
-        self.tell: Call | None = None
-        self.factor, self.even, self.kept = 1, 0.0, False
-        self.rough = False
+    def __init__(self, slave: Slave, factor: int) -> None:
+        self.slave, self.factor = slave, factor
+        self.inputs = range(0)
+        self.output_reads: Sequence[Call] = ()
+        self.slope_reads: Sequence[Call] = ()
+        self.held_inputs: Sequence[Call] = ()
+        self.even, self.rollback, self.rough = 0.0, False, False
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
-        self.writers: list[Call] = []  # of values and derivatives
-        self.state: object = None
+        self.input_writes: list[Call] = []
+        self._state: Any = None
+        self._stepping: Stepping | None = None
+        self.made: Any = None
 
-    def follow(self, names: Sequence[str], signals: Sequence[Signal], jumps: bool) -> None:
-        """Let these inputs move; `names` of the variables; they may jump at the beginning of a step."""
-        self.signals = list(signals)
-        if not signals:
+    def follow(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
+        """Let variables move, as coupling inputs from `first` on; they may jump at the start of a step."""
+        self.inputs = range(first, first + len(inputs))
+        if not inputs:
             return
-        moved = [(n, s) for n, s in zip(names, signals, strict=True) if s.degree]
-        self.rough = any(s.degree < s.wanted for s in signals)
+        moved = [(n, s) for n, s in zip(names, inputs, strict=True) if s.degree]
+        self.rough = any(s.degree < s.wanted for s in inputs)
         if self.factor > 1 or self.rough or jumps:
-            followed = [n for n, s in zip(names, signals, strict=True) if s.wanted]
+            followed = [n for n, s in zip(names, inputs, strict=True) if s.wanted]
             self.values = np.zeros(len(followed))
-            self._set(followed)
+            self.input_writes += calls_by_type(self.slave, followed, self.values, self.slave.writer)
         rows = [(n, k + 1) for n, s in moved for k in range(min(s.degree, s.wanted))]
         self.derivatives = np.zeros(len(rows))
-        self._set_derivatives(rows)
+        self._write_derivatives(rows)
 
-    def _set(self, names: Sequence[str]) -> None:
-        """Calls that set `values`, one for each row of variables of one type."""
-        first, variables = 0, self.slave.interface.variables
-        for _, group in groupby(names, key=lambda name: access(variables[name])):
-            row = list(group)
-            self.writers.append(self.slave.writer(row, self.values[first : first + len(row)]))
-            first += len(row)
-
-    def _set_derivatives(self, rows: Sequence[tuple[str, int]]) -> None:
-        """Calls that set `derivatives` of names and orders; as rate inputs they may be of several types."""
+    def _write_derivatives(self, rows: Sequence[tuple[str, int]]) -> None:
+        """Calls that set derivatives of names and orders; as rate inputs they may be of several types."""
         face, first = self.slave.interface, 0
 
         def word(row: tuple[str, int]) -> str:
@@ -71,71 +78,65 @@ class Part:
             names, orders = zip(*group, strict=True)
             into = self.derivatives[first : first + len(names)]
             write = self.slave.slope_writer(names, into, orders if face.interpolates else ())
-            self.writers.append(write)
+            self.input_writes.append(write)
             first += len(names)
 
-    def give(self, begin: float, length: float, last: bool) -> None:
-        """Give the inputs their polynomials from `begin` [s] after the start of the step on."""
-        place = row = 0
-        for s in self.signals:
-            c = projected(shifted(s.c, begin) if begin else s.c, s.degree, length)
-            if s.wanted and len(self.values):
-                self.values[place] = c[0]
-                place += 1
-            for k in range(min(s.degree, s.wanted)):
-                self.derivatives[row] = (1.0, 2.0, 6.0)[k] * c[k + 1]
-                row += 1
-            if begin == 0.0 and s.wanted:
-                self._used[0, s.target] = c[0]
-            if last and s.wanted:
-                self._used[1, s.target] = at(c, length)
-        for write in self.writers:
-            write()
+    # ---- C
 
-    def advance(self, t: float, h: float) -> None:
-        """Take the step from t to t + h [s], in as many steps of its own as `factor` tells."""
-        many = self.factor
-        for j in range(many):
-            begin, last = h * j / many, j == many - 1
-            end = h if last else h * (j + 1) / many  # what is multiplied and divided may not be what it was
-            self.give(begin, end - begin, last)
-            now = t + begin
-            self.slave.step(now, self.even or t + end - now)
+    def fill(self, binding: Binding, made: Any) -> None:
+        """Fill what it takes to step the FMU. Python steps it where its class has no `stepping`."""
+        self.made, step = made, None
+        make: Callable[[bool], Stepping] | None = getattr(self.slave, "stepping", None)
+        if make:
+            self._stepping = step = make(self.rollback)
+            made.instance, made.fmi, made.flags = step.component, step.fmi, step.flags
+            made.do_step, made.get_state, made.set_state = step.do_step, step.get_state, step.set_state
+            for name, address in zip(("event", "terminate", "early", "last"), step.results, strict=False):
+                setattr(made, name, address)
+        made.clock = binding.at(np.asarray(self.slave.log.clock))
+        made.final, made.rollback = not self.rollback, self.rollback
+        made.even, made.factor = self.even, self.factor
 
-    def finish(self, h: float) -> None:
-        """Let inputs that could only be followed roughly end as they should, before outputs are read."""
-        if not self.rough:
-            return
-        place = row = 0
-        for s in self.signals:
-            if s.wanted:
-                self.values[place] = at(s.c, h)
-                place += 1
-            for k in range(min(s.degree, s.wanted)):
-                self.derivatives[row] = slope_at(s.c, h) if k == 0 else 0.0
-                row += 1
-        for write in self.writers:
-            write()
+    def fill_calls(self, binding: Binding) -> None:
+        """Fill what it exchanges."""
+        made = self.made
+        made.first, made.count = self.inputs.start, len(self.inputs)
+        made.sets_values, made.rough = len(self.values) > 0, self.rough
+        made.values, made.derivatives = binding.at(self.values), binding.at(self.derivatives)
+        for name in ("input_writes", "output_reads", "held_inputs", "slope_reads"):
+            setattr(made, name, binding.program(getattr(self, name)))
 
-    def read(self) -> None:
-        """Bring the outputs that others use, and their slopes, up to date."""
-        for read in self.reads:
-            read()
-        if self.tell:
-            self.tell()
+    @property
+    def in_c(self) -> bool:
+        """Does C step it?"""
+        return self._stepping is not None
 
-    # ---- rollback
+    @property
+    def busy(self) -> float:
+        """Time in its steps [s]."""
+        return float(self.made.busy) if self.made else 0.0
 
-    def keep(self) -> None:
-        """Remember the state of the FMU."""
-        self.state = self.slave.save(self.state)
+    def judge(self, where: int | None, status: int) -> None:
+        """Raise what there is to say about the status of a step, or of saving or restoring the state."""
+        assert self._stepping is not None
+        step = self._stepping
+        judges = {step.get_state: step.judge_get, step.set_state: step.judge_set}
+        (judges[where] if where else step.judge)(status)
+
+    # ---- rollback where Python steps it
+
+    def save(self) -> None:
+        """Remember the state."""
+        self._state = self.slave.save(self._state)
 
     def restore(self) -> None:
-        """Go back to the state that was kept."""
-        self.slave.restore(self.state)
+        """Go back to the state that was saved."""
+        self.slave.restore(self._state)
 
     def forget(self) -> None:
-        """Free what was kept."""
-        if self.state is not None:
-            self.slave.forget(self.state)
-            self.state = None
+        """Free the state that was saved."""
+        if self.made is not None and self.made.state:
+            self._state, self.made.state = ctypes.c_void_p(self.made.state), None
+        if self._state is not None:
+            self.slave.forget(self._state)
+            self._state = None

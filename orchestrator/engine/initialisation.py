@@ -1,19 +1,12 @@
-"""Initialisation: start values, then consistent outputs and inputs in initialisation mode.
-
-What the components of a run cannot do of what its master would do with them.
-"""
+"""Initialisation: start values, then consistent outputs and inputs in initialisation mode."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
-from orchestrator.engine.input_signal import DRIVEN, NO_SLOPE
-from orchestrator.engine.masters import Plan
-from orchestrator.engine.network import Network
-from orchestrator.engine.wiring import Loop
+from orchestrator.engine.algebraic_loop import solver
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.description import Interface, Value
 from orchestrator.ssp.dependencies import Feedthrough, Knot, components
@@ -58,7 +51,7 @@ def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
 def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     """Carry outputs to the inputs they feed, in the order of the dependencies in initialisation mode.
 
-    Algebraic loops are solved as in the run, see `Loop`.
+    Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
     flow = Feedthrough(system, initially=True)
     fed: dict[Port, list[Connection]] = {}
@@ -67,19 +60,19 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     for group in components(flow.graph):
         known, knot = [y for y in group if y in fed], flow.knot(group)
         if knot:
-            _untie(slaves, knot, {y: [c for c in fed[y] if c not in knot.connections] for y in known})
+            _solve(slaves, knot, {y: [c for c in fed[y] if c not in knot.connections] for y in known})
         else:
             for y in known:
                 _carry(slaves, y, fed[y])
 
 
-def _untie(slaves: Mapping[str, Slave], knot: Knot, fed: Mapping[Port, list[Connection]]) -> None:
+def _solve(slaves: Mapping[str, Slave], knot: Knot, fed: Mapping[Port, list[Connection]]) -> None:
     """Solve for the Real signals of a knot; where it has others, again and again until nothing changes."""
-    loop = Loop(slaves, knot) if knot.connections else None
+    solve = solver(slaves, knot) if knot.connections else None
     previous: dict[Port, Value] = {}
     for _ in range(1 if knot.rounds == 1 else len(fed) + 1):
-        if loop:
-            loop()
+        if solve:
+            solve()
         current = {y: _carry(slaves, y, connections) for y, connections in fed.items()}
         if previous and all(_same(previous[y], value) for y, value in current.items()):
             return
@@ -101,34 +94,3 @@ def _carry(slaves: Mapping[str, Slave], source: Port, connections: list[Connecti
     for c in connections:
         slaves[c.target.component].set(c.target.variable, type(value)(c.map(value)))
     return value
-
-
-SHOWN = 4  # names in a list
-
-
-def remarks(network: Network, plan: Plan, coupling: Coupling) -> tuple[str, ...]:
-    """One line for each way in which the master had to do without something."""
-    notes = plan.notes
-    stuck = _listed(name for name, slave in network.slaves.items() if not slave.interface.rollback)
-    if coupling.adaptive is not None and stuck:
-        notes += (f"adaptive steps with too large an error stand: {stuck} cannot go back to a saved state",)
-    if not plan.sloped:
-        return notes
-    names = {place: str(port) for port, place in network.real.index.items()}
-    wired = [s for s in network.signals if s.maker != DRIVEN and s.wanted]
-    asked = [plan.asks(name) for name in network.slaves]
-    silent = _listed(names[s.source] for s in wired if s.slope == NO_SLOPE and asked[s.maker])
-    still = _listed(names[s.target] for s in wired if s.degree == 0)
-    straight = _listed(names[s.target] for s in wired if 0 < s.degree < s.wanted)
-    told = {
-        "slopes from differences of values, because the FMUs tell none": silent,
-        "inputs held at their mean over a step, because the FMUs take no slopes": still,
-        "inputs moved at straight lines, because the FMUs take no curves": straight,
-    }
-    return (*notes, *(f"{what}: {which}" for what, which in told.items() if which))
-
-
-def _listed(names: Iterable[str]) -> str:
-    found = list(dict.fromkeys(names))
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f"{', '.join(found[:SHOWN])}{more}"

@@ -1,26 +1,11 @@
-"""What a master decides before a run; `sweep.py` carries it out at every step.
+"""Masters: how the components take a communication step together. Each makes a `Plan` of a system.
 
-Jacobi: every component takes the same step with what is known at its start.
+    Jacobi               all components take the step with what is known at its start
+    Gauss-Seidel         components step one after the other, later ones with the new outputs of earlier ones
+    Hermite              the step is repeated until every input is the cubic between the ends of its source
+    Interface-Jacobian   linearisations of the components, joined, predict all inputs over the step
 
-Gauss-Seidel: components step one after the other, later ones with the new outputs of earlier ones.
-
-Hermite: the step is repeated until every input is the cubic between the ends of its source.
-
-Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
-sources are continued as Gauss-Seidel does it; each further pass starts again from the saved states, with the
-cubics to where the pass before it ended. When passes change nothing any more the input of every component is
-its source up to h^4, so the order of convergence is 4; docs/coupling.md has the measurements.
-
-A component that only hears from ones that have stepped before it is right in the first pass already. When all
-others can go back to a saved state the step is repeated, else it is computed once.
-
-Interface-Jacobian: the components' own linearisations, joined, say what all inputs will do in the step.
-
-Directional derivatives of the FMUs make one linear system of all components, see `foresight.py`. Its solution
-over the step gives every input as a cubic; one pass, no rollback. Components whose future does not depend on
-others step first, and are followed as they went. docs/coupling.md has the equations and the measurements.
-
-Masters: how the components take a communication step together. Each makes a `Plan` of a system.
+native/communication_step.c takes the step as the plan says; docs/coupling.md has equations and measurements.
 """
 
 from __future__ import annotations
@@ -35,20 +20,20 @@ from orchestrator.ssp.system import Connection, Port, System
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """What `foresight.py` works with.
+class Prediction:
+    """What a linear prediction works with.
 
-    leads   so many components step first: their future depends on no other component
-    open    components that declare to tell how their states and outputs change
-    all     there are no others, but for those that lead
-    heard   inputs that a state depends on, or an output that feeds another component
-    lag     steps for which a linearisation is kept
+    leads        so many components step first: their future depends on no other component
+    linearised   components that declare directional derivatives of states and outputs
+    complete     there are no others, but for those that lead
+    relevant     inputs that a state depends on, or an output that feeds another component
+    lag          steps for which a linearisation is kept
     """
 
     leads: int
-    open: frozenset[str]
-    all: bool
-    heard: frozenset[Port]
+    linearised: frozenset[str]
+    complete: bool
+    relevant: frozenset[Port]
     lag: int
 
 
@@ -56,24 +41,24 @@ class Outlook:
 class Plan:
     """One way to take all components over a step.
 
-    turns        the components, by number, in the order in which they step
+    order        the components, by number, in the order in which they step
     moved        the connections whose inputs move inside the step; the others are held
-    order        degree at which a source is continued that has not stepped yet
+    extrapolation   degree at which a source is extrapolated that has not stepped yet
     degree       degree at which both ends of a source are connected that has
     sequential   the inputs of a component know what the sources before it in the order have done
     passes       how often the step is computed at most; more than once needs rollback
     tolerance    a further pass is made while the last one changed a signal by more, as a share of its
                  magnitude
-    corrected    continued sources get back what they lost, see `Signal.give_back`
+    corrected    extrapolated inputs get back what they lost, see input_correct in native/coupling_input.c
     watches      the inputs that do not move are watched too, for the estimate of the error
     repeated     the components, by number, that further passes compute again
-    notes        what to tell the user
-    outlook      inputs are foretold from linearisations
+    notes        for the card of the run
+    prediction   inputs are predicted from linearisations
     """
 
-    turns: Sequence[int]
+    order: Sequence[int]
     moved: Sequence[Connection]
-    order: int
+    extrapolation: int
     degree: int
     sequential: bool = False
     passes: int = 1
@@ -82,20 +67,21 @@ class Plan:
     watches: bool = False
     repeated: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
-    outlook: Outlook | None = None
+    prediction: Prediction | None = None
 
     @property
     def sloped(self) -> bool:
         """Are the slopes of sources wanted?"""
-        return self.order > 0 or self.degree > 1 or self.corrected or self.watches
+        return self.extrapolation > 0 or self.degree > 1 or self.corrected or self.watches
 
     def asks(self, component: str) -> bool:
         """Are the slopes of the outputs of this component wanted?"""
-        known = self.outlook is not None and self.outlook.all and component in self.outlook.open
-        return self.sloped and not known
+        prediction = self.prediction
+        predicted = prediction is not None and prediction.complete and component in prediction.linearised
+        return self.sloped and not predicted
 
 
-def turns(system: System) -> list[int]:
+def order_of_components(system: System) -> list[int]:
     """The order, by number, in which components step one after the other."""
     places = {name: i for i, name in enumerate(system.components)}
     return [places[name] for name in sequence(system)]
@@ -133,10 +119,10 @@ def gauss_seidel(system: System, coupling: Coupling) -> Plan:
     FMU moves them itself by a rate input. The order of the components follows from the dependencies.
     """
     order, names = coupling.extrapolation, list(system.components)
-    turn = {names[k]: i for i, k in enumerate(turns(system))}
+    turn = {names[k]: i for i, k in enumerate(order_of_components(system))}
     early = [c for c in system.connections if turn[c.source.component] < turn[c.target.component]]
     return Plan(
-        turns(system),
+        order_of_components(system),
         system.connections if order or coupling.correct else early,
         order,
         degree=min(order + 1, 3),
@@ -147,46 +133,57 @@ def gauss_seidel(system: System, coupling: Coupling) -> Plan:
 
 
 def hermite(system: System, coupling: Coupling) -> Plan:
-    """At most `passes` passes, fewer when one changes all signals by less than the tolerance."""
-    order = turns(system)
+    """At most `passes` passes, fewer when one changes all signals by less than the tolerance.
+
+    Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
+    sources are extrapolated as Gauss-Seidel does it; each further pass starts again from the saved states, with
+    the cubics to where the pass before it ended. When passes change nothing any more the input of every
+    component is its source up to h^4, so the order of convergence is 4.
+
+    A component whose sources have all stepped before it is right in the first pass already. When all others can
+    go back to a saved state the step is repeated, else it is computed once.
+    """
+    order = order_of_components(system)
     repeated, components = unsettled(system, order), list(system.components.values())
     stuck = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
-    told = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
-    passes = 1 if stuck else coupling.rounds
+    note = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
     return Plan(
         order,
         system.connections,
         coupling.extrapolation,
         degree=3,
         sequential=True,
-        passes=passes,
+        passes=1 if stuck else coupling.rounds,
         tolerance=coupling.miss,
         corrected=coupling.correct,
         watches=coupling.judges,
         repeated=repeated,
-        notes=(told,) if stuck and coupling.rounds > 1 else (),
+        notes=(note,) if stuck and coupling.rounds > 1 else (),
     )
 
 
 def interface_jacobian(system: System, coupling: Coupling) -> Plan:
-    """All inputs are foretold; those from components that have stepped are bent to where they arrived."""
-    heard = _heard(system)
-    leads = _leads(system, heard)
-    needed = _needed(system, leads, heard)
-    open_ = frozenset(name for name in needed if _tells(system.components[name].interface))
-    order = [*(k for k in turns(system) if k in leads), *(k for k in turns(system) if k not in leads)]
+    """All inputs are predicted; those from components that have stepped are bent to where they arrived.
+
+    One pass, no rollback. Components whose future does not depend on others step first, and are followed as
+    they went.
+    """
+    relevant = _relevant(system)
+    leads = _leads(system, relevant)
+    needed = _needed(system, leads, relevant)
+    linearised = frozenset(name for name in needed if _linearisable(system.components[name].interface))
     return Plan(
-        order,
+        sorted(order_of_components(system), key=lambda k: k not in leads),
         system.connections,
-        order=coupling.extrapolation,
+        coupling.extrapolation,
         degree=3,
         sequential=True,
         watches=coupling.judges,
-        outlook=Outlook(len(leads), open_, open_ == needed, heard, coupling.lag),
+        prediction=Prediction(len(leads), linearised, linearised == needed, relevant, coupling.lag),
     )
 
 
-def _heard(system: System) -> frozenset[Port]:
+def _relevant(system: System) -> frozenset[Port]:
     """Inputs that a state depends on, or an output that feeds another component."""
     sources: dict[str, set[str]] = {name: set() for name in system.components}
     for c in system.connections:
@@ -196,49 +193,42 @@ def _heard(system: System) -> frozenset[Port]:
         Port(name, v.name)
         for name, component in system.components.items()
         for v in component.interface.of("input")
-        if _matters(component.interface, v.name, sources[name])
+        if _changes_something(component.interface, v.name, sources[name])
     )
 
 
-def _matters(face: Interface, variable: str, outputs: Iterable[str]) -> bool:
+def _changes_something(face: Interface, variable: str, outputs: Iterable[str]) -> bool:
     if variable in face.inert:
         return False
     if not (face.states or face.stateless):
         return True
-    told = [face.knowns.get(rate) for rate in face.states.values()]
-    moves = any(known is None or variable in known for known in told)
+    declared = [face.knowns.get(rate) for rate in face.states.values()]
+    moves = any(known is None or variable in known for known in declared)
     return moves or any(variable in face.depends(y) for y in outputs)
 
 
-def _leads(system: System, heard: frozenset[Port]) -> set[int]:
-    """Components that hear of nobody but each other: sources, and what merely follows sources."""
+def _leads(system: System, relevant: frozenset[Port]) -> set[int]:
+    """Components that depend on nobody but each other: sources, and what merely follows sources."""
     names, found = list(system.components), set[int]()
-    wires = [c for c in system.connections if c.target in heard and c.source.component != c.target.component]
+    wires = [(c.source.component, c.target.component) for c in system.connections if c.target in relevant]
     while True:
         done = {names[k] for k in found}
-        behind = {c.target.component for c in wires if c.source.component not in done}
-        more = {k for k, name in enumerate(names) if name not in behind and not _loops(system, name, heard)}
+        waiting = {target for source, target in wires if source == target or source not in done}
+        more = {k for k, name in enumerate(names) if name not in waiting}
         if more == found:
             return found
         found = more
 
 
-def _loops(system: System, name: str, heard: frozenset[Port]) -> bool:
-    """Does a component feed itself?"""
-    return any(
-        c.source.component == c.target.component == name and c.target in heard for c in system.connections
-    )
-
-
-def _needed(system: System, leads: set[int], heard: frozenset[Port]) -> frozenset[str]:
-    """Components whose future is to be foretold: they do not lead, and feed one that does not."""
+def _needed(system: System, leads: set[int], relevant: frozenset[Port]) -> frozenset[str]:
+    """Components whose future is to be predicted: they do not lead, and feed one that does not."""
     others = {name for k, name in enumerate(system.components) if k not in leads}
-    wires = [c for c in system.connections if c.target in heard and c.target.component in others]
+    wires = [c for c in system.connections if c.target in relevant and c.target.component in others]
     return frozenset({c.source.component for c in wires} & others)
 
 
-def _tells(face: Interface) -> bool:
-    """Does a component declare to tell how its states and outputs change?"""
+def _linearisable(face: Interface) -> bool:
+    """Does a component declare directional derivatives, of all its states and outputs?"""
     return face.directional and bool(face.states or face.stateless)
 
 

@@ -1,309 +1,249 @@
-"""Which inputs move inside a step, and what each of them follows.
+"""The running system: where its values stand, and the calls that exchange them at a communication point.
 
-The running system: what moves between communication points, and how a step begins, ends and is undone.
-
-Inputs that a master moves follow the polynomials of `signal.py` between communication points; `Wiring` has
-the values and their exchange.
+All Real variables that are exchanged or recorded stand in one float64 array, all others in one int32 array.
+A component's variables that are read (or set) together stand side by side, so that each get or set is one
+call into the FMU on a slice. The exchange at a communication point runs through the stages of
+`dependencies.output_order`: read the outputs that are known, carry them over, set the inputs they feed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orchestrator.engine.component import Part
-from orchestrator.engine.input_signal import DRIVEN, NO_SLOPE, Signal
-from orchestrator.engine.masters import Plan
-from orchestrator.engine.scenario import Drive, Driver
-from orchestrator.engine.wiring import Loop, Wiring
-from orchestrator.fmi.calls import Slave
-from orchestrator.ssp.power_bonds import find_bonds
+from orchestrator.engine.algebraic_loop import AlgebraicLoop
+from orchestrator.engine.c_library import Binding
+from orchestrator.engine.component import Component
+from orchestrator.engine.scenario import DrivenInputs, Scenario
+from orchestrator.fmi.calls import Buffer, Call, Slave, access
+from orchestrator.ssp.dependencies import Order, output_order
 from orchestrator.ssp.system import Connection, Port, System
 
 
-class Moves:
-    """What a plan moves in a wiring.
+@dataclass(frozen=True)
+class Block:
+    """Variables of one component and one kind that are read or set in the same stages; a slice of a bank."""
 
-    carried   inputs that the FMUs move by themselves, from a rate input or as one
-    moving    inputs that the master moves
-    told      outputs whose slopes the FMUs tell, and their places; those of one component side by side
-    """
+    component: str
+    kind: str
+    stages: tuple[int, ...]
+    ports: tuple[Port, ...]
+    first: int
 
-    def __init__(self, wiring: Wiring, driven: Sequence[Port], plan: Plan) -> None:
-        """driven: the inputs that move because a scenario does."""
-        self._wiring, self._driven, self._plan = wiring, driven, plan
-        self._moved = {c.target for c in plan.moved}
-        found = self._found()
-        self.carried = self._carried({c.target for c in found})
-        self._wired = {c.target: c for c in found if c.target not in self.carried}
-        self.moving = {*self._wired} & self._moved | {*driven}
-        self.told = {p: i for i, p in enumerate(self._told())}
 
-    def ports(self, component: str) -> list[Port]:
-        """The inputs of a component that move or are watched."""
-        return [p for p in (*self._wired, *self._driven) if p.component == component]
+class Bank:
+    """One array of values and where each port stands in it."""
 
-    def signal(self, port: Port) -> Signal:
-        """One of these inputs."""
-        wire = self._wired.get(port)
-        return self._follows(port, wire) if wire else self._is_driven(port)
+    def __init__(self, dtype: Any) -> None:
+        self.blocks: list[Block] = []
+        self.index: dict[Port, int] = {}
+        self.values: Buffer = np.zeros(0, dtype)
 
-    # ---- which
+    def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
+        """Append ports, grouped into blocks."""
+        groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
+        for port, when in stages.items():
+            groups.setdefault((port.component, access(system.variable(port)), when), []).append(port)
+        added = []
+        for (component, kind, when), ports in groups.items():
+            added.append(Block(component, kind, when, tuple(ports), len(self.index)))
+            self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
+        self.blocks += added
+        self.values = np.zeros(len(self.index), self.values.dtype)
+        return added
 
-    def _found(self) -> list[Connection]:
-        """The connections that may move their inputs, or whose inputs are watched."""
-        plan, variable = self._plan, self._wiring.system.variable
-        known = self._wiring.system.connections if plan.watches else plan.moved
-        found = [c for c in known if variable(c.target).is_continuous and variable(c.source).is_continuous]
-        return [
-            c for c in found if variable(c.target).causality == "input" and self._wiring.matters(c.target)
-        ]
+    def slice(self, block: Block) -> Buffer:
+        """The values of one block, as a view."""
+        return self.values[block.first : block.first + len(block.ports)]
 
-    def _carried(self, moved: set[Port]) -> set[Port]:
-        """Inputs that move by themselves, with a rate input, or that merely are the rate of a moved one."""
-        wiring = self._wiring
-        fed = {c.target for c in wiring.connections}
-        power = {p for bond in find_bonds(wiring.system) for p in (bond.effort, bond.flow)}
-        carried = set[Port]()
-        for name, slave in wiring.slaves.items():
-            for u, rate in slave.interface.rates.items():
-                port, speed = Port(name, u), Port(name, rate)
-                if u not in slave.interface.sloped and speed in fed:
-                    carried.add(port)
-                if port in moved and port not in carried and speed not in power:
-                    carried.add(speed)
-        return carried
+    def places(self, ports: Iterable[Port]) -> NDArray[np.int64]:
+        """Positions of ports in `values`."""
+        return np.array([self.index[p] for p in ports], dtype=np.int64)
 
-    # ---- slopes of their sources
 
-    def _told(self) -> Iterable[Port]:
-        """The outputs whose slopes are wanted and told, component by component."""
-        sources = dict.fromkeys(c.source for c in self._wired.values() if self._plan.asks(c.source.component))
-        slaves = self._wiring.slaves
-        inputs = (*self._wired, *self._driven)
-        held = {p for p in inputs if not slaves[p.component].follows(p.variable, 1)}
-        for name, slave in slaves.items():
-            mine = [p for p in sources if p.component == name and not self._blind(p, held)]
-            told = set(slave.tells([p.variable for p in mine]) if mine else ())
-            yield from (p for p in mine if p.variable in told)
+class Link:
+    """Connections that carry values from outputs to inputs within a bank; calling it does so."""
 
-    def _blind(self, output: Port, held: set[Port]) -> bool:
-        """Would its FMU tell a slope without that of an input, because it takes none?"""
-        depends = self._wiring.slaves[output.component].interface.depends(output.variable)
-        return any(Port(output.component, u) in held for u in depends)
+    def __init__(self, bank: Bank, connections: Sequence[Connection]) -> None:
+        self.source = bank.places(c.source for c in connections)
+        self.target = bank.places(c.target for c in connections)
+        self.values = bank.values
+        self.factor = np.array([c.map.factor for c in connections]).astype(bank.values.dtype)
+        self.offset = np.array([c.map.offset for c in connections]).astype(bank.values.dtype)
 
-    # ---- what they follow
+    def __call__(self) -> None:
+        self.values[self.target] = self.values[self.source] * self.factor + self.offset
 
-    def _is_driven(self, port: Port) -> Signal:
-        return Signal(
-            target=self._wiring.real.index[port],
-            source=-1,
-            factor=1.0,
-            offset=0.0,
-            maker=DRIVEN,
-            slope=NO_SLOPE,
-            degree=self._wiring.slaves[port.component].follows(port.variable, 1),
-            wanted=1,
-            scale=self._scale(port),
+    def instruction(self, binding: Binding) -> Any:
+        """The same for C, where factors of 1 with offsets of 0 are left out."""
+        h = binding.h
+        plain = np.all(self.factor == 1) and np.all(self.offset == 0)
+        made = h.Link(
+            **binding.all_at(self, "source target" if plain else "source target factor offset"),
+            count=len(self.source),
+            bank=binding.bank(self.values),
         )
-
-    def _follows(self, port: Port, wire: Connection) -> Signal:
-        wiring, plan, moved = self._wiring, self._plan, port in self._moved
-        slave = wiring.slaves[port.component]
-        rate = Port(port.component, slave.interface.rates.get(port.variable, ""))
-        rated = any(c.target == rate for c in wiring.connections)  # then it moves by itself, at a line
-        wanted = max(plan.order, plan.degree, int(plan.corrected)) if moved else 0
-        return Signal(
-            target=wiring.real.index[port],
-            source=wiring.real.index[wire.source],
-            factor=wire.map.factor,
-            offset=wire.map.offset,
-            maker=list(wiring.slaves).index(wire.source.component),
-            slope=self.told.get(wire.source, NO_SLOPE),
-            degree=slave.follows(port.variable, wanted),
-            wanted=wanted,
-            order=plan.order if moved else min(1, plan.order + rated),
-            free=not wiring.system.components[wire.source.component].interface.of("input"),
-            scale=self._scale(port),
-        )
-
-    def _scale(self, port: Port) -> float:
-        return abs(self._wiring.system.variable(port).nominal or 1.0)  # 1 if not declared, by the standard
+        return h.Instruction(h.LINK, 0, binding.pointer(made))
 
 
-class Network(Wiring):
-    """A wiring in a run.
+FIRST = -1  # the stage of inputs that a scenario sets, before all others
+TIED = -2  # from here on downwards: the stages of ports that algebraic loops read and set
 
-    parts         the components in the order of the system
-    tied          those of the loops that are algebraic loops
-    signals       inputs that move inside a step
-    used          shape (2, real values): what moving inputs were at both ends of the step, else NaN
-    slopes        of outputs, as told, shape (n,)
-    moving        the inputs of the signals, but for those that are only watched
-    carried       inputs that the FMUs move by themselves, from a rate input or as one
-    lengths       of the two steps before, the last one first [s]; 0 at the start
-    bonds         of each power bond the signals of its effort and its flow, where both move
+Blocks = list[tuple[Bank, Block]]
+
+
+class Network:
+    """FMUs, the banks of their values, and the calls of an exchange.
+
+    binding          what C works with
+    components       by name
+    scenario         the inputs that a scenario drives
+    real, whole      banks of the Real values and of all others (Integer, Enumeration, Boolean)
+    used             shape (2, real values): what moving inputs were at both ends of a step, else not a number
+    connections      those that feed inputs
+    loops            what may be algebraic loops
+    exchange_calls   all calls of one exchange, in order, but for those that a scenario makes first
     """
 
     def __init__(
         self,
         system: System,
         slaves: Mapping[str, Slave],
-        drive: Drive | None = None,
+        scenario: Scenario | None = None,
         probes: Iterable[Port] | None = None,
         factors: Mapping[str, int] | None = None,
     ) -> None:
-        """probes: as in `Wiring`; factors: how many steps components take in one communication step."""
-        super().__init__(system, slaves, drive.columns if drive else (), probes)
+        """probes: what is wanted besides what connections carry; default: all outputs, all that is exposed.
+
+        factors: how many steps components take in one communication step.
+        """
+        self.system, self.slaves, self.binding = system, slaves, Binding()
+        self.components = {name: Component(s, (factors or {}).get(name, 1)) for name, s in slaves.items()}
+        self.order: Order = output_order(system)
+        self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
+        self.real, self.whole = Bank(np.float64), Bank(np.int32)
+        reads, writes = self._place(probes, scenario.columns if scenario else ())
         self.used = np.full((2, len(self.real.values)), np.nan)
-        self.parts = [Part(slave, self.used) for slave in slaves.values()]
-        for name, part in zip(slaves, self.parts, strict=True):
-            part.factor = (factors or {}).get(name, 1)
-        self.tied: list[Loop] = []
-        self.driver = Driver(self, drive) if drive else None
-        self.signals: list[Signal] = []
-        self.moving, self.carried = set[Port](), set[Port]()
-        self._driven: list[Signal] = []
-        self.slopes = np.zeros(0)
-        self.lengths = 0.0, 0.0
-        self.bonds: list[tuple[Signal, Signal]] = []
-        self._kept = self.real.values.copy(), self.whole.values.copy()
+        self.loops = [AlgebraicLoop(self.binding, slaves, knot) for knot, _ in self.order.knots]
+        self.exchange_calls = self._exchange(reads, writes)
+        self.scenario = self._drive(scenario) if scenario else None
+
+    def matters(self, port: Port) -> bool:
+        """Does anything that others use depend on this input?"""
+        face = self.slaves[port.component].interface
+        used = {c.source.variable for c in self.connections if c.source.component == port.component}
+        return port.variable not in face.inert and face.matters(port.variable, used)
+
+    def bank(self, port: Port) -> Bank:
+        """The bank that holds this port's value."""
+        return self.real if self.system.variable(port).is_real else self.whole
+
+    def reader(self, bank: Bank, block: Block) -> Call:
+        """The call that reads a block."""
+        return self.slaves[block.component].reader([p.variable for p in block.ports], bank.slice(block))
+
+    def writer(self, bank: Bank, block: Block) -> Call:
+        """The call that sets a block."""
+        return self.slaves[block.component].writer([p.variable for p in block.ports], bank.slice(block))
+
+    def output_reads(self, component: str) -> list[Call]:
+        """Calls that read all connected outputs of a component, for sequential masters."""
+        sources = {c.source for c in self.connections}
+        return [
+            self.reader(bank, b)
+            for bank in (self.real, self.whole)
+            for b in bank.blocks
+            if b.component == component and sources & set(b.ports)
+        ]
+
+    def input_writes(self, connections: Sequence[Connection]) -> list[Call]:
+        """Calls that carry the values of connections over and set the inputs."""
+        calls: list[Call] = []
+        for bank in (self.real, self.whole):
+            links = [c for c in connections if self.bank(c.target) is bank]
+            blocks = [b for b in bank.blocks if set(b.ports) & {c.target for c in links}]
+            calls += [Link(bank, links), *(self.writer(bank, b) for b in blocks)] if links else []
+        return calls
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What to say about the exchange after a run."""
         return self.order.notes + tuple(loop.note for loop in self.loops)
 
-    # ---- what masters call
-
-    def exchange(self, t: float) -> None:
-        """Set driven inputs to their value at t, then bring all outputs and inputs up to date."""
-        for slave in self.slaves.values():
-            slave.log.time = t
-        if self.driver:
-            self.driver.put(t)
-        for call in self.exchange_calls:
-            call()
-
-    def begin(self, t: float) -> None:
-        """Make everything known at the start of the run.
-
-        The slope of an output may depend on those of the inputs, so they are told until all have passed.
-        """
-        self.exchange(t)
-        self._tie()
-        for _ in range(self.order.count + 1):
-            self.tell()
-            for s in self.signals:
-                s.begin(*self._source(s))
-            for part in self.parts:
-                part.give(0.0, 0.0, False)
-
-    def ahead(self, t: float, h: float) -> None:
-        """Look up what driven inputs will be in the step from t to t + h."""
-        if self.driver:
-            self.driver.look_ahead(t, h)
-            for s, middle, value in zip(self._driven, self.driver.middle, self.driver.coming, strict=True):
-                s.drive(float(middle), float(value), h)
-
-    def arrive(self, h: float, maker: int) -> None:
-        """Note what the sources of one component are at the end of the step, after `Part.read`."""
-        for s in self.signals:
-            if s.maker == maker and not s.tied:
-                s.arrive(*self._source(s), h, self.lengths)
-
-    def _tie(self) -> None:
-        """Mark what is in an algebraic loop; slopes told there depend on each other, and are not used."""
-        self.tied = [loop for loop in self.loops if loop.circular]
-        ends = {self.real.index[p] for loop in self.tied for p in loop.outputs}
-        for s in self.signals:
-            if s.source in ends:
-                s.tied, s.slope = True, NO_SLOPE
-
-    def untie(self, h: float) -> None:
-        """Solve the algebraic loops at the end of a step that may be computed again."""
-        for loop in self.tied:
-            loop()
-        for s in self.signals:
-            if s.tied:
-                s.arrive(*self._source(s), h, self.lengths)
-
-    def tell(self) -> None:
-        """Read the slopes of all outputs that move an input."""
-        for part in self.parts:
-            if part.tell:
-                part.tell()
-
-    def settle(self, t: float, h: float) -> None:
-        """End the step from t to t + h, for which all components have stepped."""
-        self.exchange(t + h)
-        self.tell()
-        for s in self.signals:
-            if s.maker != DRIVEN:
-                s.arrive(*self._source(s), h, self.lengths)
-
-    def accept(self, h: float) -> None:
-        """The end of the step is the beginning of the next one."""
-        for s in self.signals:
-            s.accept(h, self.length)
-        self.lengths = h, self.length
-
-    def keep(self) -> None:
-        """Remember the beginning of a step, to be able to repeat it."""
-        self._kept[0][:], self._kept[1][:] = self.real.values, self.whole.values
-        for part in self.parts:
-            if part.kept:
-                part.keep()
-
-    def restore(self, t: float) -> None:
-        """Go back to the beginning of the step, t."""
-        self.real.values[:], self.whole.values[:] = self._kept
-        for part in self.parts:
-            if part.kept:
-                part.restore()
-        self.exchange(t)  # for FMUs whose inputs are not part of their state
+    def fill(self) -> None:
+        """Give C the components, the values, their exchange, and the scenario."""
+        binding, sim, h = self.binding, self.binding.simulation, self.binding.h
+        saved = self.real.values.copy(), self.whole.values.copy()
+        binding.components = [*self.components.values()]
+        made = binding.array(h.Component, [h.Component()] * len(self.components))
+        for one, component in zip(made, binding.components, strict=False):
+            component.fill(binding, one)
+        sim.components, sim.component_count = binding.pointer(made), len(self.components)
+        sim.real, sim.whole = binding.at(self.real.values), binding.at(self.whole.values)
+        sim.real_saved, sim.whole_saved = (binding.at(values) for values in saved)
+        sim.reals, sim.wholes, sim.used = len(saved[0]), len(saved[1]), binding.at(self.used)
+        sim.exchange = binding.program(self.exchange_calls)
+        sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
+        sim.loop_count, sim.rounds_at_start = len(self.loops), self.order.count + 1
 
     def forget(self) -> None:
-        """Free what was kept."""
-        for part in self.parts:
-            part.forget()
+        """Free the states that were saved."""
+        for component in self.components.values():
+            component.forget()
 
-    @property
-    def length(self) -> float:
-        """Length of the step before [s]."""
-        return self.lengths[0]
+    # ---- building
 
-    def _source(self, s: Signal) -> tuple[float, float]:
-        """Value and slope of a source now, in the input's unit."""
-        if s.maker == DRIVEN:
-            return float(self.real.values[s.target]), 0.0
-        value = float(self.real.values[s.source]) * s.factor + s.offset
-        return value, 0.0 if s.slope == NO_SLOPE else float(self.slopes[s.slope]) * s.factor
+    def _place(self, probes: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
+        """Give every output, probe and fed input its place; returns the blocks to read and to set."""
+        last = max(self.order.count - 1, 0)
+        wanted = set(self.order.stages if probes is None else probes) | {c.source for c in self.connections}
+        numeric = {p for p in wanted if self.system.variable(p).kind != "String"}
+        outputs = {p: s for p, s in self.order.stages.items() if p in numeric}
+        inputs = {c.target: self.order.stages[c.source] for c in self.connections}
+        for i, (knot, _) in enumerate(self.order.knots):  # in blocks of their own, which no stage touches
+            outputs |= {c.source: (TIED - i,) for c in knot.connections}
+            inputs |= {c.target: (TIED - i,) for c in knot.connections}
+        inputs |= {p: (FIRST,) for p in driven}
+        more = self.system.exposed if probes is None else probes
+        outputs |= {p: (last,) for p in more if p not in outputs and p not in inputs}
+        reads, writes = Blocks(), Blocks()
+        for bank in (self.real, self.whole):
+            for stages, blocks in ((outputs, reads), (inputs, writes)):
+                own = {p: s for p, s in stages.items() if self.bank(p) is bank}
+                blocks += [(bank, b) for b in bank.add(self.system, own)]
+        return reads, writes
 
-    # ---- before the run
+    def _exchange(self, reads: Blocks, writes: Blocks) -> list[Call]:
+        """All calls of one exchange, in order."""
+        calls: list[Any] = []
+        tied = {c.target for loop in self.loops for c in loop.knot.connections}
+        for loop in self.loops:
+            loop.bind(self.real.places(loop.inputs), self.real.places(loop.outputs))
+        for stage in range(max(self.order.count, 1)):
+            calls += [self.reader(bank, b) for bank, b in reads if stage in b.stages]
+            solved = zip(self.loops, self.order.knots, strict=True)
+            calls += [loop for loop, (_, stages) in solved if stage in stages]
+            for bank in (self.real, self.whole):
+                links = [c for c in self.connections if stage in self.order.stages[c.source]]
+                links = [c for c in links if self.bank(c.source) is bank and c.target not in tied]
+                calls += [Link(bank, links)] if links else []
+            calls += [self.writer(bank, b) for bank, b in writes if stage in b.stages]
+        return calls
 
-    def move(self, plan: Plan) -> None:
-        """Let inputs move as planned; called once."""
-        driven = self.driver.moving if self.driver else []
-        moves = Moves(self, driven, plan)
-        self._read_slopes(moves.told)
-        for name, part in zip(self.slaves, self.parts, strict=True):
-            ports = moves.ports(name)
-            mine = [moves.signal(p) for p in ports]
-            part.follow([p.variable for p in ports], mine, plan.corrected)
-            self.signals += mine
-        self.moving, self.carried = moves.moving, moves.carried
-        by_target = {s.target: s for s in self.signals}
-        self._driven = [by_target[self.real.index[p]] for p in driven]
-        pairs = [(self.real.index[b.effort], self.real.index[b.flow]) for b in find_bonds(self.system)]
-        self.bonds = [(by_target[e], by_target[f]) for e, f in pairs if e in by_target and f in by_target]
-
-    def _read_slopes(self, told: Mapping[Port, int]) -> None:
-        """Arrange for the slopes of outputs to be read into their places."""
-        self.slopes = np.zeros(len(told))
-        for name, part in zip(self.slaves, self.parts, strict=True):
-            mine = {p.variable: i for p, i in told.items() if p.component == name}
-            if mine:
-                rows = list(mine.values())
-                part.tell = part.slave.slope_reader(list(mine), self.slopes[rows[0] : rows[-1] + 1])
+    def _drive(self, scenario: Scenario) -> DrivenInputs:
+        kinds = {port: self.system.variable(port) for port in scenario.columns}
+        moving = [p for p, v in kinds.items() if v.is_continuous]
+        held = [p for p, v in kinds.items() if not v.is_real]
+        steady = [p for p in kinds if p not in moving and p not in held]
+        places = [self.real.places(moving), self.real.places(steady), self.whole.places(held)]
+        writers = [
+            self.writer(bank, b)
+            for bank in (self.real, self.whole)
+            for b in bank.blocks
+            if any(p in kinds for p in b.ports)
+        ]
+        return DrivenInputs(scenario, moving, steady, held, places, writers)

@@ -1,12 +1,8 @@
-"""A scenario as a function of time: which inputs it drives, and their values.
-
-A scenario bound to the inputs it drives.
-"""
+"""A scenario: which inputs it drives, their values over time, and what it takes the place of."""
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +11,8 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import Linear
 from orchestrator.data.trace import Trace
-from orchestrator.engine.wiring import Wiring
+from orchestrator.engine.c_library import Binding
+from orchestrator.fmi.calls import Call
 from orchestrator.fmi.description import Value, Variable
 from orchestrator.ssp.system import Port, System
 
@@ -36,24 +33,17 @@ class Table:
         hold = np.zeros((1, columns.shape[1]))
         self._slopes = np.concatenate([hold, slopes, hold])
         self._base = np.concatenate([columns[:1], columns])
-        first = time[:1].astype(np.float64)
-        self.arrays = time.astype(np.float64), self._base, self._slopes, np.concatenate([first, time])
-        self._time = time.tolist()
-        self._anchor = [self._time[0], *self._time]
-        self._row = 0
+        anchor = np.concatenate([time[:1], time]).astype(np.float64)
+        self.arrays = time.astype(np.float64), self._base, self._slopes, anchor
 
     def row(self, t: float) -> int:
         """The interval that holds t, counted from 0 = before the first sample."""
-        time, row = self._time, self._row
-        if (row == 0 or time[row - 1] <= t) and (row == len(time) or t < time[row]):
-            return row
-        self._row = bisect_right(time, t)
-        return self._row
+        return int(np.searchsorted(self.arrays[0], t, side="right"))
 
     def at(self, t: float) -> NDArray[np.float64]:
         """All columns at time t [s], shape (k,)."""
         row = self.row(t)
-        values: NDArray[np.float64] = self._base[row] + (t - self._anchor[row]) * self._slopes[row]
+        values: NDArray[np.float64] = self._base[row] + (t - self.arrays[3][row]) * self._slopes[row]
         return values
 
     def corners(self) -> list[float]:
@@ -78,7 +68,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Drive:
+class Scenario:
     """Which input follows which column of a table, through which linear map."""
 
     table: Table
@@ -140,18 +130,18 @@ class Drive:
         )
 
 
-def drive(system: System, scenario: Trace, label: str = "scenario") -> Drive:
+def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     """Match the columns of a scenario with inputs, named as `System.targets` knows them."""
     columns: dict[Port, tuple[int, Linear]] = {}
-    for k, name in enumerate(scenario.signals):
+    for k, name in enumerate(trace.signals):
         for port, linear in _targets(system, name, label):
             if port in columns:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
             columns[port] = (k, linear)
-    table = np.stack([np.asarray(v, dtype=np.float64) for v in scenario.signals.values()], axis=1)
+    table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():
-        _whole(system.variable(port), table[:, k], f"{label}: column {list(scenario.signals)[k]!r}")
-    return Drive(Table(scenario.time, table), columns)
+        _whole(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
+    return Scenario(Table(trace.time, table), columns)
 
 
 def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:
@@ -188,65 +178,50 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear]
     return targets
 
 
-class Driver:
-    """Sets driven inputs at communication points, and knows what they will be at the next one.
+class DrivenInputs:
+    """The inputs that a scenario drives, for native/scenario.c.
 
-    moving   the driven inputs that are continuous, which move at a straight line over a step
-    coming   their values at the time looked up last, shape (n,)
-    middle   their values at the middle of the step looked up last, shape (n,)
-    steady   places of the other Real ones, which keep the value of the last sample
-    held     places of the driven inputs that are no Real numbers
+    moving    those that are continuous, which move at a straight line over a step
+    steady    the other Real ones, which keep the value of the last sample, as the held ones do
+    held      those that are no Real numbers
+    places    of each of the three in their bank
+    writers   calls that set all of them
     """
 
-    def __init__(self, wiring: Wiring, drive: Drive) -> None:
-        self.table = drive.table
-        self.writers = [
-            wiring.writer(bank, b)
-            for bank in (wiring.real, wiring.whole)
-            for b in bank.blocks
-            if any(p in drive.columns for p in b.ports)
-        ]
-        self.moving = [p for p in drive.columns if wiring.system.variable(p).is_continuous]
-        held = [p for p in drive.columns if not wiring.system.variable(p).is_real]
-        steady = [p for p in drive.columns if p not in self.moving and p not in held]
-        self._real, self._whole = wiring.real.values, wiring.whole.values
-        self.targets, self.steady = wiring.real.places(self.moving), wiring.real.places(steady)
-        self.held = wiring.whole.places(held)
-        self.columns = self._column(drive, self.moving)
-        self.steady_columns, self.held_columns = self._column(drive, steady), self._column(drive, held)
-        self.factor, self.offset = self._map(drive, self.moving)
-        self.steady_factor, self.steady_offset = self._map(drive, steady)
-        self.coming = np.zeros(len(self.moving))
-        self.middle = np.zeros(len(self.moving))
-        self._when: float | None = None
+    def __init__(
+        self,
+        scenario: Scenario,
+        moving: list[Port],
+        steady: list[Port],
+        held: list[Port],
+        places: Sequence[NDArray[np.int64]],
+        writers: Sequence[Call],
+    ) -> None:
+        self.table, self.moving, self.writers = scenario.table, moving, writers
+        self.targets, self.steady, self.held = places
+        columns = scenario.columns
+        self.columns, self.steady_columns, self.held_columns = (
+            np.array([columns[p][0] for p in ports], dtype=np.int64) for ports in (moving, steady, held)
+        )
+        maps = [[columns[p][1] for p in ports] for ports in (moving, steady)]
+        self.factor, self.steady_factor = (np.array([m.factor for m in each]) for each in maps)
+        self.offset, self.steady_offset = (np.array([m.offset for m in each]) for each in maps)
+        self.coming, self.middle = np.zeros(len(moving)), np.zeros(len(moving))
 
-    def _column(self, drive: Drive, ports: list[Port]) -> NDArray[np.intp]:
-        return np.array([drive.columns[p][0] for p in ports], dtype=np.intp)
-
-    def _map(self, drive: Drive, ports: list[Port]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        maps = [drive.columns[p][1] for p in ports]
-        return np.array([m.factor for m in maps]), np.array([m.offset for m in maps])
-
-    def look(self, t: float) -> None:
-        """Find the values at t [s]."""
-        if t != self._when:
-            self.coming = self.table.at(t)[self.columns] * self.factor + self.offset
-            self._when = t
-
-    def look_ahead(self, t: float, h: float) -> None:
-        """Find the values at the middle and at the end of the step from t to t + h [s]."""
-        self.look(t + 0.5 * h)
-        self.middle = self.coming
-        self.look(t + h)
-
-    def put(self, t: float) -> None:
-        """Set the driven inputs to their value at t [s]."""
-        self.look(t)
-        self._real[self.targets] = self.coming
-        if len(self.steady):
-            latest = self.table.sample(t)[self.steady_columns]
-            self._real[self.steady] = latest * self.steady_factor + self.steady_offset
-        if len(self.held):
-            self._whole[self.held] = np.rint(self.table.sample(t)[self.held_columns])
-        for write in self.writers:
-            write()
+    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
+        """Give them to C; inputs: the numbers of the moving ones among the coupling inputs."""
+        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
+        made = binding.h.Scenario(
+            **{name: binding.at(array) for name, array in arrays},
+            **binding.all_at(self, "columns targets factor offset steady_columns steady held_columns held"),
+            **binding.all_at(self, "steady_factor steady_offset coming middle"),
+            samples=len(self.table.arrays[0]),
+            width=self.table.arrays[1].shape[1],
+            inputs=binding.at(np.array(inputs, np.int32)),
+            count=len(self.moving),
+            steady_count=len(self.steady),
+            held_count=len(self.held),
+            when=np.nan,
+            writers=binding.program(self.writers),
+        )
+        binding.simulation.scenario = binding.pointer(made)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.initialisation import initialise
-from orchestrator.engine.linear_prediction import Tangent
+from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.fmi.calls import Call, Slave
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.linear.model import Choice
@@ -68,7 +68,7 @@ class Member:
     def open(self, plant: Stacked) -> None:
         """Bind the calls to the arrays of the plant."""
         f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
-        self._tangent = Tangent(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
+        self._tangent = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
         self.starts = [*self._tangent.values, *self._rows(self.slave.reader, self.inputs, v)]
         self.writes = self._rows(self.slave.writer, self.inputs, v)
         self.reads = [*self._tangent.rates, *self._rows(self.slave.reader, self.outputs, y)]

@@ -22,10 +22,11 @@ import numpy as np
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+from orchestrator.engine.job import Job, Opener
 from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import Recorder
-from orchestrator.engine.run import Job, Opener, open_slave
-from orchestrator.engine.scenario import Drive, Table, drive
+from orchestrator.engine.run import open_slave
+from orchestrator.engine.scenario import Scenario, Table, drive
 from orchestrator.engine.time_grid import Grid, communication_step
 from orchestrator.realtime.setup import Array, Axis, Setup
 from orchestrator.realtime.shared_memory import Orders
@@ -50,8 +51,6 @@ class Ramp(Table):
         slopes[1] /= end - begin
         times[0] = anchor[0] = anchor[1] = begin
         times[1] = anchor[2] = end
-        self._time[:] = begin, end
-        self._anchor[:] = begin, begin, end
 
 
 class Hand:
@@ -143,10 +142,10 @@ class Latest(Recorder):
         self._wholes = np.array([self._ports.index(p) for p in self._whole], dtype=np.intp)
 
     def _keep(self) -> None:
-        if self.filled:
-            self.values[self._reals] = self.fresh.reals[self.filled - 1]
-            self.values[self._wholes] = self.fresh.wholes[self.filled - 1]
-            self.filled = 0
+        if last := self.made.filled:
+            self.values[self._reals] = self.fresh.reals[last - 1]
+            self.values[self._wholes] = self.fresh.wholes[last - 1]
+            self.made.filled = 0
 
 
 class Engine:
@@ -173,27 +172,25 @@ class Engine:
         system = driven.released(system) if driven else system
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, setup.signals, (), None, True, open)
+        job = Job(system, driven, coupling, setup.signals, (), None, open)
         with ExitStack() as stack:
             opened = stack.enter_context(job.opened(times, Latest))
-            self._march, self._latest = opened.march, opened.recorder
-            self._march.begin()
-            self._latest.settle()
+            self._loop, self._latest = opened.loop, opened.recorder
+            self._loop.begin()
             told = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *told, *opened.network.notes, *self._march.notes)
+            self.notes = (*system.notes, *told, *opened.network.notes)
             self._undo = stack.pop_all()
         assert isinstance(self._latest, Latest)
         self.values = self._latest.values
 
     def advance(self, axes: Array) -> None:
         """One frame, in which the axes move at straight lines to these values, shape (axes,)."""
-        march = self._march
-        march.total = march.done + self._steps
-        self._ramp.aim(self.t, self._at(self._times, march.total), axes)
-        while march.done < march.total:
-            march.block()
-            self._latest.settle()
-        self.t = march.t
+        state = self._loop.state
+        state.total = state.done + self._steps
+        self._ramp.aim(self.t, self._at(self._times, state.total), axes)
+        while state.done < state.total:
+            self._loop.advance()
+        self.t = state.t
         self.axes[:] = axes
 
     def close(self) -> None:
@@ -221,7 +218,7 @@ def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     return Grid(start, step, NEVER), steps
 
 
-def _drive(system: System, setup: Setup, ramp: Ramp) -> Drive | None:
+def _drive(system: System, setup: Setup, ramp: Ramp) -> Scenario | None:
     """The axes bound to the inputs that they drive."""
     if not setup.axes:
         return None

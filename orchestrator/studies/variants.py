@@ -1,8 +1,8 @@
 """What each variant of a component costs and changes (`harvester variants`).
 
-The cost is the time that a run spends inside an FMU: that of its fmi2DoStep or fmi3DoStep as called through
-ctypes, less that of an empty call of the same kind right after it. Of each step and each empty call the least
-disturbed of several runs counts. Computers differ and are noisy: compare figures of one sitting only.
+The cost is the time that a run spends inside an FMU: from setting its inputs to the end of its fmi2DoStep or
+fmi3DoStep, as the loop in C measures it. Of several runs the least disturbed counts. Computers differ and are
+noisy: compare figures of one sitting only.
 
 Every combination of variants is run once: whether it comes to the end, what it costs, what it changes.
 """
@@ -10,57 +10,22 @@ Every combination of variants is run once: whether it comes to the end, what it 
 from __future__ import annotations
 
 import csv
-import ctypes
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from math import prod
 from pathlib import Path
-from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import RunFailed
-from orchestrator.engine.run import open_slave, run
-from orchestrator.fmi.calls import Slave
+from orchestrator.engine.run import run
 from orchestrator.ssp.load import load
-from orchestrator.ssp.system import Component, System
-
-Spent = dict[str, list[tuple[int, int]]]  # of each component: time of each step and of an empty call [ns]
-
-
-def timed(spent: Spent) -> Callable[[Component], Slave]:
-    """Opens slaves whose calls of fmi2DoStep or fmi3DoStep are timed, the call through ctypes included."""
-
-    def opener(component: Component) -> Slave:
-        slave: Any = open_slave(component)
-        step, nothing, mine = slave._step, _empty_call(), spent.setdefault(component.name, [])
-
-        def measured(*arguments: Any) -> int:
-            begin = perf_counter_ns()
-            status: int = step(*arguments)
-            between = perf_counter_ns()
-            nothing(*arguments)
-            mine.append((between - begin, perf_counter_ns() - between))
-            return status
-
-        slave._step = measured
-        return slave  # type: ignore[no-any-return]
-
-    return opener
-
-
-def _empty_call() -> Callable[..., int]:
-    """A call that does nothing, to be given the arguments of a step."""
-    address = ctypes.cast(ctypes.pythonapi.Py_IsInitialized, ctypes.c_void_p).value or 0
-    nothing = ctypes.CFUNCTYPE(ctypes.c_int)(address)  # types of arguments would have to be checked
-    return partial(nothing, ctypes.c_void_p())
+from orchestrator.ssp.system import System
 
 
 def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[dict[str, float]]:
@@ -68,14 +33,13 @@ def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[
 
     The systems take turns, so that what disturbs the machine for a while disturbs all of them.
     """
-    least: list[dict[str, NDArray[np.float64]]] = [{} for _ in systems]
+    least: list[dict[str, float]] = [{} for _ in systems]
     for _ in range(repeats):
         for system, best in zip(systems, least, strict=True):
-            spent: Spent = {}
-            run(system, open=timed(spent), native=False, **options)
-            for name, steps in spent.items():
-                best[name] = np.minimum(best.get(name, np.inf), steps)
-    return [{n: float(np.subtract(*steps.mean(axis=0))) / 1e3 for n, steps in best.items()} for best in least]
+            card = run(system, **options).card
+            for name, spent in card.inside.items():
+                best[name] = min(best.get(name, float("inf")), spent / card.steps * 1e6)
+    return least
 
 
 @dataclass(frozen=True)
@@ -84,7 +48,7 @@ class Combination:
 
     reached    simulated time [s]
     failure    why it ended there; empty when it came to the end
-    inside     time in the steps of all FMUs [us] for each millisecond simulated, ctypes included
+    inside     time in the steps of all FMUs [us] for each millisecond simulated
     factor     times real time, all included
     residual   largest energy error of the coupling at a power bond, share of the energy exchanged there
     change     largest RMS difference of a watched signal from the first combination, share of its range

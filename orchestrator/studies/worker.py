@@ -22,7 +22,7 @@ from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.engine.native import compiled
+from orchestrator.engine import simulation_loop
 from orchestrator.studies.cases import Case, Options
 from orchestrator.studies.single_run import Row, Sample, failed, row
 from orchestrator.studies.study import Study
@@ -199,7 +199,7 @@ def work(name: str, batch: Sequence[Sample]) -> list[Row]:
 
 def main(channel: Channel) -> None:
     """In the process: a packet comes first, then samples, each answered with a row."""
-    compiled.CORES = 1  # there is a process on every core
+    simulation_loop.CORES = 1  # there is a process on every core
     packet: Packet = channel.get()
     cases = packet.unpacked(channel.folder / "fmus")
     true = {str(c.source): name for name, c in _sources(packet, cases)}

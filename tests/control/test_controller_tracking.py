@@ -91,7 +91,7 @@ def test_another_machine_than_assumed(machine, changed):
 )
 def test_sampled_and_noisy_the_bars_hold(machine, swap, changed, limit):
     """A computer that looks every 10 ms and answers 10 ms later, encoder counts, noise of 0.1 bar."""
-    options = {"swap": swap, "set": changed, "open": opener, "native": False, "master": "gauss-seidel"}
+    options = {"swap": swap, "set": changed, "open": opener, "master": "gauss-seidel"}
     _, error = tracked(machine, "square", stop=7.0, step=1e-3, **options)
     assert error.max() < limit
     assert rms(error) < 0.010

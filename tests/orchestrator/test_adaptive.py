@@ -1,5 +1,6 @@
 """Steps of a run's own choice: errors, numbers, what they hit, what happens to bad ones, and their law."""
 
+from ctypes import byref, c_double
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.engine.communication_step import GROW, NEARLY, REPEATED, SAFETY, SHRINK, Pace
+from orchestrator.engine.c_library import engine_h, library
 
 
 def error(trace, exact):
@@ -200,40 +201,59 @@ def test_control_of_the_energy_wants_a_bond(moving):
 
 # ---- the law
 
+SAFETY, SHRINK, GROW, REPEATED, NEARLY = 0.8, 0.2, 2.0, 0.9, 1 - 1e-9  # of native/step_size.c
+
+
+class StepSize:
+    """The engine's choice of steps."""
+
+    def __init__(self, **fields):
+        self.made = engine_h().StepSize(**fields)
+
+    @property
+    def h(self):
+        return self.made.h
+
+    def length(self, room):
+        return library().step_size_next(byref(self.made), c_double(room))
+
+    def good(self, e, h):
+        return bool(library().step_size_accepts(byref(self.made), c_double(e), c_double(h)))
+
 
 errors = st.floats(0.0, 1e6)
 powers = st.integers(1, 5)
 
 
 def fresh(power=1, repeats=True, first=1e-3, smallest=1e-7, largest=0.1):
-    """A pace at its beginning."""
-    return Pace(first, power, smallest, largest, repeats)
+    """At its beginning."""
+    return StepSize(h=first, power=power, smallest=smallest, largest=largest, repeats=repeats)
 
 
 @given(errors, errors, powers, st.booleans())
 def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repeats):
     """From the same past, for steps that stand and for those that do not."""
     small, large = sorted((one, other))
-    paces = fresh(power, repeats), fresh(power, repeats)
-    for pace, e in zip(paces, (small, large), strict=True):
-        pace.good(0.5, 1e-3)
-        pace.good(e, 1e-3)
-    assert paces[0].h >= paces[1].h
+    sizes = fresh(power, repeats), fresh(power, repeats)
+    for size, e in zip(sizes, (small, large), strict=True):
+        size.good(0.5, 1e-3)
+        size.good(e, 1e-3)
+    assert sizes[0].h >= sizes[1].h
 
 
 @given(st.lists(st.tuples(errors, st.floats(1e-6, 1.0)), max_size=30), powers, st.booleans())
 def test_steps_stay_within_their_limits(history, power, repeats):
     """Whatever errors come; from one step to the next they change by the limits of the law at most."""
-    pace = fresh(power, repeats)
+    size = fresh(power, repeats)
     for e, room in history:
-        h = pace.length(room)
+        h = size.length(room)
         assert 0 < h <= room
-        stands = pace.good(e, h)
+        stands = size.good(e, h)
         assert stands == (e <= 1.0 or not repeats or h <= 1e-7)
-        assert 1e-7 <= pace.h <= 0.1
+        assert 1e-7 <= size.h <= 0.1
         if not stands:
-            assert pace.h <= max(REPEATED * h, 1e-7)
-        assert pace.h >= min(SHRINK * h, 0.1) * (1 - 1e-15)
+            assert size.h <= max(REPEATED * h, 1e-7)
+        assert size.h >= min(SHRINK * h, 0.1) * (1 - 1e-15)
 
 
 @given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
@@ -243,8 +263,8 @@ def test_the_end_is_hit_without_a_short_last_step(room, step):
     It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
     misses its end by less than that would be halved for it, with twice the cost.
     """
-    pace = fresh(first=step, largest=1.0)
-    h = pace.length(room)
+    size = fresh(first=step, largest=1.0)
+    h = size.length(room)
     assert h == room or room - h >= h * (1 - 1e-15)
     assert h <= max(step / NEARLY, room / 2)
 
@@ -252,19 +272,19 @@ def test_the_end_is_hit_without_a_short_last_step(room, step):
 def test_a_step_that_was_cut_does_not_shorten_the_next():
     """An output time is no reason to begin anew; an error is."""
     for e, expected in ((0.5, 1e-2), (2.0, 1e-4)):
-        pace = fresh(first=1e-2, repeats=False)
-        assert pace.length(1e-4) == 1e-4
-        assert pace.good(e, 1e-4)
-        assert (pace.h >= expected) if e < 1 else (pace.h < expected)
+        size = fresh(first=1e-2, repeats=False)
+        assert size.length(1e-4) == 1e-4
+        assert size.good(e, 1e-4)
+        assert (size.h >= expected) if e < 1 else (size.h < expected)
 
 
 @pytest.mark.parametrize("power", [1, 2, 3, 4])
 def test_an_error_that_is_a_power_of_the_step_settles(power):
     """At the step whose error is a safe share of the tolerance, without swinging to and fro."""
-    pace, found = fresh(power), []
+    size, found = fresh(power), []
     for _ in range(60):
-        h = pace.length(1e9)
-        pace.good((h / 5e-3) ** power, h)
+        h = size.length(1e9)
+        size.good((h / 5e-3) ** power, h)
         found.append(h)
     assert found[-1] == pytest.approx(SAFETY * 5e-3, rel=1e-3)  # converged: differences shrink by the law
     growth = np.array(found[1:]) / found[:-1]
@@ -275,8 +295,8 @@ def test_an_error_that_is_a_power_of_the_step_settles(power):
 @pytest.mark.parametrize("e", [float("nan"), float("inf")])
 def test_what_is_no_number_is_an_error(e):
     """It is repeated as long as that is possible, with the shortest step that the law allows."""
-    pace = fresh()
-    assert not pace.good(e, 1e-3)
-    assert pace.h == pytest.approx(SHRINK * 1e-3, rel=1e-15)
+    size = fresh()
+    assert not size.good(e, 1e-3)
+    assert size.h == pytest.approx(SHRINK * 1e-3, rel=1e-15)
     assert fresh(repeats=False).good(e, 1e-3)
     assert fresh().good(e, 1e-7)  # at the smallest step errors are let pass

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_fmu.models import Workshop
-from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, circle
+from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
 
 STUCK = "hermite computes every step once: q cannot go back to a saved state"
-SILENT = "slopes from differences of values, because the FMUs tell none: q.y"
+SILENT = "slopes from differences of values, because the FMUs give none: q.y"
 STILL = "inputs held at their mean over a step, because the FMUs take no slopes: "
 STRAIGHT = "inputs moved at straight lines, because the FMUs take no curves: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
@@ -128,14 +128,14 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
     assert both(system, "jacobi").error == ""
     for native in (True, False):
         with pytest.raises(Problem, match=f": its binary lacks the function {name.decode()}$"):
-            run(system, master="hermite", step=0.1, stop=1.0, native=native)
+            run(system, master="hermite", step=0.1, stop=1.0, open=OPENERS[native])
 
 
 def test_slopes_of_a_missing_function_follow_from_differences(each, both):
     """A declaration that the binary does not keep is no reason to stop."""
     name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
     notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
-    assert "slopes from differences of values, because the FMUs tell none: q.y, p.y" in notes
+    assert "slopes from differences of values, because the FMUs give none: q.y, p.y" in notes
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -173,7 +173,7 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
     wired = assemble({**files, "r": files["q"]}, ["p.y -> q.u", "q.y -> p.u", "p.idle -> r.u"])
     assert "none: " not in " ".join(both(system, master=HERMITE).result.card.notes)
     notes = both(wired, master=HERMITE).result.card.notes
-    assert "slopes from differences of values, because the FMUs tell none: p.idle" in notes
+    assert "slopes from differences of values, because the FMUs give none: p.idle" in notes
 
 
 # ---- what FMUs do

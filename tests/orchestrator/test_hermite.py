@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from any_fmu.models import RAMP
+from any_fmu.outcome import OPENERS, in_python
 
 from orchestrator import assemble, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.engine.run import open_slave
 
 TWO = Coupling("hermite", guard=0, passes=2, tolerance=1e-14)
 ONE = Coupling("hermite", guard=0, passes=1)
@@ -71,7 +71,7 @@ def test_a_chain_takes_one_pass(fmus, in_c):
         step=0.1,
         stop=1.0,
         record=["sum.y"],
-        native=in_c,
+        open=OPENERS[in_c],
     )
     assert result.card.passes == result.card.steps == 10
 
@@ -81,7 +81,7 @@ def test_what_hears_nothing_is_not_repeated(fmus, moving):
     counts = dict.fromkeys("absk", 0)
 
     def counted(component):
-        slave = open_slave(component)
+        slave = in_python(component)
         step, name = slave.step, component.name
 
         def once(t, h):
@@ -94,7 +94,7 @@ def test_what_hears_nothing_is_not_repeated(fmus, moving):
     files = {name: part.source.path for name, part in moving.components.items()} | {"s": fmus["source"]}
     files["k"] = fmus.make("fails", "driven", interpolates=True)
     system = assemble(files, [*map(str, moving.connections), "s.y -> k.u"])
-    card = run(system, master=TWO, step=0.02, stop=0.2, native=False, open=counted).card
+    card = run(system, master=TWO, step=0.02, stop=0.2, open=counted).card
     assert card.passes == 20
     assert counts == {"a": 20, "b": 20, "s": 10, "k": 10}
 

@@ -1,18 +1,20 @@
 """The master that foretells inputs from the joined linearisations, on the undamped two-mass oscillator."""
 
 from contextlib import closing
-from itertools import cycle
 
 import numpy as np
 import pytest
 from any_fmu.models import RATES, STATES, V
+from any_fmu.outcome import OPENERS
 
 from orchestrator import Coupling, Trace, assemble, run
 from orchestrator.base.files import Location
-from orchestrator.engine.communication_step import Pace
-from orchestrator.engine.linear_prediction import Tangent
+from orchestrator.engine.c_library import engine_h
+from orchestrator.engine.job import Job
+from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.masters import interface_jacobian
-from orchestrator.engine.native import compiled
+from orchestrator.engine.run import open_slave
+from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
 
@@ -50,7 +52,7 @@ def worst(result, exact):
 
 def follow(system, **choices):
     """A run with this master."""
-    run_choices = {k: choices.pop(k) for k in list(choices) if k in ("step", "stop", "native", "record_step")}
+    run_choices = {k: choices.pop(k) for k in list(choices) if k in ("step", "stop", "open", "record_step")}
     pure = {} if "adaptive" in choices else {"guard": 0}
     return run(system, master=Coupling("interface-jacobian", **pure, **choices), **run_choices)
 
@@ -108,21 +110,31 @@ def test_adaptive_steps_keep_the_tolerance(open_oscillator, exact):
 
 
 @pytest.mark.parametrize("lag", [1, 3])
-def test_a_repeated_step_is_foretold_anew(open_oscillator, monkeypatch, lag):
+def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
     """A step that is computed three times, always as long, ends where it ended at first: nothing is stale."""
 
     def ends(rejected):
-        verdicts = cycle([False] * rejected + [True])
-        monkeypatch.setattr(Pace, "good", lambda *_: next(verdicts))
-        choices = {"adaptive": 1e-3, "lag": lag, "smallest": 1e-2, "largest": 1e-2}
-        return follow(open_oscillator, step=1e-2, stop=0.5, native=False, **choices)
+        coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
+        job = Job(open_oscillator, None, coupling, None, None, None, open_slave)
+        with job.opened(Grid(0.0, 0.5, 1, first=1e-2, free=True)) as opened:
+            state, tries = opened.loop.state, 0
+            size = engine_h().StepSize.from_address(state.step_size)
+            state.patience = 0.0  # one step at a time
+            opened.loop.begin()
+            while state.done < 1:
+                size.h = 1e-2
+                state.error_tolerance = 1e-300 if tries % (rejected + 1) < rejected else 1e300
+                tries += 1
+                opened.loop.advance()
+            return (state.steps, state.repeated), opened.recorder.trace()["a.x"]
 
-    once, thrice = ends(0), ends(2)
-    assert (once.card.repeated, thrice.card.repeated) == (0, 2 * once.card.steps)
-    np.testing.assert_array_equal(thrice.trace["a.x"], once.trace["a.x"])
+    (counts, once), (more, thrice) = ends(0), ends(2)
+    assert counts == (50, 0)
+    assert more == (50, 100)
+    np.testing.assert_array_equal(thrice, once)
 
 
-# ---- both loops
+# ---- through Python
 
 
 @pytest.mark.parametrize(
@@ -130,12 +142,11 @@ def test_a_repeated_step_is_foretold_anew(open_oscillator, monkeypatch, lag):
     [{}, {"lag": 5}, {"factors": {"b": 3}}, {"adaptive": 1e-5}, {"adaptive": 1e-4, "lag": 4}],
     ids=str,
 )
-def test_c_and_python_give_the_same_numbers(open_oscillator, choices):
+def test_fmus_called_by_c_and_by_python_give_the_same_numbers(open_oscillator, choices):
     """Bit for bit over 1000 steps, and the same steps where they are chosen."""
-    assert not isinstance(compiled.library(), str)  # else both would be Python
     stop = 1.0 if "adaptive" not in choices else 10.0
     slow, fast = (
-        follow(open_oscillator, step=1e-3, stop=stop, native=in_c, **choices) for in_c in (False, True)
+        follow(open_oscillator, step=1e-3, stop=stop, open=OPENERS[in_c], **choices) for in_c in (False, True)
     )
     assert (slow.card.steps, slow.card.repeated) == (fast.card.steps, fast.card.repeated)
     assert slow.card.steps >= 300
@@ -155,7 +166,7 @@ def test_components_that_do_not_tell_are_continued(fmus, exact, which):
     """What does not tell how it changes is continued from its past; a line on the card names it."""
     files = {n: (closed if n in which else telling)(fmus, f"mass_{n}") for n in "ab"}
     result = follow(oscillator_of(**files), step=1e-3, stop=10.0)
-    assert [note.split()[0] for note in result.card.notes if "continued from" in note] == sorted(
+    assert [note.split()[0] for note in result.card.notes if "no directional derivatives" in note] == sorted(
         which, reverse=True
     )
     assert worst(result, exact) < 5e-8  # as one pass of hermite, 3e-8; with everything told 7e-10
@@ -173,7 +184,7 @@ def test_derivatives_that_fail_are_told(fmus):
     files = {"one": fmus.make("fails", "nan_one", **more), "other": fmus.make("fails", "nan_other", **more)}
     system = assemble(files, ["one.y -> other.u", "other.y -> one.u"])
     notes = follow(system, step=0.1, stop=0.5).card.notes
-    assert [note.split()[0] for note in notes if "continued from" in note] == ["one", "other"]
+    assert [note.split()[0] for note in notes if "no directional derivatives" in note] == ["one", "other"]
 
 
 # ---- what FMUs tell
@@ -200,7 +211,7 @@ def test_one_call_for_knowns_that_share_nothing(fmus, undeclared, calls):
         slave.setup(0.0, 1.0, None)
         slave.enter()
         slave.exit()
-        tangent = Tangent(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
+        tangent = Linearisation(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
         assert len(tangent.columns) == calls
         # x' = v, v' = -10 x + 100 (x2 - x), force = 100 (x2 - x): exact
         np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])
@@ -248,10 +259,10 @@ def test_what_only_follows_sources_leads(fmus, open_oscillator):
     """A chain behind a source steps in its order, each with the course of the one before."""
     files = {"last": closed(fmus, "mass_b"), "middle": closed(fmus, "mass_a"), "first": fmus["source"]}
     chain = assemble(files, ["middle.force -> last.force", "first.y -> middle.x2"], {"first.omega": 20.0})
-    assert interface_jacobian(chain, Coupling("interface-jacobian", guard=0)).turns == [2, 1, 0]
-    assert interface_jacobian(open_oscillator, Coupling("interface-jacobian", guard=0)).outlook.leads == 0
+    assert interface_jacobian(chain, Coupling("interface-jacobian", guard=0)).order == [2, 1, 0]
+    assert interface_jacobian(open_oscillator, Coupling("interface-jacobian", guard=0)).prediction.leads == 0
     coarse, fine = (follow(chain, step=h, stop=1.0) for h in (1e-2, 1e-3))
     assert coarse.card.notes == fine.card.notes
-    assert not any("continued from" in note for note in coarse.card.notes)
+    assert not any("no directional derivatives" in note for note in coarse.card.notes)
     # the source tells no slope: its 20 m/s are missed at the start, 2000 N/s h^2 / 12, over 33 rad/s: 5e-4 m
     np.testing.assert_allclose(coarse.trace["last.x"], fine.trace["last.x"][::10], rtol=0, atol=6e-4)

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_fmu.models import Workshop
+from any_fmu.outcome import OPENERS
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.files import Location
-from orchestrator.engine.algebraic_loop import factorised, solve
+from orchestrator.engine.c_library import library
 from orchestrator.engine.initialisation import initialise
-from orchestrator.engine.native.compiled import library
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import open_slave
+from orchestrator.fmi.calls import address
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
 from orchestrator.ssp.dependencies import output_order
@@ -24,12 +25,6 @@ from orchestrator.ssp.dependencies import output_order
 CLOSE = 1e-9
 MUTE = {"maxOutputDerivativeOrder": 0}
 PAIR = ["p.y -> q.u", "q.y -> p.u"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled() -> None:
-    """Where a loop in C is compared with the one in Python there is one."""
-    assert not isinstance(library(), str)
 
 
 @pytest.fixture(params=[False, True], ids=["differences", "directional"])
@@ -96,7 +91,9 @@ def test_hermite_keeps_its_order_around_a_loop(fmus, undeclared):
     errors, omega = [], np.sqrt(100 + 100 / 3)  # F = 100 (-0.02 F - x) = -100 x / 3
     for h in (5e-3, 2.5e-3):
         master = Coupling("hermite", guard=0, tolerance=1e-10)
-        results = [run(system, master=master, step=h, stop=1.0, native=native) for native in (False, True)]
+        results = [
+            run(system, master=master, step=h, stop=1.0, open=OPENERS[native]) for native in (False, True)
+        ]
         np.testing.assert_array_equal(*(r.trace["m.x"] for r in results))
         errors.append(
             np.abs(results[0].trace["m.x"] - 100 / omega * np.sin(omega * results[0].trace.time)).max()
@@ -225,7 +222,7 @@ def test_a_loop_that_loses_its_solution_ends_the_run(each, told, native):
     with pytest.raises(
         RunFailed, match=r"algebraic loop .*: no solution at t = 0\.6 s.*residual of"
     ) as caught:
-        run(system, step=0.1, stop=2.0, native=native)
+        run(system, step=0.1, stop=2.0, open=OPENERS[native])
     assert caught.value.result.trace.time[-1] == pytest.approx(0.5)  # sin 0.5 < 0.5 < sin 0.6
 
 
@@ -265,20 +262,20 @@ def test_whole_numbers_that_only_seem_to_be_in_a_loop(each, native):
     files["c"] = each.make("bent", "silent_c", undeclared=True)
     wires = ["a.real_out -> b.real_in", "b.real_out -> c.u", "c.y -> a.real_in", "a.int_out -> b.int_in"]
     start = {"a.gain": 3.0, "b.gain": -2.0, "c.w": 1.0, "a.int_in": 4}
-    result = run(assemble(files, wires, start), step=0.1, stop=1.0, native=native)
+    result = run(assemble(files, wires, start), step=0.1, stop=1.0, open=OPENERS[native])
     np.testing.assert_allclose(result.trace["c.y"], 1 / 7, rtol=CLOSE)
     np.testing.assert_array_equal(result.trace["b.int_out"], 6)
     assert any("not Real are read 4 times per step" in note for note in result.card.notes)
 
 
-# ---- the same in C
+# ---- the same through Python
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_python_and_c_agree_bit_for_bit(each, told, master):
+def test_fmus_called_by_python_and_by_c_agree_bit_for_bit(each, told, master):
     """1000 steps of a loop that is not linear, with all signals."""
     system = forced(each, told, 0.5, -1.0, -0.2, slopes=False)
-    fast, slow = (run(system, master=master, step=0.02, stop=20.0, native=n) for n in (True, False))
+    fast, slow = (run(system, master=master, step=0.02, stop=20.0, open=OPENERS[n]) for n in (True, False))
     assert len(fast.trace.time) == 1001
     for name, values in slow.trace.signals.items():
         np.testing.assert_array_equal(fast.trace[name], values)
@@ -286,7 +283,7 @@ def test_python_and_c_agree_bit_for_bit(each, told, master):
 
 
 @pytest.mark.parametrize("undeclared", [False, True])
-def test_python_and_c_agree_on_loops_of_several(each, undeclared):
+def test_fmus_called_by_python_and_by_c_agree_on_loops_of_several(each, undeclared):
     """Two nested loops that are not linear."""
     files = {"s": each["source"]}
     files |= {n: each.make("bent", f"{n}_{undeclared}", undeclared=undeclared) for n in "abc"}
@@ -300,7 +297,7 @@ def test_python_and_c_agree_on_loops_of_several(each, undeclared):
         "s.amplitude": 3.0,
     }
     system = assemble(files, wires, start)
-    fast, slow = (run(system, step=0.02, stop=20.0, native=n) for n in (True, False))
+    fast, slow = (run(system, step=0.02, stop=20.0, open=OPENERS[n]) for n in (True, False))
     for name, values in slow.trace.signals.items():
         np.testing.assert_array_equal(fast.trace[name], values)
     y = {n: slow.trace[f"{n}.y"] for n in "abc"}
@@ -318,9 +315,9 @@ def test_linear_equations(n):
     matrix, right = random.normal(size=(n, n)), random.normal(size=n)
     if n > 1:
         matrix[np.arange(n), np.arange(n)] = 0.0
-    factors, rows, found = matrix.tolist(), [0] * n, right.tolist()
-    assert factorised(factors, rows)
-    solve(factors, rows, found)
+    factors, rows, found = matrix.copy(), np.zeros(n, np.int32), right.copy()
+    assert library().loop_factorise(address(factors), address(rows), n)
+    library().loop_substitute(address(factors), address(rows), address(found), n)
     # rounding times the condition of these matrices, below 100
     np.testing.assert_allclose(matrix @ found, right, rtol=0, atol=1e-13)
 
@@ -328,7 +325,8 @@ def test_linear_equations(n):
 @pytest.mark.parametrize("matrix", [[[0.0]], [[1.0, 2.0], [2.0, 4.0]], [[float("nan"), 1.0], [1.0, 1.0]]])
 def test_equations_without_a_solution_are_seen(matrix):
     """Singular, and not a number."""
-    assert not factorised(matrix, [0] * len(matrix))
+    n = len(matrix)
+    assert not library().loop_factorise(address(np.array(matrix)), address(np.zeros(n, np.int32)), n)
 
 
 def test_derivatives_in_fmi2(fmus):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, run
-from orchestrator.engine import simulation_loop
 from orchestrator.engine.result import Card, compare
+from orchestrator.engine.simulation_loop import Progress
 from orchestrator.fmi.description import Interface, Variable
 from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
@@ -320,7 +320,7 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     """Nothing before the patience is over, a bar on stderr after that."""
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert capsys.readouterr().err == ""
-    monkeypatch.setattr(simulation_loop, "PATIENCE", 0.0)
+    monkeypatch.setattr(Progress, "shown_after", 0.0)
     monkeypatch.setenv("FORCE_COLOR", "1")
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert "10 s simulated" in capsys.readouterr().err

@@ -1,6 +1,6 @@
-/* Calls into FMUs, and the values they work on. */
+/* Calls into FMUs and into Python, and the values they work on. */
 
-#include "run.h"
+#include "engine.h"
 
 #ifdef _WIN32
 #define WIN32_LEAN_AND_MEAN
@@ -31,8 +31,6 @@ typedef int Step2(void *, double, double, int);
 typedef int Step3(void *, double, double, _Bool, void *, void *, void *, void *);
 typedef int GetState(void *, void **);
 typedef int SetState(void *, void *);
-
-enum { OUT_OF_RANGE = -1 }; /* as a status: a whole number that the other type cannot hold */
 
 /* One value between a bank and an FMU; both directions are exact or refused. */
 #define CONVERT(TYPE)                                                   \
@@ -81,74 +79,83 @@ static int convert(const Access *a) {
 static int make(const Access *a) {
     const size_t n = (size_t)a->count;
     if (a->orders && a->fmi == 2)
-        return ((Derivatives2 *)a->function)(a->component, a->references, n, a->orders, a->own);
-    if (a->orders) return ((Derivatives3 *)a->function)(a->component, a->references, n, a->orders, a->own, n);
-    if (a->fmi == 2) return ((Values2 *)a->function)(a->component, a->references, n, a->own);
-    return ((Values3 *)a->function)(a->component, a->references, n, a->own, n);
+        return ((Derivatives2 *)a->function)(a->instance, a->references, n, a->orders, a->own);
+    if (a->orders) return ((Derivatives3 *)a->function)(a->instance, a->references, n, a->orders, a->own, n);
+    if (a->fmi == 2) return ((Values2 *)a->function)(a->instance, a->references, n, a->own);
+    return ((Values3 *)a->function)(a->instance, a->references, n, a->own, n);
 }
 
-static int access_values(Run *run, const Access *a) {
+static int access_values(Simulation *sim, const Access *a) {
     const int same = a->own == a->values;
-    if (!same && a->sets && !convert(a)) return run->judge(a, 0, OUT_OF_RANGE);
+    if (!same && a->sets && !convert(a)) return sim->check_status(a, 0, OUT_OF_RANGE);
     const int status = make(a);
     if (status) {
-        const int verdict = run->judge(a, 0, status);
+        const int verdict = sim->check_status(a, 0, status);
         if (verdict) return verdict;
     }
-    if (!same && !a->sets && !convert(a)) return run->judge(a, 0, OUT_OF_RANGE);
+    if (!same && !a->sets && !convert(a)) return sim->check_status(a, 0, OUT_OF_RANGE);
     return CONTINUE;
 }
 
-static void carry(Run *run, const Link *link) {
+static void carry(Simulation *sim, const Link *link) {
     for (int32_t i = 0; i < link->count; i++) {
         const int64_t from = link->source[i], to = link->target[i];
         if (link->bank == REAL) {
             const double *factor = link->factor, *offset = link->offset;
-            run->real[to] = factor ? run->real[from] * factor[i] + offset[i] : run->real[from];
+            sim->real[to] = factor ? sim->real[from] * factor[i] + offset[i] : sim->real[from];
         } else {
             const int32_t *factor = link->factor, *offset = link->offset;
-            run->whole[to] = factor ? run->whole[from] * factor[i] + offset[i] : run->whole[from];
+            sim->whole[to] = factor ? sim->whole[from] * factor[i] + offset[i] : sim->whole[from];
         }
     }
 }
 
-int carry_out(Run *run, const Program *program) {
+int carry_out(Simulation *sim, const Program *program) {
     for (int32_t i = 0; i < program->count; i++) {
         const Instruction *one = &program->instructions[i];
         int verdict = CONTINUE;
-        if (one->kind == LINK) carry(run, one->what);
-        else verdict = one->kind == LOOP ? solve_loop(run, one->what) : access_values(run, one->what);
+        if (one->kind == LINK) carry(sim, one->what);
+        else if (one->kind == ACCESS) verdict = access_values(sim, one->what);
+        else if (one->kind == LOOP) verdict = loop_solve(sim, one->what);
+        else verdict = sim->call_python(CALL, one->index, 0.0, 0.0);
         if (verdict) return verdict;
     }
     return CONTINUE;
 }
 
-int derivative_along(const void *function, void *component, int fmi, const uint32_t *of, size_t outputs,
-                     const uint32_t *by, size_t count, const double *seed, double *into) {
-    if (fmi == 2) return ((Derivative2 *)function)(component, of, outputs, by, count, seed, into);
-    return ((Derivative3 *)function)(component, of, outputs, by, count, seed, count, into, outputs);
+int directional_derivative(Simulation *sim, const Derivative *d) {
+    const size_t m = (size_t)d->outputs, n = (size_t)d->count;
+    int status;
+    if (!d->function) return sim->call_python(CALL, d->index, 0.0, 0.0);
+    if (d->fmi == 2)
+        status = ((Derivative2 *)d->function)(d->instance, d->of, m, d->by, n, d->seed, d->into);
+    else status = ((Derivative3 *)d->function)(d->instance, d->of, m, d->by, n, d->seed, n, d->into, m);
+    return status ? sim->check_status(d, 0, status) : CONTINUE;
 }
 
-int step_part(Run *run, int k, double t, double h) {
-    Part *p = &run->parts[k];
+int component_step(Simulation *sim, int k, double t, double h) {
+    Component *p = &sim->components[k];
     p->clock[0] = p->clock[1] = t;
+    if (!p->do_step) return sim->call_python(STEP, k, t, h);
     int status;
-    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->component, t, h, p->final);
+    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, h, p->final);
     else
-        status = ((Step3 *)p->do_step)(p->component, t, h, p->final != 0, p->event, p->terminate, p->early,
+        status = ((Step3 *)p->do_step)(p->instance, t, h, p->final != 0, p->event, p->terminate, p->early,
                                        p->last);
-    if (status || (p->flags && *p->flags)) return run->judge(0, k, status);
+    if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;
 }
 
-int keep_part(Run *run, int k) {
-    Part *p = &run->parts[k];
-    const int status = ((GetState *)p->get_state)(p->component, &p->state);
-    return status ? run->judge(p->get_state, k, status) : CONTINUE;
+int component_save(Simulation *sim, int k) {
+    Component *p = &sim->components[k];
+    if (!p->do_step) return sim->call_python(SAVE, k, 0.0, 0.0);
+    const int status = ((GetState *)p->get_state)(p->instance, &p->state);
+    return status ? sim->check_status(p->get_state, k, status) : CONTINUE;
 }
 
-int restore_part(Run *run, int k) {
-    Part *p = &run->parts[k];
-    const int status = ((SetState *)p->set_state)(p->component, p->state);
-    return status ? run->judge(p->set_state, k, status) : CONTINUE;
+int component_restore(Simulation *sim, int k) {
+    Component *p = &sim->components[k];
+    if (!p->do_step) return sim->call_python(RESTORE, k, 0.0, 0.0);
+    const int status = ((SetState *)p->set_state)(p->instance, p->state);
+    return status ? sim->check_status(p->set_state, k, status) : CONTINUE;
 }

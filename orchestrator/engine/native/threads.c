@@ -3,7 +3,7 @@
 #include <stdatomic.h>
 #include <stdlib.h>
 
-#include "run.h"
+#include "engine.h"
 
 #ifdef _WIN32
 #define WIN32_LEAN_AND_MEAN
@@ -38,7 +38,7 @@ static void wake(Signalled *s) { pthread_cond_broadcast(s); }
 enum { MOST = 64, PATIENT = 2000 }; /* threads; looks at a flag before a thread sleeps */
 
 struct Pool {
-    Run *run;
+    Simulation *sim;
     Mutex mutex;
     Signalled news;
     Thread threads[MOST];
@@ -49,12 +49,12 @@ struct Pool {
 
 /* Step components that nobody else has taken yet. */
 static void work(Pool *pool) {
-    Run *run = pool->run;
+    Simulation *sim = pool->sim;
     for (;;) {
         const int i = atomic_fetch_add(&pool->next, 1);
-        if (i >= run->part_count) return;
+        if (i >= sim->component_count) return;
         double clock = seconds();
-        const int verdict = advance_part(run, run->turns[i], pool->h, &clock);
+        const int verdict = component_advance(sim, sim->order[i], pool->h, &clock);
         int none = CONTINUE;
         if (verdict) atomic_compare_exchange_strong(&pool->verdict, &none, verdict);
         atomic_fetch_sub(&pool->left, 1);
@@ -85,11 +85,11 @@ static void announce(Pool *pool) {
     unlock(&pool->mutex);
 }
 
-Pool *pool_start(Run *run, int threads) {
+Pool *pool_start(Simulation *sim, int threads) {
     Pool *pool = calloc(1, sizeof *pool);
     if (!pool) return NULL;
-    pool->run = run;
-    atomic_store(&pool->next, run->part_count); /* nothing to do yet */
+    pool->sim = sim;
+    atomic_store(&pool->next, sim->component_count); /* nothing to do yet */
     prepare(&pool->mutex, &pool->news);
     for (int i = 0; i < threads - 1 && i < MOST; i++) {
 #ifdef _WIN32
@@ -106,7 +106,7 @@ Pool *pool_start(Run *run, int threads) {
 int pool_step(Pool *pool, double h) {
     pool->h = h;
     atomic_store(&pool->verdict, CONTINUE);
-    atomic_store(&pool->left, pool->run->part_count);
+    atomic_store(&pool->left, pool->sim->component_count);
     atomic_store(&pool->next, 0);
     announce(pool);
     work(pool);

@@ -1,20 +1,75 @@
-"""Polynomials over a step: what projections keep, what interpolation and prediction are exact for."""
+"""Polynomials over a step: what projections keep, what interpolation and extrapolation are exact for."""
+
+import ctypes
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.engine.input_signal import (
-    NO_SLOPE,
-    Signal,
-    at,
-    interpolated,
-    mean,
-    predicted,
-    projected,
-    shifted,
-    slope_at,
-)
+from orchestrator.engine.c_library import engine_h, library
+
+NO_SLOPE, CouplingInput = engine_h().NO_SLOPE, engine_h().CouplingInput
+
+
+def call(name, *arguments):
+    """A function of the engine; numbers that are floats are passed as such."""
+    return getattr(library(), name)(*(ctypes.c_double(a) if isinstance(a, float) else a for a in arguments))
+
+
+def vector(c):
+    return (ctypes.c_double * 4)(*c)
+
+
+def mean(c, h):
+    return call("polynomial_mean", vector(c), h)
+
+
+def at(c, s):
+    return call("polynomial_value", vector(c), s)
+
+
+def slope_at(c, s):
+    return call("polynomial_slope", vector(c), s)
+
+
+def projected(c, degree, h):
+    found = vector(c)
+    call("polynomial_project", found, degree, h)
+    return tuple(found)
+
+
+def shifted(c, by):
+    found = vector(c)
+    call("polynomial_shift", vector(c), by, found)
+    return tuple(found)
+
+
+def interpolated(degree, value, slope, value_end, slope_end, h):
+    ends = {"value": value, "slope": slope, "value_end": value_end, "slope_end": slope_end}
+    made = CouplingInput(known=3, **ends)
+    call("input_interpolate", ctypes.byref(made), degree, h, 1.0)
+    return tuple(made.c)
+
+
+def extrapolated(order, value, slope, before, chord, length):
+    past = {"value": value, "slope": slope, "slope_before": before, "chord_before": chord}
+    made = CouplingInput(known=3, order=order, **past)
+    call("input_extrapolate", ctypes.byref(made), 1.0, length)
+    return tuple(made.c)
+
+
+class Input:
+    """A coupling input of the engine."""
+
+    def __init__(self, **fields):
+        self.made = CouplingInput(**{"factor": 1.0, "source_component": 1, "degree": 3, "wanted": 3} | fields)
+
+    def __getattr__(self, name):
+        """A value, or a function of the engine on this input."""
+        if hasattr(CouplingInput, name):
+            return getattr(self.made, name)
+        return lambda *arguments: call(f"input_{name}", ctypes.byref(self.made), *arguments)
+
 
 numbers = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-9 else 0.0)  # far from underflow
 cubics = st.tuples(numbers, numbers, numbers, numbers)
@@ -87,11 +142,11 @@ def test_interpolation_meets_its_data(c, h, degree):
 
 
 @given(cubics, lengths, lengths, st.integers(0, 3))
-def test_prediction_is_exact_for_polynomials_of_its_degree(c, step, h, degree):
+def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree):
     """Value, slope and the step before are enough to continue them, whatever the lengths of the steps."""
     c = cut(c, degree)
     before, chord = slope_at(c, -step), (c[0] - at(c, -step)) / step
-    found = predicted(degree, c[0], c[1], before, chord, step)
+    found = extrapolated(degree, c[0], c[1], before, chord, step)
     # differences over the step before are rounded in units of the magnitude there
     magnitude = size(c, max(h, step)) * max(1.0, h / step) ** degree
     close(at(found, h), at(c, h), 10 * magnitude)
@@ -109,20 +164,20 @@ def test_shifting_by_nothing_changes_nothing():
     assert shifted((0.1, 0.2, 0.3, 0.7), 0.0) == (0.1, 0.2, 0.3, 0.7)
 
 
-# ---- a signal over several steps
+# ---- an input over several steps
 
 
 def watched(c, lengths, order=0, slopes=True, degree=3):
-    """A signal that followed the polynomial c of the time over steps of these lengths, the last one undone.
+    """An input whose source followed the polynomial c over steps of these lengths, the last one undone.
 
-    It was continued at `order`; `slopes` says whether its source tells them.
+    It was continued at `order`; `slopes` says whether its source gives them.
     """
-    s = Signal(0, 0, 1.0, 0.0, maker=1, slope=0 if slopes else NO_SLOPE, degree=degree, wanted=3, order=order)
+    s = Input(slope_index=0 if slopes else NO_SLOPE, degree=degree, order=order)
     s.begin(c[0], c[1] if slopes else 0.0)
     t, steps = 0.0, (0.0, 0.0)
     for n, h in enumerate(lengths):
-        s.predict(h, steps[0])
-        s.arrive(at(c, t + h), slope_at(c, t + h), h, steps)
+        s.extrapolate(h, steps[0])
+        s.arrive(at(c, t + h), slope_at(c, t + h), h, *steps)
         if n < len(lengths) - 1:
             s.accept(h, steps[0])
             t, steps = t + h, (h, steps[0])
@@ -135,19 +190,19 @@ def test_slopes_from_differences_are_exact_up_to_a_cubic(c, first, second, third
     c, lengths = cut(c, degree), [first, second, third][:degree]
     s, t, _ = watched(c, lengths, slopes=False)
     # differences of third order of values rounded at that magnitude, over steps of half a second
-    close(s.slope1, slope_at(c, t + lengths[-1]), 200 * size(c, sum(lengths)))
+    close(s.slope_end, slope_at(c, t + lengths[-1]), 200 * size(c, sum(lengths)))
 
 
 @given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_polynomial_within_reach_is_no_error(c, before, h):
-    """What the past told of the end of the step is right for a cubic: no deviation, no miss, no defect."""
+    """What the past lets expect of the end is right for a cubic: no deviation, no mismatch, no mean error."""
     s, _, (step, _) = watched(c, [before, h], order=3)
     magnitude = 100 * size(c, before + h)
-    close(s.deviation(h, repeated=False), 0.0, magnitude)
-    close(s.defect(h), 0.0, magnitude)
+    close(s.deviation(h, 0), 0.0, magnitude)
+    close(s.mean_error(h), 0.0, magnitude)
     s.interpolate(3, h, step)
-    close(s.deviation(h, repeated=True), 0.0, magnitude)
-    close(s.miss(h) * s.magnitude(), 0.0, magnitude)
+    close(s.deviation(h, 1), 0.0, magnitude)
+    close(s.mismatch(h) * s.magnitude(), 0.0, magnitude)
 
 
 @given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
@@ -155,8 +210,8 @@ def test_a_held_line_is_off_by_its_way(value, slope, before, h):
     """The deviation of a held input is what the source moved, the defect of its mean half of that."""
     s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
     magnitude = abs(value) + 4 * abs(slope)
-    close(abs(s.deviation(h, repeated=False)), abs(slope) * h, magnitude)
-    close(s.defect(h), 0.5 * slope * h, magnitude)
+    close(abs(s.deviation(h, 0)), abs(slope) * h, magnitude)
+    close(s.mean_error(h), 0.5 * slope * h, magnitude)
 
 
 @given(cubics, st.integers(0, 1), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
@@ -164,8 +219,8 @@ def test_what_was_lost_is_given_back(c, order, before, h):
     """Of a polynomial one degree above the continuation all of the mean, at any lengths of steps."""
     c = cut(c, order + 1)
     s, t, (step, _) = watched(c, [before, h], order=order)
-    s.predict(h, step)
-    s.give_back(h, step)
+    s.extrapolate(h, step)
+    s.correct(h, step)
     close(mean(s.c, h), mean(shifted(c, t), h), 100 * size(c, before + h))
 
 
@@ -173,24 +228,24 @@ def test_what_was_lost_is_given_back(c, order, before, h):
 def test_a_parabola_that_continues_a_cubic_gets_its_mean_back_at_equal_steps(c, h):
     """At order 2 the loss goes with both steps; at equal ones it is the same again."""
     s, t, (step, _) = watched(c, [h, h, h], order=2)
-    s.predict(h, step)
-    s.give_back(h, step)
+    s.extrapolate(h, step)
+    s.correct(h, step)
     close(mean(s.c, h), mean(shifted(c, t), h), 1000 * size(c, 3 * h))
 
 
-def test_only_a_free_source_may_have_corners():
+def test_only_an_autonomous_source_may_have_corners():
     """A command without inputs that went straight to a corner is a line, a state is a cubic."""
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
-        s = Signal(0, 0, 1.0, 0.0, 1, slope=0, degree=3, wanted=3, free=free)
+        s = Input(autonomous=free)
         s.begin(0.0, 1.0)
-        s.arrive(1.0, 0.0, 1.0, (0.0, 0.0))  # the slope at the end is that of what follows the corner
+        s.arrive(1.0, 0.0, 1.0, 0.0, 0.0)  # the slope at the end is that of what follows the corner
         s.interpolate(3, 1.0, 0.0)
-        assert s.c == expected
+        assert tuple(s.c) == expected
 
 
 def test_the_magnitude_is_the_largest_ever():
     """Errors of a signal that passes through zero are compared with what it was before."""
     s, _, _ = watched((8.0, -4.0, 0.0, 0.0), [1.0, 1.0])
-    assert (s.value1, s.magnitude(), s.share(2.0)) == (0.0, 8.0, 0.25)
-    still = Signal(0, 0, 1.0, 0.0, 1, 0, 3, 3)
+    assert (s.value_end, s.magnitude(), s.share(2.0)) == (0.0, 8.0, 0.25)
+    still = Input()
     assert still.share(1.0) == 0.0  # the start: nothing was ever there to compare with

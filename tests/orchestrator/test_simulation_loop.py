@@ -1,5 +1,7 @@
-"""The loop in C beside the one in Python: the same bits; what happens without a compiler; Ctrl-C; memory."""
+"""The loop in C: FMUs that C calls and objects of Python give the same bits; no compiler; Ctrl-C; memory."""
 
+import ctypes
+import os
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
@@ -7,27 +9,23 @@ from importlib.metadata import PackageNotFoundError
 import numpy as np
 import pytest
 from any_fmu.models import RAMP
+from any_fmu.outcome import in_python
+from plain_jacobi import plain_jacobi
 
-from orchestrator import Trace, assemble, run
+from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
 from orchestrator.base.coupling import Coupling
-from orchestrator.engine.native import compiled
-from orchestrator.engine.native import compiled as native_compiled
-from orchestrator.engine.simulation_loop import March
+from orchestrator.engine import c_library, simulation_loop
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
 
 @pytest.fixture
-def alike(monkeypatch):
-    """Runs a system in both loops and compares all numbers of trace and card, to the last bit."""
-    assert not isinstance(native_compiled.library(), str)
+def alike():
+    """Runs a system with FMUs that C calls, then that Python calls; all numbers are equal to the last bit."""
 
     def both(system, **options):
-        with monkeypatch.context() as patch:
-            patch.setattr(March, "_next", None)  # it is the loop in Python
-            fast = run(system, **options)
-        slow = run(system, native=False, **options)
+        fast, slow = run(system, **options), run(system, open=in_python, **options)
         assert list(fast.trace.signals) == list(slow.trace.signals)
         np.testing.assert_array_equal(fast.trace.time, slow.trace.time)
         for name, values in slow.trace.signals.items():
@@ -38,6 +36,32 @@ def alike(monkeypatch):
         return fast
 
     return both
+
+
+def test_it_is_what_a_plain_jacobi_does(oscillator):
+    """A master of sixty lines that shares nothing with the engine but the calls into FMUs: the same bits."""
+    names = ["a.x", "b.x", "a.force"]
+    expected = plain_jacobi(oscillator, 1e-3, 1000, names, rounds=3)
+    trace = run(oscillator, master="jacobi", **STEPS).trace
+    for name in names:
+        np.testing.assert_array_equal(trace[name], expected[name], err_msg=name)
+
+
+def test_structures_are_laid_out_as_in_c(tmp_path):
+    """The sizes of all structures that are read from the header, and where their last fields stand."""
+    h = c_library.engine_h()
+    made = {n: t for n, t in vars(h).items() if isinstance(t, type) and issubclass(t, ctypes.Structure)}
+    text = '#include <stdio.h>\n#include "engine.h"\nint main(void) {\n'
+    for name, kind in made.items():
+        last = kind._fields_[-1][0]
+        text += f'printf("%zu %zu\\n", sizeof({name}), offsetof({name}, {last}));\n'
+    (tmp_path / "sizes.c").write_text(text + "return 0; }\n")
+    command = [sys.executable, "-m", "ziglang", "cc", f"-I{c_library.FOLDER}", "sizes.c", "-o", "sizes.exe"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    found = subprocess.run([tmp_path / "sizes.exe"], capture_output=True, text=True, check=True).stdout
+    expected = [(ctypes.sizeof(k), getattr(k, k._fields_[-1][0]).offset) for k in made.values()]
+    assert [tuple(map(int, line.split())) for line in found.splitlines()] == expected
+    assert len(made) > 15
 
 
 KINDS = [("curves", 2, True), ("lines", 2, True), ("rates", 3, True), ("held", 3, True), ("curves", 2, False)]
@@ -149,14 +173,14 @@ def test_chosen_signals_and_coarse_records(alike, oscillator):
 @pytest.mark.parametrize("order", [0, 2])
 def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
     """Components of jacobi that step at the same time, however little there is to gain."""
-    monkeypatch.setattr(compiled.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(simulation_loop, "CORES", 3)
     parts = oscillators()
     files = {name: part.source.path for name, part in parts.components.items()}
     files |= {"s": fmus["source"], "k": fmus.make("spring", "third", interpolates=True)}
     system = assemble(files, [*map(str, parts.connections), "b.v -> k.v"])
     results = []
     for worth in (np.inf, -1.0):
-        monkeypatch.setattr(compiled, "WORTH", worth)
+        monkeypatch.setattr(simulation_loop, "WORTH", worth)
         results.append(run(system, master=Coupling("jacobi", order), **STEPS))
     for name, values in results[0].trace.signals.items():
         np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
@@ -167,12 +191,12 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
 
 @pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-macos"])
 def test_the_code_compiles_for_other_systems(tmp_path, target):
-    """Without a warning; headers of other systems have other names, and there Python would do the run."""
-    flags = [flag for flag in native_compiled.FLAGS if flag != "-shared"]
-    for source in native_compiled.SOURCES:
+    """Without a warning; headers of other systems have other names."""
+    flags = [flag for flag in c_library.FLAGS if flag != "-shared"]
+    for source in c_library.sources():
         command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *flags, "-c", source]
         done = subprocess.run(
-            [*command, "-o", tmp_path / "made.o"], cwd=native_compiled.FOLDER, capture_output=True, text=True
+            [*command, "-o", tmp_path / "made.o"], cwd=c_library.FOLDER, capture_output=True, text=True
         )
         assert done.returncode == 0, done.stderr
 
@@ -184,13 +208,13 @@ def test_the_code_compiles_for_other_systems(tmp_path, target):
 def fresh(monkeypatch, tmp_path):
     """A user who has compiled nothing yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    native_compiled.library.cache_clear()
+    c_library.library.cache_clear()
     yield tmp_path / "cache"
-    native_compiled.library.cache_clear()
+    c_library.library.cache_clear()
 
 
 def broken_compiler(monkeypatch):
-    monkeypatch.setattr(native_compiled, "FLAGS", (*native_compiled.FLAGS, "-fno-such-flag"))
+    monkeypatch.setattr(c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"))
     return "fno-such-flag"
 
 
@@ -204,38 +228,32 @@ def no_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("fresh")
 @pytest.mark.parametrize("trouble", [broken_compiler, no_compiler])
-def test_where_nothing_can_be_compiled_python_does_it(monkeypatch, oscillator, trouble):
-    """The same numbers; one note on the card says so and why, and the compiler is not tried again."""
-    expected = run(oscillator, native=False, step=1e-2, stop=0.5)
-    with monkeypatch.context() as patch:
-        reason = trouble(patch)
-        result, again = (run(oscillator, step=1e-2, stop=0.5, error_estimate=e) for e in (False, True))
-        assert native_compiled.library.cache_info().misses == 1
-    (note,) = result.card.notes
-    assert note.startswith("the compiled loop is not available, Python does it slower: ")
-    assert reason in note
-    assert len(note.splitlines()) == 1
-    assert result.card.text().count("compiled loop") == again.card.text().count("compiled loop") == 1
-    assert expected.card.notes == ()
-    for name, values in expected.trace.signals.items():
-        np.testing.assert_array_equal(result.trace[name], values)
+def test_where_nothing_can_be_compiled_one_line_says_what_to_install(monkeypatch, oscillator, trouble):
+    """Why there is no engine, and what makes one."""
+    reason = trouble(monkeypatch)
+    with pytest.raises(
+        Problem, match=r"^the engine is not compiled: .*; install the Python package ziglang"
+    ) as told:
+        run(oscillator, step=1e-2, stop=0.5)
+    assert reason in str(told.value)
+    assert len(str(told.value).splitlines()) == 1
 
 
 def test_the_library_is_compiled_once(fresh):
     """The next process of the same user finds it."""
-    assert not isinstance(native_compiled.library(), str)
+    c_library.library()
     (kept,) = (fresh / "harvester-cosim").iterdir()
     before = kept.stat().st_mtime_ns
-    native_compiled.library.cache_clear()
-    assert not isinstance(native_compiled.library(), str)
+    c_library.library.cache_clear()
+    c_library.library()
     assert [*(fresh / "harvester-cosim").iterdir()] == [kept]
     assert kept.stat().st_mtime_ns == before
 
 
 def test_without_a_folder_for_it_the_library_is_compiled_for_this_process(monkeypatch, fresh):
     """A home that cannot be written to is no reason to be slow."""
-    monkeypatch.setattr(compiler, "cache_folder", lambda: native_compiled.FOLDER / "run.h" / "no folder")
-    assert not isinstance(native_compiled.library(), str)
+    monkeypatch.setattr(compiler, "cache_folder", lambda: c_library.FOLDER / "engine.h" / "no folder")
+    c_library.library()
     assert not (fresh / "harvester-cosim").exists()
 
 
@@ -243,6 +261,7 @@ def test_without_a_folder_for_it_the_library_is_compiled_for_this_process(monkey
 
 START = """
 import sys, threading, time, signal
+from any_fmu.outcome import OPENERS
 from orchestrator import Interrupted, assemble, run
 from orchestrator.base.coupling import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
@@ -251,8 +270,8 @@ system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "
 LONG = (
     START
     + """
-from orchestrator.engine.native import compiled
-compiled.WORTH = float(sys.argv[5])
+from orchestrator.engine import simulation_loop
+simulation_loop.WORTH = float(sys.argv[5])
 if len(sys.argv) > 7:
     system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
 main, sent = threading.main_thread().ident, []
@@ -264,7 +283,8 @@ def interrupt():
         signal.pthread_kill(main, signal.SIGINT)
 threading.Timer(float(sys.argv[6]), interrupt).start()
 try:
-    run(system, master=sys.argv[3], step=1e-3, stop=1e7, record_step=1.0, native=bool(int(sys.argv[4])))
+    opener = OPENERS[bool(int(sys.argv[4]))]
+    run(system, master=sys.argv[3], step=1e-3, stop=1e7, record_step=1.0, open=opener)
 except Interrupted as interrupted:
     late = time.process_time() - sent[0]
     trace = interrupted.result.trace
@@ -290,7 +310,9 @@ def interrupted(*arguments, talker=(), steps=1000):
 def child(code, *arguments):
     """What a script prints, by words; only a failure takes five minutes."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    paths = os.pathsep.join(filter(None, sys.path))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return done.stdout.split()
@@ -301,12 +323,12 @@ def child(code, *arguments):
     [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("jacobi", 0, 1.0)],
 )
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
-    """In C with and without threads, and in Python; the run would go on for hours.
+    """With and without threads, and FMUs that Python calls; the run would go on for hours.
 
     C looks up every 0.1 s. What counts is the time that the process computes: a machine that is busy with
     other things may take longer to let it.
     """
-    assert compiled.PATIENCE <= 0.1
+    assert simulation_loop.PATIENCE <= 0.1
     files = [part.source.path for part in moving.components.values()]
     late, rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert float(late) < 1.0
@@ -332,7 +354,7 @@ GROWTH = (
     + """
 import os
 import numpy as np
-from orchestrator.engine import run as job
+from orchestrator.engine import job
 sizes, looks = np.ones(100_000, int), 0
 class Scale(job.Progress):
     def update(self, done):

@@ -1,12 +1,40 @@
-/* What all inputs will do in a step; see foresight.py and joined.py. */
+/* Linear prediction of all inputs over a step, from the interface Jacobian.
+ *
+ * Directional derivatives of the FMUs linearise the components at a communication point; their connections join
+ * them. From there on, with d the changes of all states and v those of all inputs,
+ *
+ *     d' = f + A d + B v + drift,     v = C d + D v + w(s),     d(0) = 0
+ *
+ * where w(s) are the changes of the inputs whose course is known. So  v = K (C d + w),  K = 1 / (1 - D),  and
+ *
+ *     d' = f + (A + B K C) d + B K w(s) + drift
+ *
+ * is solved up to h/3, 2h/3 and h by one step each of the L-stable Runge-Kutta method of order 3 whose three stages
+ * have the same diagonal element (Alexander 1977, SIAM J. Numer. Anal. 14(6) 1006-1021). All stages share the matrix
+ * W = 1 / (1 - gamma h/3 (A + B K C)),  which is kept as long as the linearisation and h.
+ *
+ * The drift is what an old linearisation misses: its error grew in proportion to its age T, and goes on like that
+ * over the step: drift(s) = q (T s + s^2/2).
+ *
+ * Inputs fall into four kinds, by where they come from:
+ *
+ *     OPEN         a component with directional derivatives: predicted
+ *     BY_SCENARIO  their course over the step is known
+ *     LEADING      a component that has stepped already, because its future depends on no other: known
+ *     CLOSED       a component without directional derivatives: extrapolated, and taken as known
+ *
+ * In LinearPrediction: slopes has A, B, C and D one after the other, all matrices column by column. f, x: derivatives
+ * and values of the states; w: known inputs, course: their coefficients of s, s^2 and s^3, shape (3, m); felt: K
+ * times that, push: B times that; v: changes of all inputs up to h/3, 2h/3 and h. kc: K C; closed: A + B K C;
+ * inverse: W. f0, x0, w0: at the communication point before. through: D is not 0. age: steps since the linearisation,
+ * since: time since then [s], last: length of the step before [s], length: of the step that W is made for.
+ */
 
 #include <math.h>
 #include <string.h>
 
-#include "run.h"
+#include "engine.h"
 
-enum { OPEN, BY_SCENARIO, LEADING, CLOSED };
-enum { BLOCK = 8 }; /* so many rows at once; vectors and columns are filled up to a multiple of it */
 static const double ALIKE = 1e-9;
 
 #define GAMMA 0.43586652150845967
@@ -46,7 +74,7 @@ static void exchange(double *a, double *b, int32_t n, int32_t apart) {
     }
 }
 
-static int inverted(double *a, int32_t *rows, int32_t n, int32_t wide) {
+int32_t prediction_invert(double *a, int32_t *rows, int32_t n, int32_t wide) {
     for (int32_t k = 0; k < n; k++) {
         double *own = a + k * wide;
         int32_t best = k;
@@ -79,39 +107,36 @@ static void rest_of(double *a, const double *matrix, double share, int32_t n, in
 
 /* ---- the components */
 
-static int tell(Run *run, const Foresight *p) {
-    for (int32_t k = 0; k < p->telling_count; k++) {
-        const Telling *one = &p->tellings[k];
-        const int status = derivative_along(one->derivative, one->component, one->fmi, one->of,
-                                            (size_t)one->outputs, one->by, (size_t)one->count, one->seed,
-                                            one->into);
-        const int verdict = status ? run->judge(one, 0, status) : CONTINUE;
+static int linearise(Simulation *sim, const LinearPrediction *p) {
+    for (int32_t k = 0; k < p->column_count; k++) {
+        const SlopeColumn *one = &p->columns[k];
+        const int verdict = directional_derivative(sim, &one->derivative);
         if (verdict) return verdict;
         for (int32_t i = 0; i < one->entries; i++)
-            p->slopes[one->to[i]] = one->into[one->from[i]] * one->factor[i];
+            p->slopes[one->to[i]] = one->derivative.into[one->from[i]] * one->factor[i];
     }
     return CONTINUE;
 }
 
 /* ---- the linear system */
 
-typedef struct { /* parts of the slopes */
+typedef struct { /* views of the slopes */
     const double *a, *b, *c, *d;
-} Parts;
+} Blocks;
 
-static Parts parts(const Foresight *p) {
+static Blocks blocks(const LinearPrediction *p) {
     const double *a = p->slopes, *b = a + p->n * p->wide, *c = b + p->m * p->wide, *d = c + p->n * p->broad;
-    return (Parts){a, b, c, d};
+    return (Blocks){a, b, c, d};
 }
 
-static void join(Foresight *p) {
+void prediction_join(LinearPrediction *p) {
     const int32_t n = p->n, m = p->m, wide = p->wide, broad = p->broad;
-    const Parts of = parts(p);
+    const Blocks of = blocks(p);
     p->length = 0.0, p->usable = 1;
     copy(p->kc, of.c, n * broad);
     if (p->through) {
         rest_of(p->k, of.d, 1.0, m, broad);
-        p->usable = inverted(p->k, p->rows, m, broad);
+        p->usable = prediction_invert(p->k, p->rows, m, broad);
         zero(p->kc, n * broad);
         for (int32_t j = 0; j < n; j++) add_product(p->k, of.c + j * broad, p->kc + j * broad, m, broad);
     }
@@ -120,7 +145,7 @@ static void join(Foresight *p) {
 }
 
 /* What known changes are to all inputs. */
-static void feel(const Foresight *p, const double *known, double *felt) {
+static void reach_inputs(const LinearPrediction *p, const double *known, double *felt) {
     if (!p->through) {
         copy(felt, known, p->broad);
         return;
@@ -129,25 +154,25 @@ static void feel(const Foresight *p, const double *known, double *felt) {
     add_product(p->k, known, felt, p->m, p->broad);
 }
 
-static void find_drift(const Foresight *p) {
+void prediction_find_drift(const LinearPrediction *p) {
     double *moved = p->stages, *felt = p->felt, *before = p->felt + p->broad;
     zero(p->q, p->wide);
     if (p->since == 0.0) return;
     for (int32_t i = 0; i < p->wide; i++) moved[i] = p->x[i] - p->x0[i];
     add_product(p->closed, moved, p->q, p->n, p->wide);
-    feel(p, p->w, felt);
-    feel(p, p->w0, before);
+    reach_inputs(p, p->w, felt);
+    reach_inputs(p, p->w0, before);
     for (int32_t i = 0; i < p->broad; i++) felt[i] -= before[i];
-    add_product(parts(p).b, felt, p->q, p->m, p->wide);
+    add_product(blocks(p).b, felt, p->q, p->m, p->wide);
     const double over = p->last * (p->since - 0.5 * p->last);
     for (int32_t i = 0; i < p->wide; i++) p->q[i] = (p->f[i] - p->f0[i] - p->q[i]) / over;
 }
 
-static void prepare(Foresight *p, double h) {
+void prediction_prepare(LinearPrediction *p, double h) {
     if (!p->usable || fabs(h - p->length) <= ALIKE * h) return;
     p->length = h;
     rest_of(p->inverse, p->closed, GAMMA * (h / 3.0), p->n, p->wide);
-    p->usable = inverted(p->inverse, p->rows, p->n, p->wide);
+    p->usable = prediction_invert(p->inverse, p->rows, p->n, p->wide);
 }
 
 /* Polynomials of s with the coefficients c of s, s^2 and s^3. */
@@ -155,7 +180,7 @@ static double curve(const double *c, int32_t i, int32_t n, double s) {
     return s * (c[i] + s * (c[n + i] + s * c[2 * n + i]));
 }
 
-static void solve(const Foresight *p) {
+void prediction_solve(const LinearPrediction *p) {
     const int32_t wide = p->wide, broad = p->broad;
     double *d = p->stages, *base = d + wide, *stage = base + wide, *forcing = stage + wide;
     double *rates[] = {forcing + wide, forcing + 2 * wide, forcing + 3 * wide};
@@ -163,8 +188,8 @@ static void solve(const Foresight *p) {
     zero(d, wide);
     zero(p->push, 3 * wide);
     for (int k = 0; k < 3; k++) {
-        feel(p, p->course + k * broad, p->felt + k * broad);
-        add_product(parts(p).b, p->felt + k * broad, p->push + k * wide, p->m, wide);
+        reach_inputs(p, p->course + k * broad, p->felt + k * broad);
+        add_product(blocks(p).b, p->felt + k * broad, p->push + k * wide, p->m, wide);
     }
     for (int32_t third = 0; third < 3; third++) {
         for (int k = 0; k < 3; k++) {
@@ -189,43 +214,43 @@ static void solve(const Foresight *p) {
 
 /* ---- at every step */
 
-static void know(Run *run, const Foresight *p, int32_t i, double h) {
-    Signal *s = &run->signals[p->signals[i]];
-    if (p->kinds[i] == LEADING) interpolate(s, DEGREE, h, run->length);
-    else if (p->kinds[i] == CLOSED) predict(s, h, run->length);
+static void take_known(Simulation *sim, const LinearPrediction *p, int32_t i, double h) {
+    CouplingInput *s = &sim->inputs[p->inputs[i]];
+    if (p->kinds[i] == LEADING) input_interpolate(s, DEGREE, h, sim->length);
+    else if (p->kinds[i] == CLOSED) input_extrapolate(s, h, sim->length);
     p->w[i] = s->value;
     for (int k = 0; k < DEGREE; k++) p->course[k * p->broad + i] = s->c[k + 1];
 }
 
-static void give_foretold(Run *run, const Foresight *p, int32_t i, double h) {
-    Signal *s = &run->signals[p->signals[i]];
+static void give_predicted(Simulation *sim, const LinearPrediction *p, int32_t i, double h) {
+    CouplingInput *s = &sim->inputs[p->inputs[i]];
     const double v1 = p->v[i], v2 = p->v[p->broad + i], v3 = p->v[2 * p->broad + i];
-    if (p->usable && fabs(v1) + fabs(v2) + fabs(v3) < INFINITY) foresee(s, v1, v2, v3, h);
-    else predict(s, h, run->length);
+    if (p->usable && fabs(v1) + fabs(v2) + fabs(v3) < INFINITY) input_take_prediction(s, v1, v2, v3, h);
+    else input_extrapolate(s, h, sim->length);
 }
 
-int foretell(Run *run, double h) {
-    Foresight *p = run->foresight;
+int predict_inputs(Simulation *sim, double h) {
+    LinearPrediction *p = sim->prediction;
     for (int32_t i = 0; i < p->m; i++)
-        if (p->signals[i] >= 0 && p->kinds[i] != OPEN) know(run, p, i, h);
-    int verdict = carry_out(run, &p->rates);
-    if (!verdict && p->lag > 1) verdict = carry_out(run, &p->values);
+        if (p->inputs[i] >= 0 && p->kinds[i] != OPEN) take_known(sim, p, i, h);
+    int verdict = carry_out(sim, &p->rates);
+    if (!verdict && p->lag > 1) verdict = carry_out(sim, &p->values);
     if (verdict) return verdict;
     if (p->age >= p->lag || !p->usable) {
-        verdict = tell(run, p);
+        verdict = linearise(sim, p);
         if (verdict) return verdict;
-        join(p);
+        prediction_join(p);
         p->age = 0, p->since = 0.0;
     }
-    if (p->lag > 1) find_drift(p);
-    prepare(p, h);
-    if (p->usable) solve(p);
+    if (p->lag > 1) prediction_find_drift(p);
+    prediction_prepare(p, h);
+    if (p->usable) prediction_solve(p);
     for (int32_t i = 0; i < p->m; i++)
-        if (p->signals[i] >= 0 && p->kinds[i] == OPEN) give_foretold(run, p, i, h);
+        if (p->inputs[i] >= 0 && p->kinds[i] == OPEN) give_predicted(sim, p, i, h);
     return CONTINUE;
 }
 
-void foresight_accept(Foresight *p, double h) {
+void prediction_accept(LinearPrediction *p, double h) {
     copy(p->f0, p->f, p->wide);
     copy(p->x0, p->x, p->wide);
     copy(p->w0, p->w, p->broad);
