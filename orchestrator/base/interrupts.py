@@ -2,7 +2,7 @@
 
 `signals_interrupt` turns each of them into a KeyboardInterrupt, so that children are stopped and folders
 removed. `DeferredInterrupts` holds them back while compiled code runs. Python would raise KeyboardInterrupt
-in whatever Python code runs next. That may be the logger that an FMU calls, and no exception finds its way back
+in whatever code runs next. That may be the logger that an FMU calls, and no exception finds its way back
 through the FMU; or CasADi's check for signals, whose exception CVODES takes for equations that failed.
 """
 
