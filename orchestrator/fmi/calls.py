@@ -1,7 +1,8 @@
 """How a master uses a running component, and FMI calls with fixed arguments, made from Python or from C.
 
 A call reads or sets a row of variables. It is bound once to value references and a slice of a NumPy array, so
-making it is a single call into the FMU without any allocation; types other than Float64 and Int32 are converted.
+making it is a single call into the FMU without any allocation. Types other than
+Float64 and Int32 are converted.
 """
 
 from __future__ import annotations

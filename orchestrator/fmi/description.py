@@ -372,7 +372,8 @@ def _rates(
     with that attribute for the derivative of a state.
     """
     pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
-    known = ((variables.get(u), variables.get(rate)) for u, rate in (pairs | description.input_rates).items())
+    pairs.update(description.input_rates)
+    known = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
     return {
         u.name: rate.name
         for u, rate in known

@@ -349,7 +349,7 @@ class Instance:
             self.call(function, values, ctypes.c_size_t(count))
 
     def update_discrete_states(self) -> tuple[bool, bool, float]:
-        """One round of event iteration: is another needed, does the run end, and the next time event [s]."""
+        """A round of event iteration: is another needed, does the run end, the next time event [s]."""
         if self.fmi == 2:
             info = EventInfo()
             self.call("UpdateDiscreteStates", ctypes.byref(info))

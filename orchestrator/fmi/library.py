@@ -1,7 +1,7 @@
 """The shared library of an FMU: finding it, loading it, and the functions that it calls back.
 
-Functions are looked up when they are used, so an FMU that lacks an optional one still runs. The messages of all FMUs
-come in by one function for each version of FMI and go to the log of the instance that sent them.
+Functions are looked up when they are used, so an FMU that lacks an optional one still runs. The messages of all
+FMUs come in by one function for each version of FMI and go to the log of the instance that sent them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class MissingFunction(Problem):
 def folders(fmi: int) -> list[str]:
     """Where in binaries/ the library may lie, the most fitting first.
 
-    FMI 2.0 has linux64 and the like, which do not tell the processor, so on ARM the tuple of FMI 3.0 comes first.
+    FMI 2.0 has linux64 and the like, which do not tell the processor; on ARM the tuple of FMI 3.0 is first.
     """
     if fmi == 3:
         return [TUPLE]
@@ -49,7 +49,7 @@ def find(folder: Path, identifier: str, fmi: int) -> Path | None:
 
 
 def unpacked_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
-    """The library of an unpacked FMU, loaded; raises Problem, which begins with `name`, where that is not possible."""
+    """The library of an unpacked FMU, loaded; else raises Problem, which begins with `name`."""
     path = find(folder, identifier, fmi)
     if path is None:
         expected = f"binaries/{folders(fmi)[0]}/{identifier}{SUFFIX}"
@@ -163,7 +163,7 @@ class Callbacks2(ctypes.Structure):
 def callbacks2(environment: int) -> Callbacks2:
     """The callbacks of one FMI 2.0 instance; memory functions go straight to the C library."""
     library = ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
-    calls = [ctypes.cast(f, _P) for f in (_logger2, library["calloc"], library["free"])]  # type: ignore[arg-type]
+    calls = [ctypes.cast(f, _P) for f in (_logger2, library["calloc"], library["free"])]
     made = Callbacks2(*calls, None, environment)
     proxy = _proxy()
     if proxy:
@@ -177,9 +177,8 @@ def _proxy() -> Any:
     spec = find_spec("fmpy")  # finds the folder, imports nothing
     if spec is None or spec.origin is None:
         return None
+    path = Path(spec.origin).parent / "logging" / PLATFORM / f"logging{SUFFIX}"
     try:
-        return ctypes.CDLL(
-            str(Path(spec.origin).parent / "logging" / PLATFORM / f"logging{SUFFIX}")
-        ).addLoggerProxy
+        return ctypes.CDLL(str(path)).addLoggerProxy
     except (OSError, AttributeError):
         return None

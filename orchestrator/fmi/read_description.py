@@ -71,7 +71,7 @@ def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
     for outer in () if listed is None else listed:
         inner = next((e for e in outer if local(e) in TYPES), None) if major == 2 else outer
         type_ = "" if inner is None else local(inner).removesuffix("Type")
-        if type_ in TYPES:
+        if inner is not None and type_ in TYPES:
             own = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
             items = tuple((i.get("name", ""), i.get("value", "")) for i in children(inner, "Item"))
             yield outer.get("name", ""), TypeDefinition(inner.sourceline, own, type_, items)
