@@ -10,6 +10,7 @@ from orchestrator.check.finding import Finding, Rule
 from orchestrator.check.report import ANY, TOOLS, Report
 from orchestrator.check.rules.description import without_repeats
 from orchestrator.check.subject import Subject, opened
+from orchestrator.fmi.model_description import INTERFACES
 
 DEFECT = "check.defect"
 
@@ -34,9 +35,8 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
     if not path.is_file():
-        raise Problem(
-            f"{path}: " + ("expected an .fmu file, got a folder" if path.is_dir() else "no such file")
-        )
+        what = "expected an .fmu file, got a folder" if path.is_dir() else "no such file"
+        raise Problem(f"{path}: {what}")
     with opened(path) as subject:
         found = [f for rule in (all_rules() if run else STATIC) for f in _applied(rule, subject)]
         title = _title(subject)
@@ -44,7 +44,7 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
 
 
 def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
-    """What a rule finds; a rule that fails on a strange FMU must not hide what the others find."""
+    """The findings of a rule; one that fails on a strange FMU must not hide those of the others."""
     try:
         yield from rule(subject)
     except Exception as problem:
@@ -57,12 +57,7 @@ def _title(subject: Subject) -> str:
     model = subject.model
     if subject.root is None or not model.interfaces:
         return "not an FMU that can be read"
-    kinds = {
-        "ModelExchange": "Model Exchange",
-        "CoSimulation": "Co-Simulation",
-        "ScheduledExecution": "Scheduled",
-    }
-    offered = " and ".join(kinds[k] for k in model.interfaces)
+    offered = " and ".join(INTERFACES[k].title() for k in model.interfaces)
     maker = subject.root.get("generationTool") or "unknown tool"
     platforms = ", ".join(dict.fromkeys(b.platform for b in subject.binaries)) or "no binaries"
     return f"FMI {subject.version}, {offered}, {len(model.variables)} variables, by {maker}; {platforms}"

@@ -1,7 +1,4 @@
-"""What a check says about an FMU, and what a rule is. Everything in `orchestrator.check` speaks in these.
-
-A table of rules: each rule enters itself with a decorator, so that none is forgotten.
-"""
+"""What a check finds in an FMU, what a rule is, and tables that rules enter by a decorator."""
 
 from __future__ import annotations
 
@@ -48,6 +45,9 @@ def warning(text: str, *tools: str, thread: str = "") -> Finding:
 def note(text: str, *tools: str, thread: str = "") -> Finding:
     """A finding worth knowing; nothing fails."""
     return Finding("", "note", text, tools, thread)
+
+
+MAKE = {"error": error, "warning": warning, "note": note}
 
 
 def some(names: Sequence[str], shown: int = 5) -> str:

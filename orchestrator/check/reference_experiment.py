@@ -1,8 +1,6 @@
-"""Runs one experiment in a child process and compares it with the result file.
+"""The experiment that an FMU ships (FMI-LS-REF): run it in a child process, compare with the result it ships.
 
-The experiment that an FMU ships (FMI-LS-REF): run it and compare.
-
-error of a signal = root mean square of its deviation, over the range of the reference (NRMSE)
+The error of a signal is the root mean square of its deviation, over the range of the reference (NRMSE).
 """
 
 from __future__ import annotations
@@ -18,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.check.child.description import NUMBERS, Declared, Variable
+from orchestrator.check.child import run
 from orchestrator.check.finding import Finding, Rule, error, note, warning
-from orchestrator.check.probes.parent import run
-from orchestrator.check.probes.rules import life
+from orchestrator.check.probes import first_run
 from orchestrator.check.reference_files import (
     MANIFEST,
     Case,
@@ -34,8 +31,9 @@ from orchestrator.check.reference_files import (
     table,
 )
 from orchestrator.check.subject import Subject
+from orchestrator.check.tasks.simulation import experiment, flat, inner_step, usual_step
+from orchestrator.fmi.model_description import DeclaredVariable, ModelDescription, numbers
 
-WORDS = {"true": 1.0, "false": 0.0}
 SETTABLE = ("parameter", "structuralParameter", "input")
 
 
@@ -55,82 +53,80 @@ class Comparison:
 
 def compare(subject: Subject, case: Case) -> Comparison:
     """Run and compare; raises Problem when a file cannot be read."""
-    found = life(subject)
-    declared, sides = found.declared, found.sides
-    assert declared is not None
-    side = "cs" if "cs" in sides else sides[0]
+    model, kind = subject.model, first_run(subject).kinds[0]
     reference, result = table(case.reference), Comparison()
-    signals = _signals(declared, reference, result)
-    job = _job(declared, case, reference, signals, result)
+    signals = _signals(model, reference, result)
+    job = _job(model, case, reference, signals, result)
     if not signals:
         result.problems.append(f"{case.reference.name} has no column that is a number of the model")
         return result
-    outcome = run(subject.folder, side, "reference:experiment", payload=job)
+    outcome = run(subject.folder, model, kind, "reference:experiment", payload=job)
     result.late = outcome.late
     result.end = outcome.end or next((text for severity, text in outcome.said if severity == "error"), "")
     if not result.end:
-        result.errors = _errors(declared, reference, signals, outcome.result)
+        result.errors = _errors(model, reference, signals, outcome.result)
     return result
 
 
-def _signals(declared: Declared, reference: Table, result: Comparison) -> list[str]:
-    """Columns that are numeric variables; the others are told, but texts."""
-    known = declared.variables
+def _signals(model: ModelDescription, reference: Table, result: Comparison) -> list[str]:
+    """Columns that are numeric variables; the others are reported, but texts."""
+    known = model.by_name
     strange = [n for n in reference.columns if n not in known]
     if strange:
         result.problems.append(f"the result has columns {', '.join(strange[:5])}, the model does not")
-    return [n for n in reference.columns if n in known and known[n].kind in NUMBERS]
+    return [n for n in reference.columns if n in known and known[n].is_number]
 
 
 # ---- what the child gets
 
 
 def _job(
-    declared: Declared, case: Case, reference: Table, signals: Sequence[str], result: Comparison
+    model: ModelDescription, case: Case, reference: Table, signals: Sequence[str], result: Comparison
 ) -> dict[str, Any]:
-    default = declared.experiment
-    start = case.start if case.start is not None else default.get("startTime", 0.0)
+    default = experiment(model, "startTime") or 0.0
+    start = case.start if case.start is not None else default
     stop = case.stop if case.stop is not None else reference.time[-1]
     job: dict[str, Any] = {
         "start": start,
         "stop": stop,
-        "step": case.step or _step(declared, reference),
-        "tolerance": case.tolerance or default.get("tolerance"),
+        "step": case.step or _step(model, reference),
+        "tolerance": case.tolerance or experiment(model, "tolerance"),
         "signals": list(signals),
         "times": [t for t in reference.time if start <= t <= stop * (1 + 1e-12)],
-        "parameters": _parameters(declared, case, result),
+        "parameters": _parameters(model, case, result),
     }
-    return job | _stimuli(declared, case, result)
+    return job | _stimuli(model, case, result)
 
 
-def _step(declared: Declared, reference: Table) -> float:
+def _step(model: ModelDescription, reference: Table) -> float:
     """As declared; what an FMU says nothing about is taken from the rows of the result."""
     gaps = [b - a for a, b in pairwise(reference.time) if b > a]
-    return declared.experiment.get("stepSize") or declared.inner_step or min(gaps, default=declared.step)
+    declared = experiment(model, "stepSize") or inner_step(model)
+    return declared or min(gaps, default=usual_step(model))
 
 
-def _parameters(declared: Declared, case: Case, result: Comparison) -> dict[str, Any]:
+def _parameters(model: ModelDescription, case: Case, result: Comparison) -> dict[str, Any]:
     if case.parameters is None:
         return {}
     values: dict[str, Any] = {}
     for name, text in parameter_set(case.parameters).items():
-        v = declared.variables.get(name)
+        v = model.by_name.get(name)
         if v is None or not _settable(v):
             why = "which cannot be set" if v else "which the model does not have"
             result.problems.append(f"{case.parameters.name} sets {name}, {why}")
         else:
-            values[name] = text if v.kind == "String" else _numbers(text, v, case.parameters.name)
+            values[name] = text if v.type == "String" else _numbers(text, v, case.parameters.name)
     return values
 
 
-def _settable(v: Variable) -> bool:
+def _settable(v: DeclaredVariable) -> bool:
     usual = v.variability != "constant" and (v.causality in SETTABLE or v.initial in ("exact", "approx"))
-    return usual and v.kind in (*NUMBERS, "String")
+    return usual and (v.is_number or v.type == "String")
 
 
-def _numbers(text: str, v: Variable, file: str) -> list[float]:
+def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
     try:
-        values = [WORDS[w] if w in WORDS else float(w) for w in text.split()]
+        values = list(numbers(text))
     except ValueError:
         values = []
     if len(values) != v.size:
@@ -138,22 +134,22 @@ def _numbers(text: str, v: Variable, file: str) -> list[float]:
     return values
 
 
-def _stimuli(declared: Declared, case: Case, result: Comparison) -> dict[str, Any]:
+def _stimuli(model: ModelDescription, case: Case, result: Comparison) -> dict[str, Any]:
     if case.stimuli is None:
         return {"inputs": [], "input_times": [], "input_rows": []}
     given = table(case.stimuli)
-    names = [n for n in given.columns if n in declared.variables and declared.variables[n].kind in NUMBERS]
-    strange = [n for n in given.columns if n not in declared.variables]
+    names = [n for n in given.columns if n in model.by_name and model.by_name[n].is_number]
+    strange = [n for n in given.columns if n not in model.by_name]
     if strange:
         result.problems.append(
             f"{case.stimuli.name} has columns {', '.join(strange[:5])}, the model does not"
         )
-    columns = [_column(declared.variables[n], given.columns[n], case.stimuli.name) for n in names]
+    columns = [_column(model.by_name[n], given.columns[n], case.stimuli.name) for n in names]
     rows = np.hstack(columns).tolist() if columns else [[] for _ in given.time]
     return {"inputs": names, "input_times": given.time, "input_rows": rows}
 
 
-def _column(v: Variable, texts: Sequence[str], file: str) -> NDArray[np.float64]:
+def _column(v: DeclaredVariable, texts: Sequence[str], file: str) -> NDArray[np.float64]:
     """Values of one variable over time, shape (n, size)."""
     return np.array([_numbers(text, v, file) for text in texts])
 
@@ -162,13 +158,13 @@ def _column(v: Variable, texts: Sequence[str], file: str) -> NDArray[np.float64]
 
 
 def _errors(
-    declared: Declared, reference: Table, signals: Sequence[str], found: Mapping[str, Any]
+    model: ModelDescription, reference: Table, signals: Sequence[str], found: Mapping[str, Any]
 ) -> dict[str, float]:
     """NRMSE of each signal; of rows before and after the inputs were set those that fit better."""
-    variables = [declared.variables[n] for n in signals]
+    variables = [model.by_name[n] for n in signals]
     truth = np.hstack([_column(v, reference.columns[v.name], "result") for v in variables])
     places = np.array([int(np.argmin(np.abs(np.array(reference.time) - t))) for t in found["times"]])
-    owners = [v for v in variables for _ in range(v.size)]
+    owners = flat(variables)
     expected = truth[places]
     errors: dict[str, float] = {}
     tries = [np.array(found[which]) for which in ("before", "after") if found[which]]
@@ -180,7 +176,7 @@ def _errors(
     return errors
 
 
-def _scale(column: NDArray[np.float64], v: Variable) -> float:
+def _scale(column: NDArray[np.float64], v: DeclaredVariable) -> float:
     """Range; of a signal that rests its magnitude."""
     size, spread = float(np.max(np.abs(column))), float(np.ptp(column))
     return spread if spread > 1e-9 * size else max(size, v.nominal)
@@ -245,12 +241,12 @@ def cases(folder: Path, related: list[Related]) -> tuple[list[Case], list[str]]:
         if r.path is None or r.role != "result" or r.path in used or r.path.suffix.lower() != ".csv":
             continue
         one = sets[0] if len(sets) == 1 else None  # several are variants: none of them is the default
-        found.append(Case(r.path.stem, r.path, one, _beside(r.path)))
+        found.append(Case(r.path.stem, r.path, one, _inputs_of(r.path)))
     return found, texts
 
 
-def _beside(result: Path) -> Path | None:
-    """The inputs that belong to a result by their name: model_in.csv beside model_out.csv."""
+def _inputs_of(result: Path) -> Path | None:
+    """The inputs that belong to a result by their name: model_in.csv next to model_out.csv."""
     stem = result.stem
     for ending in ("_out", "_result", "_ref"):
         stem = stem.removesuffix(ending)
@@ -262,9 +258,8 @@ def _beside(result: Path) -> Path | None:
 
 
 def _judged(subject: Subject, case: Case) -> Iterator[Finding]:
-    found = life(subject)
-    if found.problem:
-        yield note(f'experiment "{case.name}" was not run: {found.problem}')
+    if why := first_run(subject).problem:
+        yield note(f'experiment "{case.name}" was not run: {why}')
         return
     try:
         result = compare(subject, case)

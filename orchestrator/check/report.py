@@ -1,15 +1,9 @@
-"""What each tool makes of what the rules find. One row per tool and rule; the evidence stands beside it.
-
-Simulink, Dymola, Amesim and fmusim were judged by issue threads, without running them. The others run in
-this project's tests or in `make matrix`, or their sources were read. A thread is evidence for the tool that
-imports the FMU; one about FMUs that a tool has made stands beside the rule only.
-
-What a check found, for people and for programs.
-"""
+"""What a check found, for people and for programs, and what each tool makes of it (tools.toml)."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -38,172 +32,15 @@ class Tool:
 
 
 ANY = "any"
-THREADS = "by issue threads, not by running the tool"
-RUN = "by running it in this project's tests, and by issue threads"
-READ = "by reading its sources, and by issue threads"
-MATRIX = "by running it (`make matrix`), by reading its sources, and by issue threads"
 
 
-def _error(why: str, thread: str) -> Verdict:
-    return Verdict("error", why, thread)
+def _tools() -> Iterator[Tool]:
+    for id_, entry in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items():
+        verdicts = {rule: Verdict(*verdict) for rule, verdict in entry["verdicts"].items()}
+        yield Tool(id_, entry["name"], entry["known_by"], verdicts)
 
 
-def _warning(why: str, thread: str) -> Verdict:
-    return Verdict("warning", why, thread)
-
-
-def _note(why: str, thread: str) -> Verdict:
-    return Verdict("note", why, thread)
-
-
-SIMULINK = Tool(
-    "simulink",
-    "Simulink",
-    THREADS,
-    {
-        "name.structured": _warning("makes buses of structured names", "Hopsan#2266 Hopsan#2280 OSMP#70"),
-        "name.length": _warning("takes no parameter name of more than 63 characters", "FMIKit#341"),
-        "name.characters": _warning("makes MATLAB names of them", "FMIKit#341"),
-        "name.mangled": _warning("may map both to one MATLAB name", "FMIKit#341"),
-        "python.needed": _error(
-            "MATLAB crashes on the first or second run", "PythonFMU#222 PythonFMU#208 UniFMU#61"
-        ),
-        "platform.windows": _warning("on Windows needs this binary", "FMIKit#145"),
-        "structure.dependencies": _warning("sees algebraic loops that are not there", "FMIKit#21"),
-        "ability.once": _warning("cannot have two blocks of it in a model", "FMIKit#328 FMIKit#397"),
-        "ability.tool": _warning("the FMU fails without its tool", "FMIKit#373"),
-        "ability.state": _note("no fast restart", "FMIKit#448"),
-        "ability.serialize": _note("no fast restart", "FMIKit#448"),
-        "experiment.step": _note("communication points drift by rounding", "FMIKit#133"),
-        "identity.token": _note("a wrong GUID stops the import", "FMIKit#80"),
-        "run.default": _warning("waits without end when a step hangs", "FMIKit#225"),
-        "run.first_output": _warning("shows the first output as it is after initialisation", "FMIKit#219"),
-        "run.drift": _warning("sums its communication points", "FMIKit#133"),
-        "run.instances": _warning("each block is an instance in one process", "FMIKit#328 FMIKit#397"),
-        "run.state": _warning("restores states at a fast restart", "FMIKit#448"),
-    },
-)
-DYMOLA = Tool(
-    "dymola",
-    "Dymola",
-    THREADS,
-    {
-        "python.needed": _error("the model fails to initialise", "PythonFMU#184"),
-        "platform.windows": _warning("on Windows needs this binary", "FMPy#407"),
-        "name.keyword": _warning("such a name is no Modelica identifier", ""),
-        "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
-    },
-)
-OPENMODELICA = Tool(
-    "openmodelica",
-    "OpenModelica",
-    RUN,
-    {
-        "structure.initial": _warning("lists the missing unknowns as warnings", "OpenModelica#8080"),
-        "name.keyword": _warning("such a name is no Modelica identifier", "OpenModelica#5706"),
-        "name.characters": _warning(
-            "the imported Modelica code may not compile", "OpenModelica#4707 OpenModelica#5706"
-        ),
-        "name.mangled": _warning("two names may become one", "Modelica-FMI#22"),
-        "run.late": _error(
-            "sets parameters, states and the time there", "OpenModelica#16354 OpenModelica#12893"
-        ),
-        "version.new": _warning(
-            "imports FMI 3.0 only since pull request 16268 (2026), Model Exchange", "OpenModelica#16268"
-        ),
-        "kind.exchange": _warning(
-            "importFMU takes Model Exchange, OMSimulator Co-Simulation", "OpenModelica#2626"
-        ),
-    },
-)
-AMESIM = Tool(
-    "amesim",
-    "Amesim",
-    THREADS,
-    {
-        "structure.initial": _warning("warns 'Missing InitialUnknown index'", "PythonFMU#112 Simulix#28"),
-        "variable.duplicate": _error("refuses: 'Duplicate scalar variable name'", "Simulix#28"),
-        "platform.windows": _warning("on Windows needs this binary", "PythonFMU#112"),
-        "python.needed": _error("the import works, the run needs Python", "PythonFMU#112"),
-    },
-)
-FMPY = Tool(
-    "fmpy",
-    "FMPy",
-    RUN,
-    {
-        "unit.undefined": _error("refuses undefined units", "FMPy#511"),
-        "variable.combination": _error("refuses the combination", "FMPy#189 FMPy#108 FMPy#579"),
-        "variable.string": _note("simulate_ssp passes no strings on", ""),
-        "binary.functions": _error(
-            "'Function ... is missing in shared library'", "FMPy#545 FMPy#642 FMPy#552 FMPy#700"
-        ),
-        "version.new": _warning("simulate_ssp takes FMI 1 and 2 only", ""),
-        "experiment.step": _note("communication points drift by rounding", "FMPy#887"),
-        "run.load": _error("cannot load the library", "FMPy#545 FMPy#642"),
-        "run.drift": _warning("sums its communication points", "FMPy#887"),
-        "run.start_time": _warning("starts at other times than 0", "FMPy#638"),
-        "run.serialize": _warning("restores states of another process", "FMPy#811"),
-        "run.leak": _warning("many instances one after another", "FMPy#110 FMPy#608 FMPy#343"),
-        "run.resources": _warning("unpacks to folders of all names", "FMPy#230"),
-    },
-)
-FMUSIM = Tool(
-    "fmusim",
-    "fmusim",
-    THREADS,
-    {
-        "name.grammar": _error("refuses names that break the grammar", "Reference-FMUs#409"),
-        "structure.initial": _error("refuses an FMU without the expected unknowns", "OpenModelica#15692"),
-        "unit.undefined": _error("refuses undefined units", "FMPy#511"),
-        "python.needed": _error("'Failed to load shared library'", "PythonFMU#192 PythonFMU#202"),
-        "binary.functions": _error("refuses an FMU without them", "Reference-FMUs#645"),
-    },
-)
-PYFMI = Tool(
-    "pyfmi",
-    "PyFMI",
-    READ,
-    {
-        "version.new": _warning("takes FMI 3.0 for Model Exchange only", ""),
-        "binary.functions": _error("FMI Library looks up all of them", "fmi-library#148"),
-        "ability.derivatives": _note(
-            "algebraic loops are solved with directional derivatives only", "PyFMI#83"
-        ),
-        "structure.dependencies": _warning("sees algebraic loops that are not there", "PyFMI#232"),
-        "run.start_time": _warning("starts at other times than 0", "PyFMI#261"),
-    },
-)
-OMSIMULATOR = Tool(
-    "omsimulator",
-    "OMSimulator",
-    MATRIX,
-    {
-        "version.new": _warning("FMI 3.0 is a prototype", "OMSimulator#1523"),
-        "structure.initial": _warning(
-            "lists the missing unknowns as warnings", "OMSimulator#838 OpenModelica#8080"
-        ),
-        "structure.dependencies": _warning("sees algebraic loops that are not there", "PythonFMU#258"),
-        "structure.rates": _error(
-            "in Model Exchange counts them as states: 'fmi2GetContinuousStates: 7 states, expected 4'", ""
-        ),
-        "python.needed": _error("the library does not load", ""),
-    },
-)
-ECOS = Tool("ecos", "Ecos", RUN, {"unit.factor": _note("does not convert units", "")})
-LIBCOSIM = Tool(
-    "libcosim",
-    "libcosim",
-    RUN,
-    {
-        "version.new": _error("takes FMI 1 and 2 only", ""),
-        "unit.factor": _note("does not convert units", "libcosim#519"),
-    },
-)
-TOOLS = {
-    t.id: t
-    for t in (SIMULINK, DYMOLA, OPENMODELICA, AMESIM, FMPY, FMUSIM, PYFMI, OMSIMULATOR, ECOS, LIBCOSIM)
-}
+TOOLS = {tool.id: tool for tool in _tools()}
 
 
 def seen_in(rule: str) -> tuple[Tool, ...]:

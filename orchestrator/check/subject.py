@@ -1,6 +1,6 @@
-"""Unpack an archive that may be anything; what is wrong with it becomes findings.
+"""The FMU under check: an archive that may be anything, unpacked and opened as far as that goes.
 
-The FMU under check, opened as far as it can be opened; nothing in it can stop the check.
+Nothing in it can stop the check; what is wrong with the archive becomes findings.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ MOST_BYTES = 2 << 30  # a description of half a million variables and five binar
 MOST_MEMBERS = 50_000
 METHODS = {zipfile.ZIP_STORED: "store", zipfile.ZIP_DEFLATED: "deflate"}
 LINK = 0o120000
+BAD = (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError)  # of a member
 
 
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
@@ -36,9 +37,8 @@ def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ..
             members = archive.infolist()
             faults = [*_faults(members), *_written(archive, folder)]
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as problem:
-        return (), (
-            _error("archive.zip", f"{path.name}: expected a zip archive, got {_kind(path)}: {problem}"),
-        )
+        text = f"{path.name}: expected a zip archive, got {_kind(path)}: {problem}"
+        return (), (Finding("archive.zip", "error", text),)
     return tuple(m.orig_filename for m in members), tuple(faults)
 
 
@@ -109,30 +109,18 @@ def _written(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
     for count, member in enumerate(archive.infolist()):
         total += member.file_size
         if total > MOST_BYTES or count >= MOST_MEMBERS:
-            yield _error(
-                "archive.size",
-                f"more than {MOST_BYTES >> 20} MB or {MOST_MEMBERS} members; the rest is not checked",
-            )
+            text = f"more than {MOST_BYTES >> 20} MB or {MOST_MEMBERS} members; the rest is not checked"
+            yield _error("archive.size", text)
             return
         if unsafe(member.orig_filename) or member.is_dir():
             continue
         try:
-            _write(archive, member, folder / member.filename)
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            OSError,
-            RuntimeError,
-            NotImplementedError,
-            EOFError,
-        ) as problem:
+            target = folder / member.filename
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as source, target.open("wb") as file:
+                shutil.copyfileobj(source, file)
+        except BAD as problem:
             yield _error("archive.zip", f"member {member.filename!r} cannot be unpacked: {problem}")
-
-
-def _write(archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with archive.open(member) as source, target.open("wb") as file:
-        shutil.copyfileobj(source, file)
 
 
 Element = Any  # lxml ships no types
@@ -189,11 +177,17 @@ def opened(path: Path) -> Iterator[Subject]:
     """Open an FMU for the time of a check; whatever is wrong with it becomes a fault of the subject."""
     with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        names, faults = unpack(path, folder)
-        root, wrong = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
-        more = (Finding("xml.syntax", "error", wrong),) if wrong else ()
-        version = "" if root is None else root.get("fmiVersion", "")
-        yield Subject(path, folder, version, root, names, (*faults, *more))
+        yield unpacked(path, folder, *unpack(path, folder))
+
+
+def unpacked(
+    path: Path, folder: Path, names: tuple[str, ...] = (), faults: tuple[Finding, ...] = ()
+) -> Subject:
+    """The subject in a folder; `names` and `faults` of the archive."""
+    root, wrong = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
+    more = (Finding("xml.syntax", "error", wrong),) if wrong else ()
+    version = "" if root is None else root.get("fmiVersion", "")
+    return Subject(path, folder, version, root, names, (*faults, *more))
 
 
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:

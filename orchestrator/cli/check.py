@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.base.errors import Problem
 from orchestrator.cli.options import app
 
 
@@ -32,7 +33,22 @@ def check(
 
     Exit status 1 if there are errors.
     """
-    from orchestrator.check import command
+    from orchestrator.check import all_rules
+    from orchestrator.check import check as run_check
+    from orchestrator.check.child import ProbeLimits, limits
+    from orchestrator.check.report import table
 
-    if not command.run(fmu, for_, json, rules, static, timeout):
+    if rules:
+        print(table(all_rules()))
+        return
+    if fmu is None:
+        raise Problem("check: expected an FMU or --rules")
+    if not timeout > 0:
+        raise Problem(f"check: --timeout {timeout:g}: expected a number of seconds above 0")
+    with limits(ProbeLimits(call=timeout, total=max(timeout, ProbeLimits.total))):
+        report = run_check(fmu, for_, run=not static)
+    print(report.text())
+    if json:
+        json.write_text(report.json(), "utf-8")
+    if report.failed:
         raise typer.Exit(1)

@@ -15,6 +15,7 @@ from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import parse
 from orchestrator.fmi.model_description import (
     FLOATS,
+    INTERFACES,
     SIGNED,
     UNSIGNED,
     DeclaredVariable,
@@ -176,11 +177,6 @@ class Interface:
 
 
 SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
-INTERFACES = {
-    "CoSimulation": "co-simulation",
-    "ModelExchange": "model exchange",
-    "ScheduledExecution": "scheduled execution",
-}
 
 
 def read_interface(fmu: Location, exchange: bool = False) -> Interface:

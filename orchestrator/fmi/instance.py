@@ -202,7 +202,7 @@ class Instance:
         """Make the instance; False where the FMU gives none.
 
         resources   their location: a URI in FMI 2.0, a path in FMI 3.0
-        update      callback inside a step (FMI 3.0), which may read `required` and, with `early`, end the step
+        update      callback inside a step (FMI 3.0): may read `required` and, with `early`, end the step
         """
         texts = (name or self.log.component).encode(), token.encode()
         place = None if resources is None else os.fsencode(resources)

@@ -1,7 +1,7 @@
 """The shared library of an FMU: finding it, loading it, and the functions that it calls back.
 
-Functions are looked up when they are used, so an FMU that lacks an optional one still runs. The messages of all
-FMUs come in by one function for each version of FMI and go to the log of the instance that sent them.
+Functions are looked up when they are used, so an FMU that lacks an optional one still runs. The messages of
+all FMUs come in by one function for each version of FMI and go to the log of the instance that sent them.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def callbacks2(environment: int) -> Callbacks2:
 
 @cache
 def _proxy() -> Any:
-    """FMPy's function that fills in the printf arguments of messages, where FMPy has one for this platform."""
+    """FMPy's function that fills in the printf arguments of messages, where it has one for this platform."""
     spec = find_spec("fmpy")  # finds the folder, imports nothing
     if spec is None or spec.origin is None:
         return None

@@ -18,6 +18,11 @@ UNSIGNED = {"UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
 NUMBERS = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
 TYPES = (*NUMBERS, "String", "Binary", "Clock")
 TRUTH = {"true": 1.0, "false": 0.0}
+INTERFACES = {  # element -> what it is called
+    "ModelExchange": "model exchange",
+    "CoSimulation": "co-simulation",
+    "ScheduledExecution": "scheduled execution",
+}
 INITIAL = {  # default of `initial` by causality and variability, both versions
     **{(c, v): "exact" for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
     **{(c, v): "calculated" for c in ("calculatedParameter", "local") for v in ("fixed", "tunable")},

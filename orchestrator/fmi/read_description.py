@@ -8,6 +8,7 @@ from orchestrator.base.xml import Element, child, children, local
 from orchestrator.fmi.model_description import (
     FLOATS,
     INITIAL,
+    INTERFACES,
     TYPES,
     DeclaredVariable,
     Entry,
@@ -18,7 +19,6 @@ from orchestrator.fmi.model_description import (
     whole,
 )
 
-INTERFACES = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 SECTIONS = {  # list of ModelStructure -> its path in FMI 2 and in FMI 3
     "outputs": (("Outputs", "Unknown"), ("Output",)),
     "derivatives": (("Derivatives", "Unknown"), ("ContinuousStateDerivative",)),

@@ -1,6 +1,6 @@
 """What the child is doing right now, in memory shared with its parent: it outlives a crash of the child.
 
-layout   number of calls so far, time [s], name of the call, last inputs as text
+Layout: number of calls so far, time [s], name of the call, last inputs as text.
 """
 
 from __future__ import annotations
@@ -41,21 +41,20 @@ class Beacon:
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), SIZE)
         self._count = 0
-        self.time = float("nan")
 
-    def call(self, name: str) -> None:
-        """Tell which function is called next."""
+    def call(self, name: str, time: float = float("nan")) -> None:
+        """Note which function is called next, at which time of the simulation [s]."""
         self._count += 1
-        _HEAD.pack_into(self._memory, 0, self._count, self.time, name.encode())
+        _HEAD.pack_into(self._memory, 0, self._count, time, name.encode())
 
     def inputs(self, text: str) -> None:
-        """Tell what was set last; in brackets what is tried."""
+        """Note what was set last; in brackets what is tried."""
         raw = text.encode()[:_TEXT]
         self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
         self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))
 
     def read(self) -> Sighting:
-        """What was told last."""
+        """What was noted last."""
         count, time, call = _HEAD.unpack_from(self._memory, 0)
         text = self._memory[_HEAD.size :]
         return Sighting(count, time, _text(call), _text(text))

@@ -1,7 +1,7 @@
 """The child's side of a worker process: `python -m orchestrator.worker.main MODULE:FUNCTION FOLDER`.
 
-Messages are pickled, one after the other: from the parent on standard input, to it on standard output. What an
-FMU prints goes nowhere.
+Messages are pickled, one after the other: from the parent on standard input, to it on standard output. What
+an FMU prints goes nowhere.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The parent's side of a worker process."""
+"""The parent's side of a worker process: start, messages, limits, how it ended, removal of its files."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -22,6 +23,7 @@ from typing import Any
 from orchestrator.worker.beacon import Beacon, Sighting
 
 LOOK = 0.5  # [s] at most between two looks at whether the process lives
+POLL = 0.01  # [s] between two looks at what it takes
 LAST = 200  # characters of what a process wrote before it died
 MOST = 1 << 20  # bytes that a process may write to stderr before they are thrown away
 WORDS = {
@@ -33,11 +35,33 @@ WORDS = {
     "SIGKILL": "killed by the system (out of memory?)",
 }
 # Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also shares
-# out processors between the two first, so a browser with many threads takes less from a machine in real time.
+# processors between the two first, so a browser with many threads takes less from a machine in real time.
 APART: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 _NOTHING = object()
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a worker process may take.
+
+    call     longest single call into an FMU [s], as the beacon shows it; a longer one is a hang
+    total    longest time for all of its work [s]
+    memory   [bytes], where the system tells
+    """
+
+    call: float = math.inf
+    total: float = math.inf
+    memory: float = math.inf
+
+
+class LimitExceeded(Exception):
+    """A process took more than its limits allow; `late`: its time was over, it may only be slow."""
+
+    def __init__(self, text: str, late: bool = False) -> None:
+        self.late = late
+        super().__init__(text)
 
 
 class Worker:
@@ -102,6 +126,12 @@ class Worker:
         return ""
 
     @property
+    def report(self) -> str:
+        """How the process ended, what it was doing then, and its last words."""
+        how = self.ending.replace("exit status", "the process ended with exit status")
+        return f"{how} {self.seen}" + (f' ("{self.last_words[:120]}")' if self.last_words else "")
+
+    @property
     def ending(self) -> str:
         """How the process ended, such as "segmentation fault" or "exit status 1"; empty while it lives."""
         code = self._child.poll()
@@ -144,7 +174,30 @@ class Worker:
             self._child.wait()
             raise EOFError(self.ending)
 
-    def quieten(self) -> None:
+    def messages(self, limits: Limits, stop: threading.Event | None = None) -> Iterator[Any]:
+        """All messages until the process ends; raises LimitExceeded where it takes too much or is to stop."""
+        begin = moved = time.monotonic()
+        count = -1
+        while True:
+            try:
+                yield self.get(POLL)
+            except TimeoutError:
+                self._quieten()
+            except EOFError:
+                return
+            seen, now = self.seen, time.monotonic()
+            if seen.count != count:
+                count, moved = seen.count, now
+            if count and now - moved > limits.call:  # before the first call it is Python that starts
+                raise LimitExceeded(f"hang: no return within {limits.call:g} s {seen}")
+            if self.memory > limits.memory:
+                raise LimitExceeded(f"takes more than {limits.memory / 1e9:.3g} GB of memory, stopped {seen}")
+            if now - begin > limits.total:
+                raise LimitExceeded(f"not done within {limits.total:g} s, stopped {seen}", late=True)
+            if stop is not None and stop.is_set():
+                raise LimitExceeded("interrupted", late=True)
+
+    def _quieten(self) -> None:
         """Throw away what it wrote to stderr, if that is a lot."""
         errors = self.folder / "errors"
         with suppress(OSError):  # refused where a file in use is locked

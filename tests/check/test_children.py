@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from check.test_probes import apply, opened
-from orchestrator.check.probes import parent
-from orchestrator.check.probes.parent import Limits, limits
+from orchestrator.check import child
+from orchestrator.check.child import ProbeLimits, limits
 from orchestrator.worker.beacon import Beacon
-from orchestrator.worker.process import MOST, Worker
+from orchestrator.worker.process import MOST, LimitExceeded, Limits, Worker
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
@@ -49,13 +49,13 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
     """A process that the FMU has left behind does not outlive the probe."""
     started = []
 
-    class Noted(parent.Worker):
+    class Noted(child.Worker):
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
             started.append(self.pid)
 
-    monkeypatch.setattr(parent, "Worker", Noted)
-    with limits(Limits(call=PATIENCE, work=2.0)):
+    monkeypatch.setattr(child, "Worker", Noted)
+    with limits(ProbeLimits(call=PATIENCE, work=2.0)):
         apply(oscillators.make(fault="starts"), tmp_path, "default")
     assert started
     assert until(lambda: not any(group(pid) for pid in started))
@@ -64,7 +64,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
 @linux
 def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
     """The limit is told, and where the FMU stood."""
-    with limits(Limits(call=PATIENCE, work=2.0, memory=2e8)):
+    with limits(ProbeLimits(call=PATIENCE, work=2.0, memory=2e8)):
         found = apply(oscillators.make(fault="eats"), tmp_path, "default")
     text = "co-simulation: takes more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
     assert ("error", text) in [(f.severity, f.text) for f in found]
@@ -84,18 +84,18 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MOST + 1))
     Beacon(sleeper.folder / "beacon").call("fmi2DoStep")
-    with limits(Limits(call=0.2)):
-        end, late = parent._watch(sleeper, parent.Outcome())
-    assert end == "hang: no return within 0.2 s in fmi2DoStep"
-    assert not late
+    with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
+        list(sleeper.messages(Limits(call=0.2)))
+    assert not exceeded.value.late
     assert errors.stat().st_size == 0
 
 
 def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
-    with limits(Limits(call=0.1, probe=0.3)):
-        end, late = parent._watch(sleeper, parent.Outcome())
-    assert (end, late) == ("not done within 0.3 s, stopped before the first call", True)
+    text = r"^not done within 0.3 s, stopped before the first call$"
+    with pytest.raises(LimitExceeded, match=text) as exceeded:
+        list(sleeper.messages(Limits(call=0.1, total=0.3)))
+    assert exceeded.value.late
 
 
 def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
@@ -112,7 +112,7 @@ def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
 def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
     """A task that stumbles is a warning that says whose fault it is."""
     subject = opened(oscillators.make(), tmp_path)
-    outcome = parent.run(subject.folder, "cs", "reference:experiment", payload={})
+    outcome = child.run(subject.folder, subject.model, "CoSimulation", "reference:experiment", payload={})
     assert outcome.said == [("warning", "could not be tried (a defect of this check): KeyError('start')")]
     assert outcome.end == ""
 

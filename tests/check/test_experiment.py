@@ -13,17 +13,17 @@ from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
 from orchestrator.check.reference_experiment import EXPERIMENT
 from orchestrator.check.reference_files import PLACE
-from orchestrator.check.subject import Subject
+from orchestrator.check.subject import Subject, unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"
 HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-ref">'
 
 
-def unpacked(path: Path, folder: Path) -> Subject:
+def opened(path: Path, folder: Path) -> Subject:
     """An FMU for the check."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    return Subject(path, folder)
+    return unpacked(path, folder)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def said(oscillators: Oscillators, folder: Path, files: Mapping[str, str], major
     """What is said of the oscillator with these files; the manifest is "manifest"."""
     names = {"manifest": "fmi-ls-manifest.xml"}
     extra = {f"{PLACE}/{names.get(n, n)}": text for n, text in files.items()}
-    return list(EXPERIMENT(unpacked(oscillators.make(major, extra=extra), folder)))
+    return list(EXPERIMENT(opened(oscillators.make(major, extra=extra), folder)))
 
 
 EXP, CSV, SSV = "application/x-ma-hs-experiments", "text/csv", "application/x-ssp-parameter-set"
@@ -157,10 +157,11 @@ def test_a_parameter_set_that_names_strangers_is_told(oscillators, tmp_path, res
 def test_an_experiment_that_fails_is_an_error(oscillators, tmp_path, result):
     """The text names the call and the time, and the check goes on."""
     extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
-    subject = unpacked(oscillators.make(fault="error", extra=extra), tmp_path)
+    subject = opened(oscillators.make(fault="error", extra=extra), tmp_path)
     (finding,) = EXPERIMENT(subject)
     assert finding.severity == "error"
-    assert 'does not come to its end: fmi2DoStep returned Error at t = 0.31 s: "no more"' in finding.text
+    reason = "fmi2DoStep failed at t = 0.31 s with status error; it says: no more"
+    assert f"does not come to its end: {reason}" in finding.text
 
 
 def test_inputs_belong_to_a_result_by_their_name(oscillators, tmp_path, result):
@@ -180,7 +181,7 @@ def test_model_exchange_alone_is_run_with_a_good_solver(oscillators, tmp_path, r
     extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
     path = oscillators.make(extra=extra, change=("<CoSimulation", "<!-- <CoSimulation"))
     folder = tmp_path / "fmu"
-    subject = unpacked(path, folder)
+    subject = opened(path, folder)
     text = (folder / "modelDescription.xml").read_text(encoding="utf-8")
     head, _, tail = text.partition("<!-- <CoSimulation")
     (folder / "modelDescription.xml").write_text(head + tail.partition("/>")[2], encoding="utf-8")

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.check.child.description import read
-from orchestrator.check.child.main import Bench
-from orchestrator.check.child.tasks import leaks, solver
+from orchestrator.check.child import ProbeLimits, current, limits
 from orchestrator.check.finding import Finding
 from orchestrator.check.probes import PROBES
-from orchestrator.check.probes.parent import Limits, current, limits
-from orchestrator.check.subject import Subject
+from orchestrator.check.subject import Subject, unpacked
+from orchestrator.check.tasks import leaks, solver
+from orchestrator.check.tasks.runner import Trial
 from orchestrator.worker.beacon import Beacon
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
@@ -47,7 +46,7 @@ FAULTS = (
     Planted("default", "hang: no return within 2 s in fmi2DoStep at t = 0.31 s", "hang"),
     Planted("default", "signal 36 in fmi2DoStep", "signal"),
     Planted("default", "the process ended with exit status 3 in fmi2DoStep", "exit"),
-    Planted("default", 'fmi2DoStep returned Error at t = 0.31 s: "no more"', "error"),
+    Planted("default", 'fmi2DoStep failed at t = 0.31 s with status error; it says: no more', "error"),
     Planted("default", "position is nan at t = 0.31 s", "nan"),
     Planted("default", "position has grown to", "runaway"),
     Planted("default", "abort in fmi2FreeInstance", "twice"),
@@ -68,8 +67,8 @@ FAULTS = (
     Planted("threads", "4 instances in 4 threads: ", "threads"),
     Planted("leak", "bytes of memory behind", "leak"),
     Planted("leak", "file handles behind", "handles"),
-    Planted("resources", "fmi2Instantiate returned", "location"),
-    Planted("resources", "fmi3Instantiate returned", "letters", major=3),
+    Planted("resources", "fmi2Instantiate gives no instance", "location"),
+    Planted("resources", "fmi3Instantiate gives no instance", "letters", major=3),
     Planted("state", "goes on in another way after its state was restored", "solver"),
     Planted("state", "while u moved", "solver"),
     Planted("serialize", "in fmi2DeSerializeFMUstate", "pointer"),
@@ -106,7 +105,7 @@ FAULTS = (
 def _short() -> Iterator[None]:
     """Work for two seconds at most, which leaves time for all steps on a busy machine; there a call that
     takes microseconds may stand still for seconds, and only a minute is a hang."""
-    with limits(Limits(call=60.0, probe=300.0, work=2.0)):
+    with limits(ProbeLimits(call=60.0, total=300.0, work=2.0)):
         yield
 
 
@@ -114,7 +113,7 @@ def opened(path: Path, folder: Path) -> Subject:
     """An FMU for the probes."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    return Subject(path, folder)
+    return unpacked(path, folder)
 
 
 def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
@@ -136,7 +135,7 @@ def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
 def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     """Where it stood is told, also when no single call took long enough to count as a hang."""
     for probe in (1.0, 4.0, 16.0, 64.0):
-        with limits(Limits(call=1000.0, probe=probe, work=2.0)):
+        with limits(ProbeLimits(call=1000.0, total=probe, work=2.0)):
             found = apply(oscillators.make(fault="hang"), tmp_path / f"{probe:g}", "default")
         if any(f.text.endswith("at t = 0.31 s") for f in found):
             break  # else the machine is so slow that the FMU did not come so far
@@ -174,7 +173,7 @@ def test_an_fmu_that_can_be_made_only_once_is_made_only_once(oscillators, tmp_pa
 
 def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
     """Where two thousand instances take too long, nothing is said of leaks."""
-    with limits(Limits(call=60.0, probe=300.0, work=0.02)):
+    with limits(ProbeLimits(call=60.0, total=300.0, work=0.02)):
         found = apply(oscillators.make(fault="slow"), tmp_path, "leak")
     assert {(f.severity, f.text) for f in found} == {
         ("note", "an instance takes too long for a look at 2000 of them")
@@ -201,10 +200,10 @@ def test_a_mode_that_grows_is_not_stiff(oscillators, tmp_path):
 
 def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
     """Of this FMU one instance can live at a time, and each probe makes some."""
-    folder = opened(oscillators.make(2, "once"), tmp_path).folder
-    bench = Bench(folder, read(folder), "me", Beacon(tmp_path / "beacon"))
+    subject = opened(oscillators.make(2, "once"), tmp_path)
+    trial = Trial(subject.folder, subject.model, "ModelExchange", Beacon(tmp_path / "beacon"))
     for task in (solver.nominals, solver.late, solver.stiff) * 2:
-        assert list(task(bench)) == []
+        assert list(task(trial)) == []
 
 
 def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):

@@ -24,7 +24,7 @@ from fmus.swing import SWING
 from orchestrator.check.reference_experiment import Comparison, cases, compare
 from orchestrator.check.reference_files import manifest, table
 from orchestrator.check.reference_files import parameter_set as read_parameters
-from orchestrator.check.subject import Subject
+from orchestrator.check.subject import unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
 # but the ideal source: it has no states, there is nothing to prove
@@ -49,7 +49,7 @@ def compared(path: Path, folder: Path) -> Comparison:
         archive.extractall(folder)
     found, texts = cases(folder, manifest(folder))
     assert texts == []
-    return compare(Subject(path, folder), found[0])
+    return compare(unpacked(path, folder), found[0])
 
 
 @pytest.mark.parametrize("major", [2, 3])

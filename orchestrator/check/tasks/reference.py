@@ -8,72 +8,62 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from orchestrator.check.child.description import Variable
-from orchestrator.check.child.instance import Instance
-from orchestrator.check.child.main import Bench, Said
-from orchestrator.check.child.player import Values
-
-Rows = list[list[float]]
+from orchestrator.check.tasks.runner import Remark, Trial
+from orchestrator.check.tasks.simulation import Rows, Simulation
 
 
-def experiment(bench: Bench) -> Iterator[Said]:
+def experiment(trial: Trial) -> Iterator[Remark]:
     """Hands over the rows before and after the inputs of a point were set: nobody says which are meant."""
-    job = bench.payload
-    if bench.side == "me":
-        bench.result = {"times": job["times"], "before": _by_importer(bench, job), "after": []}
+    job = trial.payload
+    if trial.kind == "ModelExchange":
+        trial.result = {"times": job["times"], "before": _by_importer(trial, job), "after": []}
         return
-    player = bench.player(start=job["start"], stop=job["stop"], step=job["step"])
-    instance, variables = player.instance, bench.declared.variables
-    _parameters(instance, job["parameters"])
-    inputs = Values(instance, [variables[name] for name in job["inputs"]])
-    outputs = Values(instance, [variables[name] for name in job["signals"]])
-    instance.enter(job["start"], job["stop"], job["tolerance"])
+    simulation = Simulation(trial, start=job["start"], stop=job["stop"], step=job["step"])
+    instance, variables = simulation.instance, trial.description.by_name
+    _parameters(simulation, job["parameters"])
+    inputs = simulation.values([variables[name] for name in job["inputs"]])
+    outputs = simulation.values([variables[name] for name in job["signals"]])
+    instance.setup(job["start"], job["stop"], job["tolerance"])
+    instance.enter()
     if inputs.names:
         inputs.set(_at(job, job["start"]))
     instance.leave()
-    points, wanted = _points(bench, job)
+    points, wanted = _points(trial, job)
     before, after = ([outputs.get()], [outputs.get()]) if 0 in wanted else ([], [])
     times = points[: len(before)]
     for n, (begin, end) in enumerate(pairwise(points), 1):
-        instance.step(begin, end - begin)
-        told = n in wanted
-        if told:
+        simulation.do_step(begin, end - begin)
+        if n in wanted:
             times.append(end)
             before.append(outputs.get())
         if inputs.names:
             inputs.set(_at(job, end))
-        if told:
+        if n in wanted:
             after.append(outputs.get())
-        if instance.ended:
+        if simulation.ended:
             break
-    player.close()
-    bench.result = {"times": times, "before": before, "after": after}
+    simulation.close()
+    trial.result = {"times": times, "before": before, "after": after}
     return
     yield
 
 
-def _points(bench: Bench, job: Any) -> tuple[list[float], set[int]]:
+def _points(trial: Trial, job: Any) -> tuple[list[float], set[int]]:
     """Communication points, and the numbers of those that are recorded."""
     start, stop, step, times = job["start"], job["stop"], job["step"], job["times"]
+    close = 1e-6 * step
     grid = [start + n * step for n in range(int((stop - start) / step + 1 + 1e-9))]
-    if bench.can("canHandleVariableCommunicationStepSize"):
-        off = [
-            t
-            for t in times
-            if start < t <= stop and not any(abs(t - g) < 1e-6 * step for g in _near(grid, t))
-        ]
+    if trial.able.is_true("canHandleVariableCommunicationStepSize"):
+        off = [t for t in times if start < t <= stop and all(abs(t - g) >= close for _, g in _near(grid, t))]
         grid = sorted([*grid, *off])
-    wanted = {n for t in times for n, g in _numbered(grid, t) if abs(t - g) < 1e-6 * step}
+    wanted = {n for t in times for n, g in _near(grid, t) if abs(t - g) < close}
     return grid, wanted
 
 
-def _numbered(grid: Sequence[float], t: float) -> list[tuple[int, float]]:
+def _near(grid: Sequence[float], t: float) -> list[tuple[int, float]]:
+    """The points before and after a time, with their numbers."""
     i = bisect_right(grid, t)
     return [(n, grid[n]) for n in range(max(i - 1, 0), min(i + 1, len(grid)))]
-
-
-def _near(grid: Sequence[float], t: float) -> list[float]:
-    return [g for _, g in _numbered(grid, t)]
 
 
 def _at(job: Any, t: float) -> list[float]:
@@ -88,25 +78,25 @@ def _at(job: Any, t: float) -> list[float]:
     return [a + share * (b - a) for a, b in zip(rows[i - 1], rows[i], strict=True)]
 
 
-def _parameters(instance: Instance, values: dict[str, Any]) -> None:
-    """Numbers, and texts."""
+def _parameters(simulation: Simulation, values: dict[str, Any]) -> None:
+    """Set numbers, and texts."""
+    instance = simulation.instance
     for name, value in values.items():
-        v: Variable = instance.declared.variables[name]
-        if v.kind == "String":
-            extra = [ctypes.c_size_t(1)] if instance.declared.major == 3 else []
-            references, texts = (ctypes.c_uint * 1)(v.reference), (ctypes.c_char_p * 1)(str(value).encode())
-            instance.call("SetString", references, ctypes.c_size_t(1), texts, *extra)
+        v = simulation.trial.description.by_name[name]
+        if v.type == "String":
+            text = (ctypes.c_char_p * 1)(str(value).encode())
+            instance.call("SetString", *instance.references([v.reference or 0]), *instance.values(text, 1))
         else:
-            Values(instance, [v]).set(value)
+            simulation.values([v]).set(value)
 
 
-def _by_importer(bench: Bench, job: Any) -> Rows:
+def _by_importer(trial: Trial, job: Any) -> Rows:
     """Model exchange needs a good solver: FMPy's CVODE."""
     import fmpy
     import numpy as np
 
     def alive(*_: Any) -> bool:
-        bench.beacon.call("a simulation with CVODE")
+        trial.beacon.call("a simulation with CVODE")
         return True
 
     table = None
@@ -116,7 +106,7 @@ def _by_importer(bench: Bench, job: Any) -> Rows:
         for i, name in enumerate(job["inputs"]):
             table[name] = [row[i] for row in job["input_rows"]]
     found = fmpy.simulate_fmu(
-        str(bench.folder),
+        str(trial.folder),
         validate=False,
         fmi_type="ModelExchange",
         start_time=job["start"],

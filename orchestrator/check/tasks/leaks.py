@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.child.instance import Instance
-from orchestrator.check.child.main import Bench, Said
+from orchestrator.check.tasks.runner import Remark, Trial
+from orchestrator.check.tasks.simulation import Simulation
 
 ROUNDS = 2000  # instances
 WARM = 200  # before the memory is measured: caches fill once
@@ -24,9 +24,9 @@ PAGES = 1e6  # the same where only the pages of the process are known
 FULL = 64e6  # bytes: enough to be sure
 
 
-def leak(bench: Bench) -> Iterator[Said]:
+def leak(trial: Trial) -> Iterator[Remark]:
     """Two thousand instances leave no memory, no file handle and no thread behind."""
-    if not _warmed(bench):
+    if not _warmed(trial):
         yield "note", f"an instance takes too long for a look at {ROUNDS} of them"
         return
     measures: dict[str, tuple[Callable[[], float], float, float]] = {
@@ -35,7 +35,7 @@ def leak(bench: Bench) -> Iterator[Said]:
         "threads": (running, 0.01, 2),
     }
     looks = {name: [measure()] for name, (measure, _, _) in measures.items()}
-    for _ in _windows(bench, looks["bytes of memory"]):
+    for _ in _windows(trial, looks["bytes of memory"]):
         for name, (measure, _, _) in measures.items():
             looks[name].append(measure())
     for name, (_, limit, noise) in measures.items():
@@ -44,14 +44,14 @@ def leak(bench: Bench) -> Iterator[Said]:
             yield "error", f"each instance leaves {growth:.3g} {name} behind (of {done} instances)"
 
 
-def _windows(bench: Bench, sizes: Sequence[float]) -> Iterator[None]:
+def _windows(trial: Trial, sizes: Sequence[float]) -> Iterator[None]:
     """Instances, with a pause after each window, until time is over or the memory is full."""
-    deadline = time.monotonic() + 4 * bench.seconds
+    deadline = time.monotonic() + 4 * trial.seconds
     for n in range(ROUNDS // WINDOW):
         if n > 1 and (time.monotonic() > deadline or sizes[-1] - sizes[0] > FULL):
             return
         for _ in range(WINDOW):
-            _life(bench)
+            _life(trial)
         yield
 
 
@@ -67,20 +67,18 @@ def _growth(looks: Sequence[float], noise: float) -> float:
     )
 
 
-def _warmed(bench: Bench) -> bool:
+def _warmed(trial: Trial) -> bool:
     """Make the first instances; False when that takes too long."""
-    deadline = time.monotonic() + 20 * bench.seconds
+    deadline = time.monotonic() + 20 * trial.seconds
     for _ in range(WARM):
         if time.monotonic() > deadline:
             return False
-        _life(bench)
+        _life(trial)
     return True
 
 
-def _life(bench: Bench) -> None:
-    player = bench.player().begin()
-    player.close()
-    bench.binary.log.messages.clear()
+def _life(trial: Trial) -> None:
+    Simulation(trial).begin().close()
 
 
 def memory() -> float:
@@ -139,14 +137,14 @@ def running() -> float:
     return float(len(os.listdir(folder))) if folder.is_dir() else 0.0
 
 
-def reload(bench: Bench) -> Iterator[Said]:
+def reload(trial: Trial) -> Iterator[Remark]:
     """Loading, making an instance, freeing and unloading, again and again."""
     before = handles()
     for n in range(LOADS):
-        bench.beacon.inputs(f"(loaded for the {n + 1}. time)")
-        binary = bench.load(bench.folder)
-        instance = Instance(binary, bench.side, bench.folder)
-        instance.free()
-        binary.unload()
+        trial.beacon.inputs(f"(loaded for the {n + 1}. time)")
+        library = trial.load(trial.folder)
+        trial.instance(library=library).free()
+        trial.beacon.call("unloading the binary")
+        library.close()
     if handles() - before > LOADS / 2:
         yield "error", f"each unloading leaves {(handles() - before) / LOADS:.3g} file handles behind"

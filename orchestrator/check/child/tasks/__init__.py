@@ -1,1 +1,0 @@
-"""What the probes do, in the child process: each task yields (severity, text)."""
