@@ -26,7 +26,7 @@ from orchestrator.engine.run import run
 from orchestrator.results.comparison import QUANTITIES, REST, quantity
 from orchestrator.results.metrics import constant
 from orchestrator.results.reference import Reference, Signal
-from orchestrator.ssp.swap import uses
+from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
@@ -102,8 +102,8 @@ def rates(system: System) -> tuple[str, ...]:
     return tuple(
         f"{component.name}.{name}"
         for component in system.components.values()
-        for name, use in uses(system, component).items()
-        if use.optional and use.wires and use.declared.causality == "input"
+        for name, use in used_ports(system, component).items()
+        if use.optional and use.connections and use.declared.causality == "input"
     )
 
 
