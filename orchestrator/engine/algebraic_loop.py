@@ -15,7 +15,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.fmi.calls import Call, Slave, access
-from orchestrator.ssp.dependencies import Knot
+from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 
 VECTORS = "u g residual step before start scale unit seen"  # of the inputs
@@ -28,9 +28,9 @@ class AlgebraicLoop:
     made              `AlgebraicLoop` of engine.h
     """
 
-    def __init__(self, binding: Binding, slaves: Mapping[str, Slave], knot: Knot) -> None:
-        self.knot, self._slaves, self._binding = knot, slaves, binding
-        wires = sorted(knot.connections, key=lambda c: self._place(c.target))
+    def __init__(self, binding: Binding, slaves: Mapping[str, Slave], cycle: DependencyCycle) -> None:
+        self.cycle, self._slaves, self._binding = cycle, slaves, binding
+        wires = sorted(cycle.connections, key=lambda c: self._place(c.target))
         self.inputs = [c.target for c in wires]
         self.outputs = sorted({c.source for c in wires}, key=self._place)
         n, m = len(self.inputs), len(self.outputs)
@@ -51,8 +51,8 @@ class AlgebraicLoop:
             **{name: binding.at(array) for name, array in self._arrays.items()},
             count=n,
             outputs=m,
-            rounds=knot.sweeps,
-            declared=knot.declared,
+            rounds=cycle.sweeps,
+            declared=cycle.declared,
         )
         self._members = list(self._fill_members())
         self.address = binding.checked(self.made, self)
@@ -105,14 +105,14 @@ class AlgebraicLoop:
     @property
     def circular(self) -> bool:
         """Is it a loop? One that nobody declares is seen by what outputs do, or when values do not settle."""
-        return self.knot.declared or bool(self._arrays["flags"][self._binding.h.CIRCULAR])
+        return self.cycle.declared or bool(self._arrays["flags"][self._binding.h.CIRCULAR])
 
     # ---- messages
 
     def judge(self, status: int) -> None:
         """Raise that there is no solution."""
         t = max(self._slaves[p.component].log.time for p in self.inputs)
-        raise Problem(f"{self.knot.text}: no solution at t = {t:.9g} s: {self._why(status)}")
+        raise Problem(f"{self.cycle.text}: no solution at t = {t:.9g} s: {self._why(status)}")
 
     def _why(self, status: int) -> str:
         arrays = self._arrays
@@ -129,7 +129,7 @@ class AlgebraicLoop:
     @property
     def note(self) -> str:
         """What it is and how it was solved."""
-        h, counts, text = self._binding.h, self._arrays["counts"], self.knot.text
+        h, counts, text = self._binding.h, self._arrays["counts"], self.cycle.text
         often = f"{counts[h.EVALUATIONS] / max(int(counts[h.SOLVES]), 1):.2g} evaluations each"
         if not self.circular:
             return f"{text}; their values are carried round until nothing changes, {often}"
@@ -143,10 +143,10 @@ def _no_derivative() -> None:
     """Stands where an FMU has no directional derivatives; never called."""
 
 
-def solver(slaves: Mapping[str, Slave], knot: Knot) -> Call:
+def solver(slaves: Mapping[str, Slave], cycle: DependencyCycle) -> Call:
     """What solves a loop by itself, again and again: for initialisation."""
     binding = Binding()
-    loop = AlgebraicLoop(binding, slaves, knot)
+    loop = AlgebraicLoop(binding, slaves, cycle)
     n, m = len(loop.inputs), len(loop.outputs)
     binding.simulation.real = binding.at(np.zeros(n + m))
     loop.bind(np.arange(n), np.arange(n, n + m))

@@ -9,7 +9,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.algebraic_loop import solver
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.description import Interface, Value
-from orchestrator.ssp.dependencies import Feedthrough, Knot, components
+from orchestrator.ssp.dependencies import DependencyCycle, Feedthrough, strongly_connected
 from orchestrator.ssp.system import Connection, Port, System
 
 
@@ -57,28 +57,28 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     fed: dict[Port, list[Connection]] = {}
     for c in system.connections:
         fed.setdefault(c.source, []).append(c)
-    for group in components(flow.graph):
-        known, knot = [y for y in group if y in fed], flow.knot(group)
-        if knot:
-            _solve(slaves, knot, {y: [c for c in fed[y] if c not in knot.connections] for y in known})
+    for group in strongly_connected(flow.graph):
+        known, cycle = [y for y in group if y in fed], flow.cycle(group)
+        if cycle:
+            _solve(slaves, cycle, {y: [c for c in fed[y] if c not in cycle.connections] for y in known})
         else:
             for y in known:
                 _carry(slaves, y, fed[y])
 
 
-def _solve(slaves: Mapping[str, Slave], knot: Knot, fed: Mapping[Port, list[Connection]]) -> None:
-    """Solve for the Real signals of a knot; where it has others, again and again until nothing changes."""
-    solve = solver(slaves, knot) if knot.connections else None
+def _solve(slaves: Mapping[str, Slave], cycle: DependencyCycle, fed: Mapping[Port, list[Connection]]) -> None:
+    """Solve for the Real signals of a cycle; where it has others, again and again until nothing changes."""
+    solve = solver(slaves, cycle) if cycle.connections else None
     previous: dict[Port, Value] = {}
-    for _ in range(1 if knot.rounds == 1 else len(fed) + 1):
+    for _ in range(1 if cycle.rounds == 1 else len(fed) + 1):
         if solve:
             solve()
         current = {y: _carry(slaves, y, connections) for y, connections in fed.items()}
         if previous and all(_same(previous[y], value) for y, value in current.items()):
             return
         previous = current
-    if knot.rounds > 1 and knot.declared:
-        raise Problem(f"initialisation does not settle: {knot.text}")
+    if cycle.rounds > 1 and cycle.declared:
+        raise Problem(f"initialisation does not settle: {cycle.text}")
 
 
 def _same(old: Value, new: Value) -> bool:

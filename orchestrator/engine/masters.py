@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.fmi.description import Interface
-from orchestrator.ssp.dependencies import sequence
+from orchestrator.ssp.dependencies import gauss_seidel_order
 from orchestrator.ssp.system import Connection, Port, System
 
 
@@ -84,7 +84,7 @@ class Plan:
 def order_of_components(system: System) -> list[int]:
     """The order, by number, in which components step one after the other."""
     places = {name: i for i, name in enumerate(system.components)}
-    return [places[name] for name in sequence(system)]
+    return [places[name] for name in gauss_seidel_order(system)]
 
 
 def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:

@@ -20,7 +20,7 @@ from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import Component
 from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Buffer, Call, Slave, access
-from orchestrator.ssp.dependencies import Order, output_order
+from orchestrator.ssp.dependencies import OutputOrder, output_order
 from orchestrator.ssp.system import Connection, Port, System
 
 
@@ -123,12 +123,12 @@ class Network:
         """
         self.system, self.slaves, self.binding = system, slaves, Binding()
         self.components = {name: Component(s, (factors or {}).get(name, 1)) for name, s in slaves.items()}
-        self.order: Order = output_order(system)
+        self.order: OutputOrder = output_order(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.real, self.whole = Bank(np.float64), Bank(np.int32)
         reads, writes = self._place(probes, scenario.columns if scenario else ())
         self.used = np.full((2, len(self.real.values)), np.nan)
-        self.loops = [AlgebraicLoop(self.binding, slaves, knot) for knot, _ in self.order.knots]
+        self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
         self.exchange_calls = self._exchange(reads, writes)
         self.scenario = self._drive(scenario) if scenario else None
 
@@ -204,9 +204,9 @@ class Network:
         numeric = {p for p in wanted if self.system.variable(p).kind != "String"}
         outputs = {p: s for p, s in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        for i, (knot, _) in enumerate(self.order.knots):  # in blocks of their own, which no stage touches
-            outputs |= {c.source: (TIED - i,) for c in knot.connections}
-            inputs |= {c.target: (TIED - i,) for c in knot.connections}
+        for i, (cycle, _) in enumerate(self.order.cycles):  # in blocks of their own, which no stage touches
+            outputs |= {c.source: (TIED - i,) for c in cycle.connections}
+            inputs |= {c.target: (TIED - i,) for c in cycle.connections}
         inputs |= {p: (FIRST,) for p in driven}
         more = self.system.exposed if probes is None else probes
         outputs |= {p: (last,) for p in more if p not in outputs and p not in inputs}
@@ -220,12 +220,12 @@ class Network:
     def _exchange(self, reads: Blocks, writes: Blocks) -> list[Call]:
         """All calls of one exchange, in order."""
         calls: list[Any] = []
-        tied = {c.target for loop in self.loops for c in loop.knot.connections}
+        tied = {c.target for loop in self.loops for c in loop.cycle.connections}
         for loop in self.loops:
             loop.bind(self.real.places(loop.inputs), self.real.places(loop.outputs))
         for stage in range(max(self.order.count, 1)):
             calls += [self.reader(bank, b) for bank, b in reads if stage in b.stages]
-            solved = zip(self.loops, self.order.knots, strict=True)
+            solved = zip(self.loops, self.order.cycles, strict=True)
             calls += [loop for loop, (_, stages) in solved if stage in stages]
             for bank in (self.real, self.whole):
                 links = [c for c in self.connections if stage in self.order.stages[c.source]]

@@ -1,10 +1,9 @@
-"""Direct feed-through between components: in which order outputs become known, and where they form algebraic
-loops.
+"""Direct feed-through between components: the order in which outputs become known, and algebraic loops.
 
 An output without feed-through is known right after the step, one with feed-through once the inputs that it
-depends on are set. Outputs that depend on each other in a circle are one `DependencyLoop`. A loop of declared
-feed-through is solved. Where a circle exists only because an FMU does not declare its dependencies, values
-are carried round first, and the loop is solved only if they do not settle (`engine/algebraic_loop.py`).
+depends on are set. Outputs that depend on each other are a `DependencyCycle`. Where the FMUs declare these
+dependencies it is an algebraic loop, which is solved. Where an FMU does not, values are carried round first,
+and the loop is solved only if they do not settle (`engine/algebraic_loop.py`).
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ SHOWN = 6  # connections in a text
 
 
 @dataclass(frozen=True)
-class DependencyLoop:
+class DependencyCycle:
     """Outputs that depend on each other in a circle: an algebraic loop, or perhaps one.
 
-    connections   of Real values from outputs of the loop to inputs that outputs of the loop depend on
+    connections   of Real values from outputs of the cycle to inputs that its outputs depend on
     declared      the FMUs declare these dependencies; else some declare none, and there may be no loop at all
     rounds        how often its outputs are read where some signals are not Real, so not solved for; else 1
     discrete      an output in a circle of declared dependencies that is not Real
@@ -45,16 +44,12 @@ class OutputOrder:
 
     stages   output -> its stages
     notes    remarks for the user
-    loops    with their stages; nothing else reads their outputs and sets their inputs
+    cycles   with their stages; nothing else reads their outputs and sets their inputs
     """
 
     stages: Mapping[Port, tuple[int, ...]]
     notes: tuple[str, ...] = ()
-    loops: tuple[tuple[DependencyLoop, tuple[int, ...]], ...] = ()
-
-    @property
-    def knots(self) -> tuple[tuple[DependencyLoop, tuple[int, ...]], ...]:
-        return self.loops  # the name that the engine still uses
+    cycles: tuple[tuple[DependencyCycle, tuple[int, ...]], ...] = ()
 
     @property
     def count(self) -> int:
@@ -67,22 +62,24 @@ def output_order(system: System) -> OutputOrder:
     graph = feedthrough.graph
     stages: dict[Port, tuple[int, ...]] = {}
     notes: list[str] = []
-    loops: list[tuple[DependencyLoop, tuple[int, ...]]] = []
+    cycles: list[tuple[DependencyCycle, tuple[int, ...]]] = []
     for group in strongly_connected(graph):
         first = 1 + max((stages[p][-1] for y in group for p in graph[y] if p not in group), default=-1)
-        loop = feedthrough.loop(group)
-        when = tuple(range(first, first + (loop.rounds if loop else 1)))
+        cycle = feedthrough.cycle(group)
+        when = tuple(range(first, first + (cycle.rounds if cycle else 1)))
         stages |= dict.fromkeys(group, when)
-        if loop is None:
+        if cycle is None:
             continue
-        if loop.discrete:
-            kind = system.variable(loop.discrete).kind
-            got = f"expected Real signals, to be solved for, got {kind} {loop.discrete}"
-            raise Problem(f"{loop.text}: {got}")
-        if loop.rounds > 1:
-            notes.append(f"{loop.text}; its signals that are not Real are read {loop.rounds} times per step")
-        loops += [(loop, when)] if loop.connections else []
-    return OutputOrder(stages, tuple(notes), tuple(loops))
+        if cycle.discrete:
+            kind = system.variable(cycle.discrete).kind
+            got = f"expected Real signals, to be solved for, got {kind} {cycle.discrete}"
+            raise Problem(f"{cycle.text}: {got}")
+        if cycle.rounds > 1:
+            notes.append(
+                f"{cycle.text}; its signals that are not Real are read {cycle.rounds} times per step"
+            )
+        cycles += [(cycle, when)] if cycle.connections else []
+    return OutputOrder(stages, tuple(notes), tuple(cycles))
 
 
 def gauss_seidel_order(system: System) -> list[str]:
@@ -143,8 +140,8 @@ class Feedthrough:
         declared = interface.initially if self._initially else interface.feedthrough
         return declared.get(output.variable) is not None
 
-    def loop(self, group: list[Port]) -> DependencyLoop | None:
-        """The loop of a strongly connected group of outputs; None where the output does not depend on
+    def cycle(self, group: list[Port]) -> DependencyCycle | None:
+        """The cycle of a strongly connected group of outputs; None where the output does not depend on
         itself."""
         if not _circular(self.graph, group):
             return None
@@ -154,7 +151,7 @@ class Feedthrough:
         discrete = [y for y in group if not self._real(y)]
         needed = set().union(*map(self.depends, group))
         inside = [c for c in self._system.connections if c.source in group and c.target in needed]
-        return DependencyLoop(
+        return DependencyCycle(
             connections=tuple(c for c in inside if self._real(c.source)),
             declared=bool(circles),
             rounds=len(involved) + 1 if discrete else 1,
@@ -162,8 +159,6 @@ class Feedthrough:
             sweeps=0 if circles else len(involved) + 1,
             text=self._loop_text(circles[0], inside) if circles else self._silent_text(group, involved),
         )
-
-    knot = loop  # the name that the engine still uses
 
     def _real(self, port: Port) -> bool:
         return self._system.variable(port).is_real
@@ -186,7 +181,7 @@ class Feedthrough:
         return next(c for c in self._system.connections if c.source == source and c.target in known)
 
 
-# ---- graphs; NetworkX has these, too, but takes longer to import than a short run ---------------------------
+# ---- graphs; NetworkX has these, too, but takes longer to import than a short run ----------------------
 
 Graph = Mapping[Port, Iterable[Port]]  # node -> nodes that must be known before
 
@@ -240,10 +235,3 @@ def _way_round(graph: Graph, group: list[Port]) -> list[Port]:
         if before in path:
             return [*path[path.index(before) :], before][::-1]
         path.append(before)
-
-
-# names that the engine still uses
-Knot = DependencyLoop
-Order = OutputOrder
-sequence = gauss_seidel_order
-components = strongly_connected

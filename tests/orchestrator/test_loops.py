@@ -147,7 +147,7 @@ def test_two_loops_one_behind_the_other_and_a_stage_after_them(each, told):
     for name, exact in {"q.y": first, "t.y": -2 * first / 7, "after.y": -first / 7}.items():
         # values begin at 0, where the residual is compared with the largest so far
         np.testing.assert_allclose(result.trace[name], exact, rtol=0, atol=CLOSE)
-    assert [stages for _, stages in output_order(system).knots] == [(1,), (2,)]
+    assert [stages for _, stages in output_order(system).cycles] == [(1,), (2,)]
     assert sum("algebraic loop" in note for note in result.card.notes) == 2
 
 

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from orchestrator import Trace, assemble, run
 from orchestrator.base.files import Location
 from orchestrator.fmi.description import read_interface
-from orchestrator.ssp.dependencies import output_order, sequence
+from orchestrator.ssp.dependencies import gauss_seidel_order, output_order
 
 
 def worst(result, exact):
@@ -78,7 +78,7 @@ def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, os
 
 def test_gauss_seidel_takes_feed_through_last(oscillator):
     """The component whose output needs the other's position steps after it."""
-    assert sequence(oscillator) == ["b", "a"]
+    assert gauss_seidel_order(oscillator) == ["b", "a"]
 
 
 def test_stages_follow_the_feed_through(oscillator):
