@@ -26,8 +26,7 @@ import numpy as np
 from benchmarks.played import Fmu
 from fmus.identification.known import nominal
 from fmus.identification.machine import FREE, problem
-from fmus.identification.recordings.reading import read
-from fmus.identification.recordings.recording import window
+from fmus.identification.recordings.reading import read, window
 from fmus.identification.refinement.differences import BlackBox
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import compiled, refine

@@ -12,11 +12,11 @@ from fmus.machine.build import data
 from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
 from orchestrator.base.coupling import Coupling
+from orchestrator.data.recording import read_recording
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.reference import read_reference
 
 MASTERS = ("jacobi", "gauss-seidel")
-REFERENCE = read_reference(data("reference/work_cycle.csv"))
+REFERENCE = read_recording(data("reference/work_cycle.csv"))
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def test_outputs_exist_at_the_first_instant(system):
     """Row zero holds the initial pose, holding forces and pressures, not zeros."""
     first = run(system, data("scenarios/work_cycle.csv"), stop=0.01).trace
     for name in ("manipulator.boom_angle", "boom_stick.boom_force", "boom_stick.boom_head_pressure"):
-        reference = REFERENCE.signals[name].values[0]
+        reference = REFERENCE[name][0]
         # nine digits of the reference
         assert first[name][0] == pytest.approx(reference, rel=1e-8)
     assert first["boom_stick.boom_force"][0] == pytest.approx(

@@ -21,7 +21,7 @@ from fmus.parameters import values
 from orchestrator import read
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
-from orchestrator.results.reference import read_reference
+from orchestrator.data.recording import read_recording
 from orchestrator.studies.convergence import choose
 
 ROOT = Path(__file__).parents[1]
@@ -157,7 +157,7 @@ def test_the_cut_has_no_feed_through():
 
 @pytest.fixture(scope="module")
 def reference():
-    return read_reference(run.REFERENCE)
+    return read_recording(run.REFERENCE)
 
 
 def test_joined_ode_follows_the_reference(reference):
@@ -165,7 +165,7 @@ def test_joined_ode_follows_the_reference(reference):
     found = solve(read(run.M1), reference.time)
 
     def error(name):
-        return np.max(np.abs(found[name] - reference.signals[name].values))
+        return np.max(np.abs(found[name] - reference[name]))
 
     # an independent Radau solution differs by 1.7e-6 m and 150 Pa: what the authors' step of 0.05 ms leaves
     assert error("arm.s1") < 2e-6

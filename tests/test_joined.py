@@ -21,8 +21,8 @@ from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import read_recording
 from orchestrator.results.compare import by_variable, compare
-from orchestrator.results.reference import read_reference
 
 TABLES = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
 NAMES = flat_names(SUBSYSTEMS, TABLES, INPUTS, TOTALS, HIDDEN)
@@ -248,7 +248,7 @@ def test_machine_starts_at_rest_in_every_pose(fmu_dir, kind):
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
 def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, tolerance):
     """The whole work cycle at 1 ms: error of every signal of the reference over its range."""
-    reference = read_reference(data("reference/work_cycle.csv"))
+    reference = read_recording(data("reference/work_cycle.csv"))
     found = run(
         fmu_dir / "harvester.fmu",
         data("scenarios/work_cycle.csv"),

@@ -14,9 +14,9 @@ from any_fmu.outcome import OPENERS
 from fmus.machine.build import data
 from orchestrator import RunFailed, System, Trace, load, run
 from orchestrator.base.coupling import Coupling
+from orchestrator.data.recording import read_recording
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.results.compare import compare
-from orchestrator.results.reference import read_reference
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "hydraulic_manipulator"
 sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
@@ -24,7 +24,7 @@ sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed pa
 from machine import build, solve
 
 MASTER = "interface-jacobian"
-REFERENCE = read_reference(data("reference/work_cycle.csv"))
+REFERENCE = read_recording(data("reference/work_cycle.csv"))
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import matplotlib.pyplot as plt
 
 from fmus.components import chamber, orifice, spool_valve
 from fmus.identification.recordings.masks import good
-from fmus.identification.recordings.reading import read_series
-from fmus.identification.recordings.recording import blank, split
+from fmus.identification.recordings.reading import blank, read_series, split
 from fmus.identification.refinement.refine import refine
 from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
 from orchestrator.base.errors import Problem

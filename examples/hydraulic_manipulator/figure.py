@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.reference import Reference
 
 BLUE, ORANGE, GREY = "#06406b", "#c25a00", "#8a9099"
 
 
-def draw(trace: Trace, truth: Trace, reference: Reference | None, path: Path) -> Path:
+def draw(trace: Trace, truth: Trace, reference: Recording | None, path: Path) -> Path:
     """Write a picture of the run over the published solution and of its error from the joined ODE."""
     figure = Figure(figsize=(8, 8), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
@@ -25,7 +25,7 @@ def draw(trace: Trace, truth: Trace, reference: Reference | None, path: Path) ->
     curves = ((length, "arm.s1", "s1", 1.0, BLUE), (pressure, "hydraulics.p_1", "p_1", 1e-5, BLUE))
     for axes, name, label, factor, colour in (*curves, (pressure, "hydraulics.p_2", "p_2", 1e-5, ORANGE)):
         if reference:
-            published = factor * reference.signals[name].values
+            published = factor * reference[name]
             axes.plot(reference.time, published, color=GREY, lw=4, alpha=0.5, label=f"{label}, published")
         axes.plot(trace.time, factor * trace[name], color=colour, lw=1.2, label=f"{label}, two FMUs")
     length.set_ylabel("length [m]")
@@ -44,7 +44,7 @@ def draw(trace: Trace, truth: Trace, reference: Reference | None, path: Path) ->
 
 
 def draw_steps(
-    runs: Mapping[str, Trace], published: Mapping[str, Reference], truth: Trace, path: Path
+    runs: Mapping[str, Trace], published: Mapping[str, Recording], truth: Trace, path: Path
 ) -> Path:
     """Write a picture of the errors in s1 of runs (top) and of published co-simulations (bottom)."""
     figure = Figure(figsize=(8, 5), dpi=110, layout="constrained")
@@ -54,7 +54,7 @@ def draw_steps(
         own.plot(trace.time, 1e3 * (trace["arm.s1"] - truth.at(trace.time)["arm.s1"]), lw=1, label=label)
     for (label, reference), colour in zip(published.items(), (ORANGE, BLUE), strict=True):
         time = reference.time[reference.time <= truth.time[-1]]
-        values = reference.signals["arm.s1"].values[: len(time)]
+        values = reference["arm.s1"][: len(time)]
         theirs.plot(time, 1e3 * (values - truth.at(time)["arm.s1"]), color=colour, lw=1, label=label)
     own.set_ylabel("error of s1 [mm]\nthis project")
     theirs.set_ylabel("error of s1 [mm]\nits authors")

@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 from orchestrator import Problem, Result, Trace, read, run, write
+from orchestrator.data.recording import Recording, read_recording
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.reference import Reference, read_reference
 from orchestrator.results.summary import summary
 
 HERE = Path(__file__).resolve().parent
@@ -38,7 +38,7 @@ class Outcome:
 
     result: Result
     truth: Trace
-    reference: Reference | None
+    reference: Recording | None
     validation: Validation | None
 
     def error(self, signal: str) -> float:
@@ -58,7 +58,7 @@ def simulate(system: Path, manoeuvre: Path, step: float, master: str) -> Outcome
         raise Problem(f"{manoeuvre}: expected the columns time, kappa and two rows or more")
     result = run(system, scenario, master=master, step=step)
     truth = solve(scenario, result.trace.time)
-    reference = read_reference(REFERENCE) if manoeuvre.resolve() == M1 else None
+    reference = read_recording(REFERENCE) if manoeuvre.resolve() == M1 else None
     validation = compare(result.trace, reference, rate=False) if reference else None
     return Outcome(result, truth, reference, validation)
 

@@ -16,7 +16,7 @@ from run import M1, REFERENCE
 
 from orchestrator import load, read, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.results.reference import read_reference
+from orchestrator.data.recording import read_recording
 from orchestrator.studies.convergence import (
     SETTINGS,
     ConvergenceStudy,
@@ -68,7 +68,7 @@ def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
         label: run(systems[ports], M1, coupling, step).trace
         for label, (ports, coupling, step) in DRAWN.items()
     }
-    published = {label: read_reference(REFERENCE.with_name(name)) for label, name in PUBLISHED.items()}
+    published = {label: read_recording(REFERENCE.with_name(name)) for label, name in PUBLISHED.items()}
     return draw_steps(runs, published, ode, path)
 
 

@@ -8,7 +8,6 @@ from difflib import get_close_matches
 
 from fmus.contract import quantities
 from fmus.identification.known import Known, lookup
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.data import Mapped
 from fmus.identification.refinement.problem import (
     EstimationProblem,
@@ -20,6 +19,7 @@ from fmus.identification.refinement.problem import (
 from fmus.machine.one_block import HARVESTER
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 # What a work cycle shows. Left out, because it hardly does or because something else stands for them:
 # inertances and resistances of the swing's lines (their time is below a millisecond), rounding and leakage of

@@ -10,7 +10,6 @@ import numpy as np
 from fmus.contract import quantities
 from fmus.identification.known import Estimate, Known, lookup, nominal
 from fmus.identification.pipeline import MACHINE, Identified
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import parameters, signals
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.comparison import Compared, attribute, picture, predicted
@@ -18,6 +17,7 @@ from fmus.identification.report.content import Page, Parameter, Picture, Quality
 from fmus.identification.report.page import refinement
 from fmus.identification.report.wording import warnings
 from fmus.machine.parts import SUBSYSTEMS
+from orchestrator.data.recording import Recording
 
 PICTURED = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third
 KINDS = ("angle", "speed", "pressure", "flow")

@@ -27,7 +27,6 @@ from fmus.identification.procedures import (
     motor_leakage,
     valve,
 )
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.problem import parameters
 from fmus.identification.refinement.random_starts import SPREAD, Starts, from_random_starts
@@ -36,6 +35,7 @@ from fmus.identification.refinement.result import Refined, advice
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 # in the paper's order: section 4 (a) to (e)
 PROCEDURES: Mapping[str, ModuleType] = {

@@ -1,17 +1,24 @@
-"""A TOML file as tables whose keys are known, with messages that name file, key, expected and found."""
+"""TOML files with known keys: messages name the file, the key, what was expected and what was got.
+
+`fill` makes a dataclass of a table: its fields are the keys, its types and rules say what they may be.
+A `Table` reads one key at a time, where what is right depends on more than the file.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from datetime import date
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from orchestrator.base.errors import Problem, suggest
 
 Word = TypeVar("Word", bound=str)
+Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,91 @@ def read(file: Path, data: bytes) -> Table:
         return Table(str(file), tomllib.loads(data.decode("utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise Problem(f"{file}: expected TOML, got {error}") from None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a value has to meet beyond its type: `Annotated[float, Rule("0 or more", lambda v: v >= 0)]`."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+
+
+POSITIVE = Rule("a number above 0", lambda value: value > 0)
+NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
+
+
+def fill(kind: type[Kind], table: Table) -> Kind:
+    """A dataclass from a table with its fields as keys; a field without default is a required key.
+
+    A field is a str, float, int, bool, date, Literal, tuple of floats, another dataclass (a table), a
+    Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    table.only(hints)
+    for field in fields(kind):  # type: ignore[arg-type]
+        if field.default is MISSING and field.default_factory is MISSING:
+            table.need(field.name, _expected(hints[field.name]))
+    return kind(**{key: _value(hints[key], table, key, f"{table.where}: {key}") for key in table.data})
+
+
+def _value(hint: Any, table: Table, key: str, where: str) -> Any:
+    """The value of a key as its type hint wants it; `where` names it, should it be a table."""
+    value, kinds = table.data[key], get_args(hint)
+    if get_origin(hint) is Annotated:
+        found = _value(kinds[0], table, key, where)
+        if not kinds[1].holds(found):
+            raise table.wrong(key, kinds[1].expected)
+        return found
+    choices = _choices(hint)
+    if choices != (hint,) and len(choices) == 1:
+        return _value(choices[0], table, key, where)
+    for choice in choices:
+        if isinstance(value, dict) and is_dataclass(choice):
+            return fill(choice, Table(where, value))  # type: ignore[arg-type]
+        if isinstance(value, dict) and get_origin(choice) is Mapping:
+            inner = Table(where, value)
+            return {
+                name: _value(get_args(choice)[1], inner, name, f"{where}.{quoted(name)}") for name in value
+            }
+        if _fits(choice, value):
+            return float(value) if choice is float else tuple(value) if isinstance(value, list) else value
+    raise table.wrong(key, _expected(hint))
+
+
+def _choices(hint: Any) -> tuple[Any, ...]:
+    """The types of a union but None, which TOML does not have."""
+    choices = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return tuple(choice for choice in choices if choice is not NoneType)
+
+
+def _fits(hint: Any, value: Any) -> bool:
+    """Whether a value that is no table is of a type."""
+    if get_origin(hint) is Literal:
+        return value in get_args(hint)
+    if get_origin(hint) is tuple:
+        size = len(get_args(hint))
+        return isinstance(value, list) and len(value) == size and all(map(is_number, value))
+    if hint is float:
+        return is_number(value)
+    return isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool)
+
+
+def _expected(hint: Any) -> str:
+    """What a type wants, in words."""
+    words = {str: "a text", float: "a number", int: "a whole number", bool: "true or false", date: "a date"}
+    if get_origin(hint) is Annotated:
+        return str(get_args(hint)[1].expected)
+    if get_origin(hint) is Literal:
+        names = get_args(hint)
+        return f"one of {', '.join(names)}" if len(names) > 1 else repr(names[0])
+    if is_dataclass(hint):
+        return f"a table of {', '.join(f.name for f in fields(hint))}"
+    if get_origin(hint) in (Union, UnionType):
+        return " or ".join(_expected(choice) for choice in _choices(hint))
+    if get_origin(hint) is tuple:
+        return f"{len(get_args(hint))} numbers"
+    return words.get(hint, "a table")
 
 
 def is_number(value: Any) -> bool:

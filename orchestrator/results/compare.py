@@ -1,61 +1,64 @@
-"""A run of one FMU under the names of a reference or layout that was made for a system of several.
+"""A run against its reference: aligned, measured, judged.
 
-A run against its reference: aligned, measured, judged.
-
-Both are brought to the samples of the coarser of the two inside the window they share, by linear
-interpolation; the reference is converted to the unit of the run.
+1. Both are brought to the samples of the coarser of the two inside the window they share, by linear
+   interpolation; the reference is converted to the unit of the run.
+2. Samples that lie in a gap of a signal of the reference are left out of that signal, and counted in a note.
+3. `metrics` measures the difference; the signal's limit, if it has one, judges one of the numbers.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.units import linear
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
-from orchestrator.results.metrics import Metrics, Tolerance, measure
-from orchestrator.results.reference import Reference, Signal
+from orchestrator.results.metrics import Metrics, measure
 
 
 def by_variable(trace: Trace, wanted: Iterable[str]) -> Trace:
-    """The signals of one FMU under the wanted names that differ from theirs by the component only.
+    """The signals of one FMU under the names of a system of several, which differ by the component only.
 
     Wanted names that share a variable, such as a.flow and b.flow, stay unknown: the FMU has one at most.
     """
     names = dict.fromkeys(wanted)
-    seen = Counter(_variable(name) for name in names)
-    new = {_variable(name): name for name in names if seen[_variable(name)] == 1}
+    count = Counter(_variable(name) for name in names)
+    new = {_variable(name): name for name in names if count[_variable(name)] == 1}
+    named = {own: new.get(_variable(own), own) for own in trace.signals}
+    return Trace(
+        trace.time,
+        {named[own]: values for own, values in trace.signals.items()},
+        {named[own]: unit for own, unit in trace.units.items()},
+    )
 
-    def name(own: str) -> str:
-        return new.get(_variable(own), own)
 
-    signals = {name(own): values for own, values in trace.signals.items()}
-    return Trace(trace.time, signals, {name(own): unit for own, unit in trace.units.items()})
-
-
-def once(reference: Reference) -> Reference:
+def once(reference: Recording) -> Recording:
     """Without signals that are those of another one under the name of another component.
 
     One sensor on a line that feeds two components is one variable of the FMU that holds both.
     """
-    kept: dict[str, Signal] = {}
-    for name, signal in reference.signals.items():
-        twins = (s for n, s in kept.items() if _variable(n) == _variable(name))
-        if not any(np.array_equal(s.values, signal.values) and s.unit == signal.unit for s in twins):
-            kept[name] = signal
-    return replace(reference, signals=kept)
+    kept: dict[str, Array] = {}
+    for name, values in reference.signals.items():
+        twins = [n for n in kept if _variable(n) == _variable(name)]
+        same = (np.array_equal(kept[n], values, equal_nan=True) for n in twins)
+        if not any(same):
+            kept[name] = values
+    return reference.select(list(kept))
 
 
 def _variable(name: str) -> str:
     return name.partition(".")[2]
 
 
-Array = NDArray[np.float64]
+ROUNDING = 1e-6  # of a sampling interval: of times in a text file
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,16 @@ class Row:
     def title(self) -> str:
         """The label, else the signal's name."""
         return self.label or self.signal
+
+    @property
+    def judged_value(self) -> float | None:
+        """The number that the limit judges; None where it is undefined, or where there is no limit."""
+        return None if self.tolerance is None else self.metrics.value(self.tolerance.metric)
+
+    @property
+    def limit_use(self) -> float:
+        """How much of its limit the signal uses: 1 at the limit, above it when it fails; 0 without one."""
+        return 0.0 if self.tolerance is None else self.tolerance.use(self.judged_value)
 
 
 @dataclass(frozen=True)
@@ -128,39 +141,39 @@ class Validation:
         return next(row for row in self.rows if row.signal == signal)
 
 
-def compare(trace: Trace, reference: Reference, *, rate: bool = True) -> Validation:
+def compare(trace: Trace, reference: Recording, *, rate: bool = True) -> Validation:
     """Compare every signal of the reference with the run; rate=False leaves the ISO rating out."""
     for name in reference.signals:
         if name not in trace.signals:
             raise UnknownSignal(name, trace.signals, f"{reference.source}: ")
     grid, notes = common_grid(trace.time, reference)
     return Validation(
-        rows=tuple(_row(signal, trace, reference, grid, rate) for signal in reference.signals.values()),
+        rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
         title=reference.title,
-        source=reference.source,
+        source=reference.source.name,
         about=reference.about,
         notes=notes,
     )
 
 
-def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...]]:
+def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...]]:
     """The samples [s] to compare on, those of the coarser side in the common window, and what was cut off."""
     sides = {"run": run, "reference": reference.time}
-    start = max(run[0], reference.time[0], -np.inf if reference.start is None else reference.start)
-    stop = min(run[-1], reference.time[-1], np.inf if reference.stop is None else reference.stop)
+    start = max(run[0], reference.time[0], reference.start)
+    stop = min(run[-1], reference.time[-1], reference.stop)
     spans = "; ".join(f"the {name} covers {t[0]:g} to {t[-1]:g} s" for name, t in sides.items())
     inside = {name: t[_inside(t, start, stop)] for name, t in sides.items()}
     coarse = min(inside, key=lambda name: len(inside[name]))
-    if len(inside[coarse]) < 2:
+    grid = inside[coarse]
+    if len(grid) < 2:
         ends = {"begins": reference.start, "ends": reference.stop}
-        asked = [f"{verb} at {t:g} s" for verb, t in ends.items() if t is not None]
+        asked = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
         wanted = f"; the window asked for {' and '.join(asked)}" if asked else ""
         raise Problem(
             f"{reference.source}: expected two or more samples in a common window, "
-            f"got {len(inside[coarse])}; {spans}{wanted}"
+            f"got {len(grid)}; {spans}{wanted}"
         )
-    grid = inside[coarse]
     notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
     fine = "reference" if coarse == "run" else "run"
     if between := _between(grid, sides[fine]):
@@ -170,11 +183,10 @@ def common_grid(run: Array, reference: Reference) -> tuple[Array, tuple[str, ...
     return grid, tuple(notes)
 
 
-def _inside(time: Array, start: float | None, stop: float | None) -> NDArray[np.bool_]:
+def _inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
     """Which samples lie in a window [s], with room for the rounding of times in a text file."""
-    first, last = -np.inf if start is None else start, np.inf if stop is None else stop
-    slack = 1e-9 * max([1.0, *(abs(t) for t in (first, last) if np.isfinite(t))])
-    inside: NDArray[np.bool_] = (time >= first - slack) & (time <= last + slack)
+    slack = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
+    inside: NDArray[np.bool_] = (time >= start - slack) & (time <= stop + slack)
     return inside
 
 
@@ -185,40 +197,46 @@ def _between(grid: Array, time: Array) -> int:
     return int(np.sum(np.abs(time[at_or_after] - grid) > slack))
 
 
-def _row(signal: Signal, trace: Trace, reference: Reference, grid: Array, rate: bool) -> Row:
+def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> Row:
     """One signal on the common samples, measured and judged."""
-    where = f"{reference.source}: {signal.name}"
-    unit = trace.units.get(signal.name, "")
-    notes: tuple[str, ...] = ()
+    where, values, notes = f"{reference.source}: {name}", trace[name], []
+    for k in np.flatnonzero(~np.isfinite(values))[:1]:
+        raise Problem(f"run: {name}: expected finite numbers, got {values[k]} at {trace.time[k]:g} s")
+    unit, criterion = trace.units.get(name, ""), reference.criterion(name)
     if not unit:
-        unit, notes = signal.unit, (f"the run states no unit, {signal.unit!r} of the reference assumed",)
-    factor, offset = linear(signal.unit, unit, where)
-    tolerance = signal.tolerance
-    if tolerance is not None and tolerance.in_unit:
-        tolerance = replace(tolerance, limit=tolerance.limit * factor)
-    _finite(trace.time, trace[signal.name], f"run: {signal.name}")
-    simulated = np.interp(grid, trace.time, trace[signal.name])
-    recorded = factor * signal.values + offset
-    truth = np.interp(grid, reference.time, recorded)
-    span = None if signal.span is None else signal.span * factor
-    whole = recorded[_inside(reference.time, reference.start, reference.stop)]
-    metrics = measure(grid, simulated, truth, span=span, whole=whole, rate=rate, where=where)
+        unit = reference.file_units.get(name, reference.units[name])
+        notes.append(f"the run states no unit, {unit!r} of the reference assumed")
+    factor, offset = linear(reference.units[name], unit, where)
+    recorded = factor * reference[name] + offset
+    there = np.isfinite(recorded)
+    kept = np.interp(grid, reference.time, ~there) < ROUNDING  # 0 at a sample that is there, 1 at a gap
+    if not kept.all():
+        notes.append(f"{int(np.sum(~kept))} of {len(grid)} samples are in gaps of the reference: left out")
+    time = grid[kept]
+    if len(time) < 2:
+        raise Problem(f"{where}: expected two or more samples in the common window, got {len(time)}")
+    simulated = np.interp(time, trace.time, values)
+    truth = np.interp(time, reference.time[there], recorded[there])
+    metrics = measure(
+        time,
+        simulated,
+        truth,
+        span=None if criterion.span is None else criterion.span * factor,
+        whole=recorded[there & _inside(reference.time, reference.start, reference.stop)],
+        rate=rate,
+        where=where,
+    )
+    tolerance = None if criterion.tolerance is None else criterion.tolerance.scaled(factor)
     return Row(
-        signal=signal.name,
-        label=signal.label,
-        group=signal.group,
+        signal=name,
+        label=criterion.label,
+        group=criterion.group,
         unit=unit,
-        time=grid,
+        time=time,
         simulation=simulated,
         reference=truth,
         metrics=metrics,
         tolerance=tolerance,
-        passed=None if tolerance is None else tolerance.holds(metrics),
-        notes=notes + metrics.notes,
+        passed=None if tolerance is None else tolerance.holds(metrics.value(tolerance.metric)),
+        notes=(*notes, *metrics.notes),
     )
-
-
-def _finite(time: Array, values: Array, where: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise Problem(f"{where}: expected finite numbers, got {values[bad[0]]} at {time[bad[0]]:g} s")

@@ -1,6 +1,6 @@
-"""What is compared: traces with their units, and what is known of the runs that made them.
+"""Traces against one of them: every common signal, on the samples that `validate` would take.
 
-Traces against one of them: every common signal, on the samples that `validate` would take.
+Traces come with their units and with what is known of the runs that made them.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.units import linear, parse
+from orchestrator.data.recording import Criterion, Recording, read_recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read
 from orchestrator.engine.result import FLOOR, Facts, Result, facts, read_facts
 from orchestrator.results.compare import Row, Validation
 from orchestrator.results.compare import compare as against_reference
 from orchestrator.results.metrics import constant
-from orchestrator.results.reference import Reference, Signal, read_reference
 
 Source = str | Path | Trace | Result
 
@@ -66,10 +66,7 @@ def _run(label: str, source: Source) -> Run:
         return Run(label, source)
     path = Path(source)
     if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
-        known = read_reference(path)
-        signals = {name: s.values for name, s in known.signals.items()}
-        trace = Trace(known.time, signals, {name: s.unit for name, s in known.signals.items()})
-        return Run(label, trace, None, str(path))
+        return Run(label, read_recording(path).trace(), None, str(path))
     trace = read(path)
     found = read_facts(path)
     units = {name: unit for name, unit in (found.units if found else {}).items() if name in trace.signals}
@@ -165,13 +162,12 @@ def compare(
     if reference is None:
         raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
     common = _common(runs, reference)
-    recorded = {name: _signal(name, reference) for name in common}
-    truth = Reference(reference.trace.time, recorded, reference.file or reference.label, start, stop)
+    truth = _as_recording(reference, common, start, stop)
     found = {run.label: _against(truth, run) for run in runs if run is not reference}
     return Comparison(tuple(runs), reference, found, _chosen(runs, common, signals), _notes(runs, common))
 
 
-def _range(values: NDArray[np.float64]) -> float:
+def _range(values: Array) -> float:
     return 0.0 if constant(values) else float(np.ptp(values))
 
 
@@ -184,7 +180,7 @@ def _moving(row: Row, least: float) -> Row | None:
     return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT)) if metrics else None
 
 
-def _against(truth: Reference, run: Run) -> Validation:
+def _against(truth: Recording, run: Run) -> Validation:
     try:
         return against_reference(run.trace, truth, rate=False)
     except Problem as problem:
@@ -205,9 +201,19 @@ def quantity(unit: str) -> str:
     return found or (f"[{unit}]" if unit else "without unit")
 
 
-def _signal(name: str, run: Run) -> Signal:
-    unit = run.trace.units.get(name, "")
-    return Signal(name, run.trace[name], unit, group=quantity(unit))
+def _as_recording(run: Run, names: Sequence[str], start: float | None, stop: float | None) -> Recording:
+    """Signals of a run as what others are compared with, grouped by quantity."""
+    units = {name: run.trace.units.get(name, "") for name in names}
+    return Recording(
+        source=Path(run.file or run.label),
+        title=run.label,
+        time=run.trace.time,
+        signals=run.trace.select(names).signals,
+        units=units,
+        criteria={name: Criterion(group=quantity(unit)) for name, unit in units.items()},
+        start=-np.inf if start is None else start,
+        stop=np.inf if stop is None else stop,
+    )
 
 
 def _common(runs: Sequence[Run], reference: Run) -> list[str]:

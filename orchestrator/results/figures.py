@@ -216,7 +216,7 @@ def _verdict(axes: Axes, line: _Line, place: int) -> None:
     if row is None or row.tolerance is None:
         return
     colour = PALETTE.good if row.passed else PALETTE.bad
-    value = summary.judged(row, row.tolerance.value(row.metrics))
+    value = summary.judged(row, row.judged_value)
     mark = "✓" if row.passed else "✗"
     text = f"{mark} {line.name} {value}\n{summary.limit(row)}".replace("  ", " ")
     at = (1.01, 0.98 - 0.4 * place)

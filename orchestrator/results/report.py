@@ -143,7 +143,7 @@ def _row(row: Row) -> dict[str, Any]:
     """One signal's numbers as a mapping."""
     judged = None
     if row.tolerance is not None:
-        judged = {**asdict(row.tolerance), "value": row.tolerance.value(row.metrics)}
+        judged = {**asdict(row.tolerance), "value": row.judged_value}
     metrics = asdict(row.metrics)
     metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
@@ -162,7 +162,7 @@ def _row(row: Row) -> dict[str, Any]:
 
 def _tile(name: str, rows: Sequence[Row]) -> dict[str, Any]:
     """A group in one line: how many are within limits, and the one that comes closest to its limit."""
-    judged = [(row.tolerance.use(row.metrics), row) for row in rows if row.tolerance is not None]
+    judged = [(row.limit_use, row) for row in rows if row.tolerance is not None]
     use, worst = max(judged, key=lambda entry: entry[0], default=(None, None))
     return {
         "name": name or "signals",

@@ -14,8 +14,8 @@ from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
 from orchestrator.base.units import linear, shown
+from orchestrator.data.description import METRICS
 from orchestrator.results.compare import Row, Validation
-from orchestrator.results.metrics import METRICS
 
 NAMES = {
     "nrmse": "NRMSE",
@@ -89,7 +89,7 @@ def miss(row: Row) -> str:
     """By how much a failed row misses, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
     if row.tolerance is None or row.passed:
         return ""
-    value, allowed = row.tolerance.value(row.metrics), row.tolerance.limit
+    value, allowed = row.judged_value, row.tolerance.limit
     limits = f"limit {judged(row, allowed)}"
     if value is None:
         why = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
@@ -143,7 +143,7 @@ def _missed(validation: Validation) -> Iterator[Text]:
     """The signals that miss their limits, the worst first."""
     if validation.passed:
         return
-    failed = [(row.tolerance.use(row.metrics), row) for row in validation.failed if row.tolerance]
+    failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])
     verb = "misses its limit" if len(failed) == 1 else "miss their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])

@@ -1,10 +1,6 @@
-"""Where a run begins, beside the reference whose commands it plays.
+"""What `harvester validate` does: run, compare with a reference, report.
 
-A recording holds what the operator did: its commands play the run that is compared with it.
-
-Run, compare with a reference, report: what `harvester validate` does.
-
-What `harvester validate` does: a run, its comparison with a reference, a report.
+Without a scenario, the run plays the commands that the reference holds: what the operator did.
 """
 
 from __future__ import annotations
@@ -21,7 +17,8 @@ from rich.console import Console
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import BUILT, there
-from orchestrator.base.units import linear
+from orchestrator.base.units import convert
+from orchestrator.data.recording import Recording, bridged, read_recording
 from orchestrator.data.trace import Trace, write
 from orchestrator.engine.result import Card, Result, write_facts
 from orchestrator.engine.run import contents, given, simulated
@@ -30,7 +27,6 @@ from orchestrator.results import report as reporting
 from orchestrator.results.compare import Validation, by_variable, compare, once
 from orchestrator.results.figures import FigureSpec, Panel
 from orchestrator.results.layout import Layout, read_layout
-from orchestrator.results.reference import Reference, read_reference
 from orchestrator.results.summary import summary
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import lost
@@ -40,26 +36,25 @@ POSITIONS = ("rad", "m")
 APART = 0.05  # of what the reference moves: more than noise and settling
 
 
-def begins_elsewhere(run: Trace, reference: Reference) -> str:
+def begins_elsewhere(run: Trace, reference: Recording) -> str:
     """A sentence on positions at which a run begins, if they are not those of the reference; else nothing.
 
     Commands alone do not say where a machine stands, and from another pose it answers them differently.
     """
+    recorded = reference.trace()
+    begins = recorded.at(run.time[:1])
     off, moved = {}, 0.0
-    for name, signal in reference.signals.items():
+    for name, values in recorded.signals.items():
         unit = run.units.get(name, "")
-        if name not in run.signals or unit not in POSITIONS:
-            continue
-        factor, offset = linear(signal.unit, unit, name)
-        values = factor * signal.values + offset
-        begin = float(np.interp(run.time[0], reference.time, values))
-        off[f"{name} by {run[name][0] - begin:.3g} {unit}"] = abs(run[name][0] - begin)
-        moved = max(moved, float(np.ptp(values)))
+        if name in run.signals and unit in POSITIONS and unit == recorded.units[name]:
+            apart = float(run[name][0] - begins[name][0])
+            off[f"{name} by {apart:.3g} {unit}"] = abs(apart)
+            moved = max(moved, float(np.ptp(values)))
     far = ", ".join(text for text, apart in off.items() if apart > APART * moved)
     return f"the run begins elsewhere than the reference: {far}; --set gives a start" if far else ""
 
 
-def played(system: System, reference: Reference, also: Sequence[str] = ()) -> Trace | None:
+def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Trace | None:
     """The signals of a reference that are inputs from outside the system, as a scenario; None without any.
 
     From outside are inputs that nothing feeds and those that a component without inputs of its own feeds,
@@ -76,7 +71,7 @@ def played(system: System, reference: Reference, also: Sequence[str] = ()) -> Tr
     outside = {str(p) for p in system.exposed}
     outside |= {str(c.target) for c in system.connections if c.source.component in sources}
     columns = {}
-    for name, signal in reference.signals.items():
+    for name in reference.signals:
         port = _known(system, name)
         wanted = any(fnmatchcase(name, pattern) for pattern in also)
         if wanted and port not in inputs:
@@ -84,8 +79,8 @@ def played(system: System, reference: Reference, also: Sequence[str] = ()) -> Tr
         if port not in outside and not wanted:
             continue
         unit = system.unit(system.port(port))
-        factor, offset = linear(signal.unit, unit.name, name) if unit else (1.0, 0.0)
-        columns[port] = factor * signal.values + offset
+        own = unit.name if unit else reference.file_units.get(name, reference.units[name])
+        columns[port] = convert(bridged(reference, name), reference.units[name], own, name)
     return Trace(reference.time, columns) if columns else None
 
 
@@ -98,7 +93,7 @@ def _known(system: System, name: str) -> str:
 
 def judge(
     result: Result,
-    reference: Reference,
+    reference: Recording,
     layout: Layout,
     out: Path,
     facts: Mapping[str, Any],
@@ -111,7 +106,6 @@ def judge(
     """
     validation = compare(result.trace, reference, rate=rate)
     layout.check(result.trace)
-    ghost = Trace(reference.time, {name: s.values for name, s in reference.signals.items()})
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
         validation=validation,
@@ -122,7 +116,7 @@ def judge(
         parameters=list(parameters(result.system)),
         card=card(result),
         motion=layout.motion(result.trace),
-        ghost=layout.motion(ghost),
+        ghost=layout.motion(reference.trace()),
         warnings=result.card.warnings,
         notes=result.card.notes,
         caution=another_model(result.system, reference),
@@ -130,7 +124,7 @@ def judge(
     return validation, *reporting.write_report(out / "report.html", report)
 
 
-def another_model(system: System, reference: Reference) -> str:
+def another_model(system: System, reference: Recording) -> str:
     """What to say where a swapped system is compared with a simulation; empty where there is nothing."""
     swapped = [name for name, component in system.components.items() if component.replaced]
     if not swapped or reference.about.get("kind") != "simulation":
@@ -231,58 +225,52 @@ def validate(
     """
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
-    against = read_reference(reference or usual[0])
+    against = read_recording(reference or usual[0])
     chosen = layout or (usual[1] if reference is None or system == BUILT else None)
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(there(system)), against, play) if reference and not scenario else None
     result = simulated(system, scenario or commands, trace, **options, everywhere=False)
-    if reference and not scenario:
-        result = _noted(result, _ran(commands))
-    if scenario and not reference:
-        doubt = f"which may be of another scenario than {scenario}"
-        result = _noted(result, f"no --reference given: judged against {against.title}, {doubt}")
-    if told := another_model(result.system, against):
-        result = _noted(result, told)
-    result, against = _without_lost(result, against)
-    write(result.trace, trace)
-    write_facts(result, trace, given(scenario=scenario, **options))
+    # a reference of the usual system knows signals that a swapped FMU has not
+    gone = lost(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
+    against = against.select([name for name in against.signals if name not in gone])
+    recorded = result.trace
     if len(result.system.components) == 1:
         against = once(against)
-        known = by_variable(result.trace, [*against.signals, *(signal for _, signal in shown.named)])
-        result = replace(result, trace=known)
+        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in shown.named)])
+    notes = [
+        _drive(commands) if reference and not scenario else "",
+        _doubt(scenario, against) if scenario and not reference else "",
+        another_model(result.system, against),
+        f"not compared, lost in a swap: {', '.join(sorted(gone))}" if gone else "",
+        begins_elsewhere(recorded, against) if commands else "",
+    ]
+    card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
+    result = replace(result, card=card)
+    write(result.trace, trace)
+    write_facts(result, trace, given(scenario=scenario, **options))
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
         title = named or f"{(scenario or system).stem} against {against.title}"
-        shown = replace(shown.within(result.trace), title=title)
-    if commands and (elsewhere := begins_elsewhere(result.trace, against)):
-        result = _noted(result, elsewhere)
-    facts = _facts(system, scenario, against.title, result.card, **options)
-    validation, html, data = judge(result, against, shown, out, facts, rate)
+        shown = replace(shown.within(recorded), title=title)
+    facts = _facts(system, scenario, against.title, card, **options)
+    validation, html, data = judge(replace(result, trace=recorded), against, shown, out, facts, rate)
     Console().print(summary(validation))
-    print(f"\n{result.card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {contents(result, trace)}")
+    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {contents(result, trace)}")
     return validation.passed
 
 
-def _ran(commands: Trace | None) -> str:
-    """What ran where nobody gave a scenario."""
+def _drive(commands: Trace | None) -> str:
+    """What drove the run where nobody gave a scenario."""
     if commands is None:
         return "no --scenario given: ran what the system plays by itself"
     return f"no --scenario given: played {', '.join(commands.signals)} of the reference"
 
 
-def _without_lost(result: Result, against: Reference) -> tuple[Result, Reference]:
-    """A reference of the usual system knows signals that a swapped FMU has not: they are left out."""
-    gone = lost(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
-    if not gone:
-        return result, against
-    kept = {name: signal for name, signal in against.signals.items() if name not in gone}
-    told = _noted(result, f"not compared, lost in a swap: {', '.join(sorted(gone))}")
-    return told, replace(against, signals=kept)
-
-
-def _noted(result: Result, note: str) -> Result:
-    return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+def _doubt(scenario: Path, against: Recording) -> str:
+    """Why the usual reference may not fit."""
+    doubt = f"which may be of another scenario than {scenario}"
+    return f"no --reference given: judged against {against.title}, {doubt}"
 
 
 def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **options: Any) -> dict[str, Any]:

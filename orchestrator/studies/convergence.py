@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from orchestrator.base.coupling import MASTERS, Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import linear
+from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.results.comparison import QUANTITIES, REST, quantity
 from orchestrator.results.metrics import constant
-from orchestrator.results.reference import Reference, Signal
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
 
@@ -129,12 +129,23 @@ class SignalError:
 
 
 @dataclass(frozen=True)
+class TrueSignal:
+    """One signal of the truth, shape (n,), in `unit`; signals of a group are shown together."""
+
+    name: str
+    values: Array
+    unit: str
+    group: str
+    span: float | None = None
+
+
+@dataclass(frozen=True)
 class Truth:
     """What runs are compared with: signals by group over a time axis of shape (n,) [s]; a span is a range."""
 
     title: str
     time: Array
-    groups: Mapping[str, tuple[Signal, ...]]
+    groups: Mapping[str, tuple[TrueSignal, ...]]
     notes: tuple[str, ...] = ()
 
     @property
@@ -186,7 +197,7 @@ def _shared(run: Array, truth: Array, step: float) -> tuple[NDArray[np.intp], ND
     return at[both], both
 
 
-def _error(signal: Signal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]) -> SignalError:
+def _error(signal: TrueSignal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]) -> SignalError:
     unit = trace.units.get(signal.name, signal.unit)
     factor, offset = linear(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
     with np.errstate(over="ignore"):  # of a run that grows beyond all bounds
@@ -196,9 +207,14 @@ def _error(signal: Signal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np
     return SignalError(signal.name, rms / span, float(np.abs(apart).max()), span, signal.unit)
 
 
-def from_reference(reference: Reference, patterns: Sequence[str] = ()) -> Truth:
+def from_reference(reference: Recording, patterns: Sequence[str] = ()) -> Truth:
     """The signals of a reference that fit a pattern; default: its speeds and pressures, else all."""
-    named = [replace(s, group=s.group or quantity(s.unit)) for s in reference.signals.values()]
+    named = []
+    for name, values in reference.signals.items():
+        unit, criterion = reference.units[name], reference.criterion(name)
+        if np.isnan(values).any():
+            raise Problem(f"{reference.source}: {name}: expected a value at each time, got a gap")
+        named.append(TrueSignal(name, values, unit, criterion.group or quantity(unit), criterion.span))
     by_name = {s.name: s for s in named}
     if patterns:
         chosen = {p: [by_name[name] for name in _matching(p, by_name)] for p in patterns}
@@ -212,7 +228,7 @@ def from_reference(reference: Reference, patterns: Sequence[str] = ()) -> Truth:
 def from_run(title: str, trace: Trace) -> Truth:
     """The signals of a run, one group for each quantity."""
     named = [
-        Signal(name, values, unit, group=quantity(unit))
+        TrueSignal(name, values, unit, quantity(unit))
         for name, values in trace.signals.items()
         for unit in (trace.units.get(name, ""),)
     ]
@@ -240,11 +256,11 @@ def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     return matching
 
 
-def _grouped(signals: Sequence[Signal], groups: Iterable[str]) -> dict[str, list[Signal]]:
+def _grouped(signals: Sequence[TrueSignal], groups: Iterable[str]) -> dict[str, list[TrueSignal]]:
     return {group: [s for s in signals if s.group == group] for group in groups}
 
 
-def _moving(title: str, time: Array, groups: Mapping[str, Sequence[Signal]]) -> Truth:
+def _moving(title: str, time: Array, groups: Mapping[str, Sequence[TrueSignal]]) -> Truth:
     """The groups without constant signals, which have no range, alone or next to others of their unit."""
     everything = [s for signals in groups.values() for s in signals]
     ranges = {s.name: 0.0 if constant(s.values) else float(np.ptp(s.values)) for s in everything}

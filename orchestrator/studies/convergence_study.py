@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder, there
-from orchestrator.results.reference import read_reference
+from orchestrator.data.recording import read_recording
 from orchestrator.results.validate import another_model
 from orchestrator.ssp.load import load
 from orchestrator.studies.convergence import (
@@ -60,10 +60,10 @@ def convergence(
     folder(out)
     given = {name: value for name, value in options.items() if value not in (None, (), {})}
     if reference is None and not swap and not given.keys() & set(OTHERS):
-        truth = from_reference(read_reference(usually))
+        truth = from_reference(read_recording(usually))
         reference = usually if set(truth.names) <= set(whole.names()) else None
     if reference:
-        against = read_reference(reference)
+        against = read_recording(reference)
         truth, note = from_reference(against, signals), another_model(whole, against)
     else:
         truth = finest(whole, usual(whole, signals), lengths, **given)

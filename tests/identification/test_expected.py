@@ -8,22 +8,20 @@ import pytest
 from fmus.identification import pipeline
 from fmus.identification.pipeline import identify
 from fmus.identification.procedures import valve
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import signals
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 
 def made(procedure, names, **conditions):
     time = np.arange(3.0)
     return Recording(
         Path("run.csv"),
-        "",
-        procedure,
-        "train",
-        conditions,
         time,
         dict.fromkeys(names, time),
         dict.fromkeys(names, "1"),
+        procedure=procedure,
+        conditions=conditions,
     )
 
 

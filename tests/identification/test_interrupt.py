@@ -12,12 +12,12 @@ import pytest
 from fmus.identification import command, pipeline
 from fmus.identification.known import Estimate, Finding, nominal
 from fmus.identification.pipeline import identify
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.random_starts import Starts
 from fmus.identification.refinement.result import Refined
 from orchestrator.__main__ import main
+from orchestrator.data.recording import Recording
 
-VALVE = Recording(Path("valve.csv"), "", "valve", "train", {}, np.arange(9.0), {}, {})
+VALVE = Recording(Path("valve.csv"), np.arange(9.0), {}, {}, procedure="valve")
 MACHINE = replace(VALVE, source=Path("machine.csv"), procedure="machine")
 AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 

@@ -11,7 +11,7 @@ from orchestrator import Trace, assemble, run, write
 from orchestrator.__main__ import main
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
-from orchestrator.results.reference import read_reference
+from orchestrator.data.recording import read_recording
 from orchestrator.studies.convergence import (
     SETTINGS,
     ConvergenceStudy,
@@ -161,7 +161,7 @@ def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
-    against = from_reference(read_reference(folder / "exact.csv"))
+    against = from_reference(read_recording(folder / "exact.csv"))
     (row,) = run_settings(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
     every = against.groups["position"][0].values
@@ -273,7 +273,7 @@ def test_options_of_a_run_reach_the_runs():
         (["--steps", ","], "steps: expected at least one, got none"),
         (["--masters", "jakobi"], "masters jakobi: no setting of that name; did you mean jacobi"),
         (["--repeats", "0"], "repeats: expected at least 1, got 0"),
-        (["--reference", "none.csv"], "none.csv: expected a .csv or .toml file, got no such file"),
+        (["--reference", "none.csv"], "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file"),
         (["--reference", "exact.csv", "--signals", "*q"], "signals *q: no signal fits; there are a.x, b.x"),
         (["--signals", "a.y"], "signals a.y: no signal fits; did you mean"),
         (

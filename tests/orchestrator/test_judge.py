@@ -2,15 +2,16 @@
 
 import json
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orchestrator import Problem, System, Trace, assemble, load, run
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording
 from orchestrator.results.figures import FigureSpec, Panel
 from orchestrator.results.layout import Layout, MovingPoint
-from orchestrator.results.metrics import Tolerance
-from orchestrator.results.reference import Reference, Signal
 from orchestrator.results.validate import card, describe, judge, parameters
 
 PROVENANCE = """
@@ -29,11 +30,18 @@ def ramp() -> Trace:
 
 
 @pytest.fixture
-def reference() -> Reference:
+def reference() -> Recording:
     """What the gain should do, in mm: y = 2 u."""
     t = np.linspace(0, 1, 11)
-    signal = Signal("gain.y", 8e3 * t, "mm", label="Out", group="out", tolerance=Tolerance("nrmse", 0.01))
-    return Reference(t, {"gain.y": signal}, "ref.csv", about={"title": "Gain", "kind": "measurement"})
+    return Recording(
+        Path("ref.csv"),
+        t,
+        {"gain.y": 8e3 * t},
+        {"gain.y": "mm"},
+        title="Gain",
+        criteria={"gain.y": Criterion("Out", "out", tolerance=Tolerance("nrmse", 0.01))},
+        about={"title": "Gain", "kind": "measurement"},
+    )
 
 
 def judged(fmu, ramp, reference, out, layout=None, factor=2.0):

@@ -1,4 +1,4 @@
-"""Trace files: numbers survive bit for bit, and every mistake names file, row and column."""
+"""Trace files: numbers survive bit for bit, and every mistake names file, line and column."""
 
 import numpy as np
 import pytest
@@ -40,24 +40,24 @@ def test_values_between_samples_are_linear_and_held_outside():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("time,u\n0,1\n0.1,\n", r"row 3, column 'u': expected a number, got an empty cell"),
-        ("time,u\n0,1\n0.1,off\n", r"row 3, column 'u': expected a number, got 'off'"),
-        ("time,u\n0,1\n0.1,nan\n", r"row 3, column 'u': expected a number, got 'nan'"),
-        ("time,u\n0,1\n0.1\n", r"row 3: expected 2 values, got 1"),
-        ("time,u\n0,1\n\n0.2,1\n", r"row 3: expected 2 values, got an empty row"),
-        ("time,u\n0,1\n0.1,1,2\n", r"row 3: expected 2 values, got 3"),
-        ("time,u\n0,1\n0.2,1\n0.1,1\n", r"row 4: expected a time after 0.2 s, got 0.1"),
-        ("time,u\n0,1\n0,1\n", r"row 3: expected a time after 0.0 s, got 0.0"),
-        ("u,time\n0,1\n", r"row 1: expected the first column to be named 'time', got 'u'"),
-        ("time;u\n0;1\n", r"got 'time;u' \(columns are separated by commas\)"),
-        ("time,u,u\n0,1,2\n", r"row 1: two columns are named 'u'"),
-        ("time,,u\n0,1,2\n", r"row 1: column 2 has no name"),
-        ("time,u\n", r"expected rows of numbers below the names, got none"),
-        ("", r"row 1: expected the first column to be named 'time', got nothing"),
+        ("time,u\n0,1\n0.1,\n", r"line 3: column 'u': expected a number, got none"),
+        ("time,u\n0,1\n0.1,off\n", r"line 3: column 'u': expected a number, got 'off'"),
+        ("time,u\n0,1\n0.1,nan\n", r"line 3: column 'u': expected a number, got none"),
+        ("time,u\n0,1\n0.1\n", r"line 3: expected 2 cells, got 1"),
+        ("time,u\n0,1\n\n0.2,1\n", r"line 3: expected 2 cells, got an empty row"),
+        ("time,u\n0,1\n0.1,1,2\n", r"line 3: expected 2 cells, got 3"),
+        ("time,u\n0,1\n0.2,1\n0.1,1\n", r"line 4: expected a time after 0.2 s, got 0.1"),
+        ("time,u\n0,1\n0,1\n", r"line 3: expected a time after 0.0 s, got 0.0"),
+        ("u,time\n0,1\n", r"line 1: expected the first column to be named 'time', got 'u'"),
+        ("time;u\n0;1\n", r"line 1: expected cells separated by ',' \(the default\), got ';'$"),
+        ("time,u,u\n0,1,2\n", r"column 'u' expected once, got 2 times"),
+        ("time,,u\n0,1,2\n", r"line 1: column 2 has no name"),
+        ("time,u\n", r"expected two or more rows of numbers, got none"),
+        ("", r"expected two or more rows of numbers, got an empty file"),
     ],
 )
 def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
-    """File, row and column, expected and got."""
+    """File, line and column, expected and got."""
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(Problem, match=message) as caught:
@@ -71,7 +71,7 @@ def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
     gap, path = np.delete(time, slice(40, 50)), tmp_path / "gap.csv"
     write(Trace(gap, {"u": gap}), path)
     with pytest.raises(
-        Problem, match=r"row 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
+        Problem, match=r"line 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
     ):
         read(path)
     points = np.array([0, 0.1, 0.15, 2, 5, 20])
@@ -86,7 +86,7 @@ def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
     with pytest.raises(Problem, match=r"none.csv: no such file"):
         read(tmp_path / "none.csv")
     (tmp_path / "fake.parquet").write_text("time,u")
-    with pytest.raises(Problem, match=r"fake.parquet: cannot be read as Parquet"):
+    with pytest.raises(Problem, match=r"fake.parquet: expected a Parquet file"):
         read(tmp_path / "fake.parquet")
 
 
@@ -96,5 +96,5 @@ def test_parquet_columns_must_be_numbers(tmp_path):
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
-    with pytest.raises(Problem, match=r"column 'u': expected numbers, got string"):
+    with pytest.raises(Problem, match=r"row 1: column 'u': expected a number, got 'a'"):
         read(tmp_path / "text.parquet")

@@ -10,12 +10,11 @@ import pandas as pd
 import pytest
 
 from fmus.contract import quantities
-from fmus.identification.recordings.reading import read as read_recording
 from fmus.machine.parts import FAMILIES
 from fmus.rig.experiments import PLANS, experiment
 from fmus.rig.recording import record
 from fmus.rig.writing import SHARED, readme, write
-from orchestrator.results.reference import read_reference
+from orchestrator.data.recording import read_recording
 
 # one of each procedure; those on the machine are the short ones
 NAMES = ("valve_bt", "hose_resistance", "hose_dynamics_4", "motor_leakage_2", "damping_boom_1")
@@ -68,14 +67,14 @@ def test_the_table_holds_every_step(name, tmp_path):
 
 
 @EACH
-def test_both_readers_read_it(name, tmp_path):
-    """The orchestrator as a reference, the identification as a recording in SI units with its sensors."""
+def test_the_reader_of_recordings_and_references_reads_it(name, tmp_path):
+    """In SI units, with the sensors of the rig."""
     e = experiment(name, "lumped")
     csv, _ = write(tmp_path, e, 0)
-    reference, recording = read_reference(csv), read_recording(csv)
-    assert reference.about["kind"] == "simulation"
+    recording = read_recording(csv)
+    assert recording.kind == "simulation"
     shared = {other for signal in e.signals for other in SHARED.get(signal, ())}
-    assert set(reference.signals) == set(recording.signals) == set(e.signals) | shared
+    assert set(recording.signals) == set(e.signals) | shared
     assert (recording.procedure, recording.use) == (e.procedure, e.use)
     for signal, true in e.signals.items():
         sensor = recording.sensor(signal)

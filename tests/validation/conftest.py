@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.reference import read_reference
 
 META = """
 [reference]
@@ -57,7 +57,7 @@ def folder(tmp_path: Path, trace: Trace) -> Path:
 @pytest.fixture
 def outcome(folder: Path, trace: Trace) -> Validation:
     """The run compared with the reference, without the slow ISO rating."""
-    return compare(trace, read_reference(folder / "ref.csv"), rate=False)
+    return compare(trace, read_recording(folder / "ref.csv"), rate=False)
 
 
 @pytest.fixture

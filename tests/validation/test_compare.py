@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.metrics import Tolerance
-from orchestrator.results.reference import Reference, Signal, read_reference
 
 Edit = Callable[[str, str], Path]
 
 
-def made(time: np.ndarray, values: np.ndarray, unit: str = "m", **more: object) -> Reference:
+def made(
+    time: np.ndarray, values: np.ndarray, unit: str = "m", limit: Tolerance | None = None, **more: float
+) -> Recording:
     """A reference of the one signal `a.x`."""
-    return Reference(time, {"a.x": Signal("a.x", values, unit)}, "ref.csv", **more)  # type: ignore[arg-type]
+    criteria = {"a.x": Criterion(tolerance=limit)}
+    return Recording(Path("ref.csv"), time, {"a.x": values}, {"a.x": unit}, criteria=criteria, **more)
 
 
 def test_units_are_converted_to_those_of_the_run(outcome: Validation) -> None:
@@ -35,7 +38,7 @@ def test_limit_in_the_files_unit(outcome: Validation, edited: Edit, trace: Trace
     """A limit of 2 bar holds for 1 bar of error, a limit of 0.9 bar does not, and the whole run fails."""
     assert outcome.passed
     assert outcome["pump.pressure"].tolerance == Tolerance("maximum", 2e5)
-    strict = compare(trace, read_reference(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    strict = compare(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
     assert not strict.passed
     assert [row.signal for row in strict.failed] == ["pump.pressure"]
     assert strict.verdict == "fail: 1 of 2 signals within their limits"
@@ -62,7 +65,7 @@ def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> N
     t = trace.time[250::10]
     table = np.column_stack((t - 0.25, np.degrees(trace["shaft.angle"][250::10]), np.full(len(t), 100.0)))
     np.savetxt(folder / "ref.csv", table, "%.12g", ",", header="time,shaft.angle,pump.pressure", comments="")
-    found = compare(trace, read_reference(folder / "ref.csv"), rate=False)
+    found = compare(trace, read_recording(folder / "ref.csv"), rate=False)
     assert found["shaft.angle"].metrics.maximum_error < 1e-11  # 12 digits in the CSV
     assert found.window == pytest.approx((0.25, 2.0))
     assert found.notes[1] == "the window was cut: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
@@ -137,7 +140,7 @@ def test_no_common_window_is_refused() -> None:
 def test_unknown_signal_is_refused(trace: Trace) -> None:
     """A signal that the run does not have is named, with those that it could be."""
     time = trace.time[::10]
-    reference = Reference(time, {"shaft.angel": Signal("shaft.angel", time, "rad")}, "ref.csv")
+    reference = Recording(Path("ref.csv"), time, {"shaft.angel": time}, {"shaft.angel": "rad"})
     with pytest.raises(Problem, match=r"ref.csv: no signal shaft.angel in .*; did you mean shaft.angle\?"):
         compare(trace, reference)
 
@@ -165,7 +168,7 @@ def test_nan_in_the_run_is_refused(trace: Trace, folder: Path) -> None:
     broken[1234] = np.nan
     run = replace(trace, signals={**trace.signals, "shaft.angle": broken})
     with pytest.raises(Problem, match=r"run: shaft.angle: expected finite numbers, got nan at 1.234 s"):
-        compare(run, read_reference(folder / "ref.csv"))
+        compare(run, read_recording(folder / "ref.csv"))
 
 
 @pytest.mark.parametrize(
@@ -184,8 +187,7 @@ def test_every_metric_can_be_a_limit(metric: str, good: float, bad: float) -> No
     t = np.linspace(0, 6, 300)
     run = Trace(t, {"a.x": np.sin(t) + 0.05}, {"a.x": "m"})
     for limit, passed in ((good, True), (bad, False)):
-        signal = Signal("a.x", np.sin(t), "m", tolerance=Tolerance(metric, limit))
-        found = compare(run, Reference(t, {"a.x": signal}, "ref.csv"), rate=metric == "iso")
+        found = compare(run, made(t, np.sin(t), limit=Tolerance(metric, limit)), rate=metric == "iso")
         assert found.passed is passed
 
 
@@ -194,9 +196,27 @@ def test_relative_limit_needs_a_reference_off_zero() -> None:
     t = np.linspace(0, 1, 50)
     for base, passed in ((2.0, True), (0.0, False)):
         y = base + t
-        signal = Signal("a.x", y, "m", tolerance=Tolerance("maximum_relative", 0.02))
         run = Trace(t, {"a.x": y * 1.01 + (0 if base else 0.01)}, {"a.x": "m"})
-        assert compare(run, Reference(t, {"a.x": signal}, "r"), rate=False).passed is passed
+        limit = Tolerance("maximum_relative", 0.02)
+        assert compare(run, made(t, y, limit=limit), rate=False).passed is passed
+
+
+def test_gaps_of_the_reference_are_left_out() -> None:
+    """Missing samples are not compared, whether the samples are the reference's or those of a coarser run."""
+    t = np.linspace(0, 1, 101)
+    values = np.where((t > 0.305) & (t < 0.395), np.nan, t)  # nine samples, 0.31 to 0.39 s
+    fine = Trace(np.linspace(0, 1, 1001), {"a.x": np.linspace(0, 1, 1001) + 0.5}, {"a.x": "m"})
+    row = compare(fine, made(t, values))["a.x"]
+    assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples are in gaps of the reference: left out")
+    # a straight line is interpolated exactly, but for rounding
+    assert row.metrics.rmse == pytest.approx(0.5, rel=1e-12)
+    assert row.metrics.iso.overall is not None
+    coarse = Trace(t[::5], {"a.x": t[::5]}, {"a.x": "m"})
+    row = compare(coarse, made(t, values), rate=False)["a.x"]
+    assert set(t[::5]) - set(row.time) == {t[35]}  # 0.30 s and 0.40 s have their samples
+    assert row.metrics.maximum_error < 1e-15
+    with pytest.raises(Problem, match=r"ref.csv: a.x: expected two or more samples .* got 0"):
+        compare(coarse, made(t, np.full(101, np.nan)))
 
 
 def test_without_limits_nothing_is_judged() -> None:

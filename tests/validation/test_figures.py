@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results import figures as embedding
 from orchestrator.results.compare import Validation, compare
 from orchestrator.results.figures import FigureSpec, Panel, decimate, draw, png, svg
-from orchestrator.results.reference import read_reference
 
 SPEC = FigureSpec(
     "Shaft",
@@ -59,7 +59,7 @@ def test_signals_that_are_not_judged_have_no_error_strip(
     """Unless the reference states no limits at all: then the errors are what there is to see."""
 
     def strips() -> int:
-        outcome = compare(trace, read_reference(meta), rate=False)
+        outcome = compare(trace, read_recording(meta), rate=False)
         return sum("error" in axes.get_ylabel() for axes in draw(SPEC, outcome, trace).axes)
 
     meta = edited('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"')

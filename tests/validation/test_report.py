@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
 from orchestrator.results.figures import FigureSpec, Panel
 from orchestrator.results.motion import Motion
-from orchestrator.results.reference import read_reference
 from orchestrator.results.report import Component, Parameter, Report, write_report
 
 VOID = {"meta", "link", "br", "input", "img"}
@@ -139,7 +139,7 @@ def test_a_missed_limit_is_plain_to_see(
     report: Report, edited: Callable[[str, str], Path], trace: Trace, tmp_path: Path
 ) -> None:
     """A failed run says so at the top, in the table and in the figure, in words and not by colour alone."""
-    failed = compare(trace, read_reference(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    failed = compare(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
     html, data = write_report(tmp_path / "report.html", replace(report, validation=failed))
     page = html.read_text(encoding="utf-8")
     for text in (

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.metrics import Tolerance
-from orchestrator.results.reference import Reference, Signal, read_reference
 from orchestrator.results.summary import number, percent, summary
 
 
@@ -35,8 +35,10 @@ def made(**signals: Tolerance | None) -> Validation:
     t = np.linspace(0, 6, 61)
     names = {name.replace("__", "."): tolerance for name, tolerance in signals.items()}
     run = Trace(t, {name: np.sin(t) + 0.1 for name in names}, dict.fromkeys(names, "m"))
-    known = {name: Signal(name, np.sin(t), "m", tolerance=limit) for name, limit in names.items()}
-    return compare(run, Reference(t, known, "ref.csv"), rate=False)
+    known = dict.fromkeys(names, np.sin(t))
+    criteria = {name: Criterion(tolerance=limit) for name, limit in names.items()}
+    reference = Recording(Path("ref.csv"), t, known, dict.fromkeys(names, "m"), criteria=criteria)
+    return compare(run, reference, rate=False)
 
 
 def test_a_line_per_signal_below_its_group_and_limit(outcome: Validation) -> None:
@@ -60,7 +62,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
 ) -> None:
     """Signal, value, limit and their ratio come first; the row is marked without colour too."""
     edited("limit = 0.01", "limit = 1e-20")
-    lines = shown(compare(trace, read_reference(edited("limit = 2.0", "limit = 0.4")), rate=False))
+    lines = shown(compare(trace, read_recording(edited("limit = 2.0", "limit = 0.4")), rate=False))
     assert lines[0] == "FAIL: 2 of 2 signals miss their limits"
     assert lines[1].startswith("! shaft.angle: NRMSE ")  # the worst first
     assert lines[2] == "! pump.pressure: max. error 1 bar, limit 0.4 bar (2.5 times)"

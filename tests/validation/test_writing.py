@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.description import Origin, Tolerance
+from orchestrator.data.recording import read_recording, write_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import compare
-from orchestrator.results.metrics import Tolerance
-from orchestrator.results.reference import Origin, read_reference, write_reference
 
 ORIGIN = Origin(
     title='The "joined" machine',
@@ -29,7 +29,7 @@ ORIGIN = Origin(
 
 def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
     """Numbers, units, groups, limits and the story of a reference survive the files."""
-    meta = write_reference(
+    meta = write_recording(
         tmp_path / "ref.csv",
         trace,
         ORIGIN,
@@ -37,12 +37,12 @@ def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
         groups={"shaft.angle": "angle", "pump.command": "command"},
         labels={"shaft.angle": "Shaft angle"},
     )
-    found = read_reference(meta)
+    found = read_recording(meta)
     assert found.about["title"] == 'The "joined" machine'
     assert found.about["date"] == "2026-01-31"
-    assert found.signals["shaft.angle"].tolerance == Tolerance("nrmse", 0.0005)
-    assert found.signals["pump.command"].tolerance is None
-    assert found.signals["pump.pressure"].unit == "Pa"
+    assert found.criterion("shaft.angle").tolerance == Tolerance("nrmse", 0.0005)
+    assert found.criterion("pump.command").tolerance is None
+    assert found.file_units["pump.pressure"] == "Pa"
     outcome = compare(trace, found, rate=False)
     assert outcome.passed
     # nine digits in the CSV
@@ -54,4 +54,4 @@ def test_reason_of_the_change_is_required(tmp_path: Path, trace: Trace) -> None:
     with pytest.raises(
         Problem, match=r"ref.csv: expected the reason of this change of the reference, got none"
     ):
-        write_reference(tmp_path / "ref.csv", trace, replace(ORIGIN, change=" "), {}, {})
+        write_recording(tmp_path / "ref.csv", trace, replace(ORIGIN, change=" "), {}, {})

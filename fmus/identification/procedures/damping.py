@@ -60,9 +60,9 @@ from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.reading import require
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 SIZES = (ORDER + 1, 9, 21)  # samples of the derivative filter to compare

@@ -60,12 +60,12 @@ from fmus.identification.procedures.regression import (
     misfit_remark,
 )
 from fmus.identification.procedures.weak_form import Equation, Windows, windows
-from fmus.identification.recordings.clock import period, stretches, uniform_rate
+from fmus.identification.recordings.clock import period, uniform_rate
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good_all
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, stretches
 
 Array = NDArray[np.float64]
 

@@ -43,9 +43,9 @@ from fmus.identification.procedures.known_values import (
     value,
 )
 from fmus.identification.procedures.regression import SURE, Guess, Regression, fit, misfit_remark, symmetrical
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 Drop = Callable[[Array, Mapping[str, float]], Array]

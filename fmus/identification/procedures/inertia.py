@@ -51,11 +51,11 @@ from fmus.identification.procedures.momentum_balance import (
 )
 from fmus.identification.procedures.momentum_fit import Fit, Solution, doubt, normal_step, solve
 from fmus.identification.procedures.regression import symmetrical
-from fmus.identification.recordings.recording import Recording
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 MOMENTS = {"m": "kg", "m x": "kg.m", "m z": "kg.m", "S_xx": "kg.m2", "S_xz": "kg.m2", "S_zz": "kg.m2"}

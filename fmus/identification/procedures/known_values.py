@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import median_abs_deviation
 
-from fmus.identification.recordings.clock import evenly, stretches
+from fmus.identification.recordings.clock import evenly
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import averages, dead, good, noise
 from fmus.identification.recordings.reading import require
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, stretches
 
 Array = NDArray[np.float64]
 ALIKE = 1e-3  # relative difference of two tape measures of one hose

@@ -40,7 +40,6 @@ from fmus.identification.procedures.known_values import filled, noise_of, tank_p
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
-from fmus.identification.recordings.recording import Recording
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS, VISCOUS
 from fmus.manipulator.model import Design, forces
@@ -48,6 +47,7 @@ from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -28,9 +28,9 @@ from fmus.identification.known import Curve, Estimate, Finding, Panel
 from fmus.identification.procedures.known_values import NEEDED, standing, tank_pressure, training, value
 from fmus.identification.procedures.regression import SURE, WIDTH, Regression, linear, misfit_remark
 from fmus.identification.recordings.masks import averages
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 SIGNALS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}

@@ -43,8 +43,8 @@ from fmus.identification.procedures.valve_law import (
     polynomial,
     resistance,
 )
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -35,9 +35,9 @@ from fmus.contract import Scalar
 from fmus.identification.procedures.known_values import SETTLE, SHORTEST, filled, left_out, step_means, value
 from fmus.identification.procedures.regression import UNLIKELY, Guess, Regression, fit
 from fmus.identification.recordings.masks import steady
-from fmus.identification.recordings.recording import Recording
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,23 +1,13 @@
-"""What can be done with the signals of a recording, in one place.
+"""What a recording for identification is read and prepared with, in one place.
 
-parts        take, window, split, add, blank, bridged
+reading      take, window, split, add, blank
 clock        period, uniform_rate, evenly, thinned, resample
-delay        delay, shift
-derivatives  derivatives, SavitzkyGolay, filter_for
-masks        good, good_all, dead, clipped, stretches, steady, averages, standard_error
-
-Recordings: what was measured, with which instruments, and how far it can be trusted.
+derivatives  derivatives, SavitzkyGolay, filter_for, delay, shift
+masks        good, good_all, dead, clipped, steady, averages, standard_error
+data         stretches, bridged (orchestrator.data.recording)
 """
 
-from fmus.identification.recordings.clock import (
-    bridged,
-    evenly,
-    period,
-    resample,
-    stretches,
-    thinned,
-    uniform_rate,
-)
+from fmus.identification.recordings.clock import evenly, period, resample, thinned, uniform_rate
 from fmus.identification.recordings.derivatives import (
     Delay,
     Derivatives,
@@ -37,34 +27,11 @@ from fmus.identification.recordings.masks import (
     standard_error,
     steady,
 )
-from fmus.identification.recordings.recording import add, blank, split, take, window
+from fmus.identification.recordings.reading import add, blank, split, take, window
+from orchestrator.data.recording import bridged, stretches
 
 __all__ = [
-    "Averages",
-    "Delay",
-    "Derivatives",
-    "SavitzkyGolay",
-    "add",
-    "averages",
-    "blank",
-    "bridged",
-    "clipped",
-    "dead",
-    "delay",
-    "derivatives",
-    "evenly",
-    "filter_for",
-    "good",
-    "good_all",
-    "period",
-    "resample",
-    "shift",
-    "split",
-    "standard_error",
-    "steady",
-    "stretches",
-    "take",
-    "thinned",
-    "uniform_rate",
-    "window",
-]
+    "Averages", "Delay", "Derivatives", "SavitzkyGolay", "add", "averages", "blank", "bridged", "clipped",
+    "dead", "delay", "derivatives", "evenly", "filter_for", "good", "good_all", "period", "resample", "shift",
+    "split", "standard_error", "steady", "stretches", "take", "thinned", "uniform_rate", "window",
+]  # fmt: skip

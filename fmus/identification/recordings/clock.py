@@ -19,8 +19,9 @@ import numpy as np
 import scipy.signal
 
 from fmus.identification.recordings.masks import NOISY, at_ends, equal_by_chance, good, step_and_noise
-from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Mask, Recording, Sensor, stretches
+from orchestrator.data.table import Array
 
 # SI unit -> what the largest magnitude in a recording lies between
 USUAL: Mapping[str, tuple[float, float]] = {
@@ -139,12 +140,6 @@ def _filtered(values: Array, ratio: float) -> Array:
         pad = min(int(10 / ratio), len(line) - 1)
         result[part] = line + scipy.signal.sosfiltfilt(sections, values[part] - line, padlen=pad)
     return result
-
-
-def stretches(mask: Mask) -> list[slice]:
-    """The runs of True of a mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _quieter(sensor: Sensor, ratio: float) -> Sensor:
@@ -319,26 +314,3 @@ def thinned(recording: Recording, fastest: float = FASTEST) -> Recording:
         return recording
     held = [name for name in recording.signals if name.endswith("command")]
     return resample(recording, fastest, hold=held)
-
-
-LONGEST = 0.1  # s: a hand takes longer from one position of a lever to another
-
-
-def bridged(recording: Recording, name: str, longest: float = LONGEST) -> Array:
-    """A signal with straight lines over its gaps, of which none may be longer than `longest` [s].
-
-    Before its first sample and after its last one it keeps that value.
-    """
-    values, time = recording[name], recording.time
-    there = np.isfinite(values)
-    if not there.any():
-        raise Problem(f"{recording.source}: {name} has no sample, expected one to simulate with")
-    for gap in stretches(~there):
-        first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
-        if time[last] - time[first] > longest:
-            raise Problem(
-                f"{recording.source}: {name} has no sample from {time[gap.start]:.6g} s to"
-                f" {time[gap.stop - 1]:.6g} s, expected gaps of at most {longest:g} s:"
-                " leave that part out with start or stop of [time]"
-            )
-    return np.interp(time, time[there], values[there])

@@ -18,9 +18,10 @@ import scipy.interpolate
 import scipy.optimize
 import scipy.signal
 
-from fmus.identification.recordings.clock import period, stretches, uniform_rate
-from fmus.identification.recordings.recording import Array, Mask, Recording
+from fmus.identification.recordings.clock import period, uniform_rate
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Mask, Recording, stretches
+from orchestrator.data.table import Array
 
 HIGHEST = 2  # order of derivative
 

@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Mask, Recording, Sensor
+from orchestrator.data.table import Array
 
 ORDER = 6  # of the difference: passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
 MAD = 0.6744897501960817  # median of |x| over the sd of a normal x

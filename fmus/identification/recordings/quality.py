@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmus.identification.recordings import clock
-from fmus.identification.recordings.clock import Clock, beyond, stretches
+from fmus.identification.recordings.clock import Clock, beyond
 from fmus.identification.recordings.masks import (
     clipped,
     dead,
@@ -21,8 +21,9 @@ from fmus.identification.recordings.masks import (
     overstated,
     step,
 )
-from fmus.identification.recordings.recording import Array, Mask, Recording, Sensor
 from orchestrator.base.units import display
+from orchestrator.data.recording import Mask, Recording, Sensor, stretches
+from orchestrator.data.table import Array
 
 LOUD = 2.0  # times what is told, from which noise is more than told
 COARSE, FINE = 1.5, 0.67  # of the told step

@@ -24,13 +24,12 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import savgol_filter
 
 from fmus.contract import Subsystem, quantities, symbolic
-from fmus.identification.recordings.clock import bridged
 from fmus.identification.recordings.masks import good
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import Run
 from fmus.identification.refinement.simulation import Failed, Simulator
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, bridged
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,12 @@ from typing import Annotated, Any
 import numpy as np
 
 from fmus.contract import Quantity, Scalar, Subsystem, quantities
-from fmus.identification.recordings.recording import Recording, add
+from fmus.identification.recordings.reading import add
 from fmus.identification.refinement.data import Mapped
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Scalar]]
 

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.report import traces
 from fmus.identification.report.attribution import SMALL, Explanation, changes, explain, slopes
 from fmus.identification.report.content import Picture
 from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
 from fmus.identification.report.traces import FIGURES, Line, rows
 from fmus.identification.report.wording import counterpart, origin, sentences
+from orchestrator.data.recording import Recording
 
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
 

@@ -22,7 +22,6 @@ from markupsafe import Markup
 from fmus.identification.known import Finding
 from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import SignalQuality, examine
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.random_starts import Start as Begun
 from fmus.identification.refinement.random_starts import Starts
@@ -30,6 +29,7 @@ from fmus.identification.refinement.result import Refined, advice
 from fmus.identification.report import figures, wording
 from fmus.identification.report.content import Channel, Fit, Page, Quality, Refinement, Start
 from fmus.identification.report.panels import embed, prose
+from orchestrator.data.recording import Recording
 
 
 def refinement(

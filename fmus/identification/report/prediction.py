@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.recordings.clock import bridged
 from fmus.identification.recordings.derivatives import filter_for
-from fmus.identification.recordings.recording import Recording
 from fmus.machine.parts import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, bridged
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.parameters import Number
+from orchestrator.data.recording import Recording, Sensor
 
 BAR, LITRES = 1e5, 1e-3 / 60  # Pa, m3/s
 RATE = 200.0  # Hz

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from fmus.identification.procedures.momentum_balance import ALL_PRESSURES, ANGLES
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.parameters import numbers
+from orchestrator.data.recording import Recording, Sensor
 
 STEP, REST = 0.005, 1.0  # 200 Hz as the paper's, at rest at first
 KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in numbers(s)["parameters"].items()}

@@ -13,8 +13,8 @@ from identification.procedures.lumped_machine import KNOWN, recording
 from fmus.contract import quantities, symbolic
 from fmus.identification.procedures.momentum_balance import PARAMETERS, filters, motion, numbers, samples
 from fmus.identification.procedures.momentum_fit import solve
-from fmus.identification.recordings.recording import Sensor
 from fmus.manipulator import MANIPULATOR
+from orchestrator.data.recording import Sensor
 
 P = numbers(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal

@@ -12,8 +12,8 @@ from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
 from fmus.identification.procedures.damping import CONTACTS, identify, least_squares
 from fmus.identification.procedures.momentum_balance import numbers, samples
 from fmus.identification.procedures.momentum_fit import solve
-from fmus.identification.recordings.recording import Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(CONTACTS)
 P = numbers(KNOWN)

@@ -10,8 +10,8 @@ import pytest
 from identification.procedures.lumped_machine import KNOWN, measured
 
 from fmus.identification.procedures.motor_leakage import identify
-from fmus.identification.recordings.recording import Recording, Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
 TRUTH = {"internal_leakage_resistance": R_IN, "external_leakage_resistance": R_EX}

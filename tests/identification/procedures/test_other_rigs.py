@@ -9,8 +9,8 @@ import pytest
 from identification.procedures import bench
 
 from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
-from fmus.identification.recordings.recording import Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 HOSE = ("hose_resistance", "hose_dynamics")
 TRUTH = {

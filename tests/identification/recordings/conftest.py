@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.recording import Recording, Sensor
+from orchestrator.data.recording import Recording, Sensor
 
 RATE = 200.0
 META = """

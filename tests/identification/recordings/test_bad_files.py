@@ -35,10 +35,10 @@ def lines(csv, number, text):
         ("20,0,1.5 bar,1", ("line 6", "column 'P1'", "a number", "'1.5 bar'")),
         ("20,0,inf,1", ("line 6", "column 'P1'", "finite", "inf")),
         ("20,0,True,1", ("line 6", "column 'P1'", "a number", "'True'")),
-        ("20,0,2.5", ("line 6", "expected 4 cells, found 3")),
-        ("20,0,2.5,1,1", ("line 6", "expected 4 cells, found 5")),
+        ("20,0,2.5", ("line 6", "expected 4 cells, got 3")),
+        ("20,0,2.5,1,1", ("line 6", "expected 4 cells, got 5")),
         ('20,0,"2,5",1', ("line 6", "column 'P1'", "a number", "'2,5'", 'set decimal = ","')),
-        (",0,2.5,1", ("line 6", "column 't'", "expected a time, found none")),
+        (",0,2.5,1", ("line 6", "column 't'", "expected a time, got none")),
         ("15,0,2.5,1", ("line 6", "column 't'", "increasing times", "15 after 15")),
         ("14.5,0,2.5,1", ("line 6", "column 't'", "increasing times", "14.5 after 15")),
     ],
@@ -55,20 +55,20 @@ def test_bad_files_of_text(csv):
     """Wrong names, wrong encoding, nothing in it."""
     good = csv.read_text(encoding="utf-8")
     csv.write_text(good.replace("P1", "P2", 1), encoding="utf-8")
-    refused(csv, "a.csv", "column 'P1' expected, found t, U, P2")
+    refused(csv, "a.csv", "column 'P1' expected, got t, U, P2")
     csv.write_text(good.replace("Q", "P1", 1), encoding="utf-8")
-    refused(csv, "a.csv", "column 'P1' expected once, found 2 times")
+    refused(csv, "a.csv", "column 'P1' expected once, got 2 times")
     csv.write_bytes(good.encode().replace(b"10.0", b"1\xb5.0", 1))
     refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
     for mark, shown in ((";", "';'"), ("\t", "'\\t'")):
         csv.write_text(good.replace(",", mark), encoding="utf-8")
-        refused(csv, "a.csv", "line 1", "separated by ',' (the default)", f"found {shown}: set delimiter = ")
+        refused(csv, "a.csv", "line 1", "separated by ',' (the default)", f"got {shown}: set delimiter = ")
     csv.write_text("t,U,P1,Q\n0,0,0,0\n", encoding="utf-8")
-    refused(csv, "a.csv", "two or more rows of numbers, found 1")
+    refused(csv, "a.csv", "two or more rows of numbers, got 1")
     csv.write_text("", encoding="utf-8")
-    refused(csv, "a.csv", "two or more rows of numbers, found an empty file")
+    refused(csv, "a.csv", "two or more rows of numbers, got an empty file")
     csv.write_text(good.replace("\n0.0,", '\n"0.0,', 1), encoding="utf-8")
-    refused(csv, "a.csv", "expected a text file of columns", "found")
+    refused(csv, "a.csv", "line 2: expected 4 cells, got 1")
 
 
 def test_marks_that_cannot_be_told_apart(csv):
@@ -77,10 +77,10 @@ def test_marks_that_cannot_be_told_apart(csv):
     good = meta.read_text(encoding="utf-8")
     for told, found in (("", "','"), ('delimiter = ","', "','")):
         meta.write_text(f'{good}\n[file]\ndecimal = ","\n{told}\n', encoding="utf-8")
-        origin = "as told" if told else "the default"
-        refused(csv, "a.csv", "decimal is ','", f'found {found} ({origin}): set delimiter = ";"')
+        origin = "as set" if told else "the default"
+        refused(csv, "a.csv", "decimal is ','", f'got {found} ({origin}): set delimiter = ";"')
     meta.write_text(f'{good}\n[file]\ndecimal = "."\ndelimiter = ";;"\n', encoding="utf-8")
-    refused(csv, "a.csv", "delimiter is ';;'", "one character")
+    refused(csv, "a.csv", "delimiter: expected one character", "got ';;'")
 
 
 def test_the_message_on_a_wrong_dimension_has_the_word_of_the_file(csv):
@@ -103,7 +103,7 @@ def test_bad_parquet(csv, columns):
     pd.DataFrame({**columns, "Q": np.where(columns["t"] == 10, np.inf, 1.0)}).to_parquet(path)
     refused(path, "a.parquet", "row 3", "column 'Q'", "finite", "inf")
     pd.DataFrame({"t": columns["t"]}).to_parquet(path)
-    refused(path, "a.parquet", "column", "expected, found t")
+    refused(path, "a.parquet", "column", "expected, got t")
     path.write_bytes(b"no parquet")
     refused(path, "a.parquet", "expected a Parquet file")
 
@@ -122,34 +122,42 @@ def test_bad_mat(csv, columns):
     scipy.io.savemat(path, {**columns, "t": columns["t"][::-1]})
     refused(path, "a.mat", "row 2", "column 't'", "increasing", "190 after 195")
     scipy.io.savemat(path, {"run": columns})
-    refused(path, "a.mat", "column", "expected, found run.")
+    refused(path, "a.mat", "column", "expected, got run.")
     path.write_bytes(b"no mat file" * 50)
     refused(path, "a.mat", "expected a MATLAB file")
     with h5py.File(path, "w") as file:
         file["P1"] = np.zeros((1, 4))
-    refused(path, "a.mat", "column", "expected, found P1")
+    refused(path, "a.mat", "column", "expected, got P1")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ("noise = 0.1", "nose = 0.1", ("[signals.'pressure_in']", "unknown key 'nose'", "noise, resolution")),
-        ("noise = 0.1", "noise = -1", ("noise is -1", "0 or more")),
-        ("noise = 0.1", 'noise = "0.1"', ("noise is '0.1'", "int or float")),
-        ("span = [1.0, 401.0]", "span = [401, 1]", ("span is [401, 1]", "[lowest, highest]")),
-        ("span = [1.0, 401.0]", "span = [1]", ("span is [1]", "[lowest, highest]")),
-        ("factor = 40.0", "factor = 0", ("factor is 0",)),
-        ('unit = "bar"', 'unit = "barn"', ("[signals.'pressure_in']", 'unit "barn"', "psi")),
-        ('unit = "bar"\n', "", ("expected a unit, found none",)),
-        ('unit = "ms"', 'unit = "mm"', ("[time]", "unit is 'mm'", "of time")),
-        ('"valve"', '"value"', ("procedure is 'value'", "valve, hose_resistance")),
-        ("[experiment]", '[experiment]\nuse = "fit"', ("use is 'fit'", "train, test")),
-        ('{ value = 4.0, unit = "ft" }', "4.0", ("length is 4.0", "{ value = 1.0, unit =")),
-        ('{ value = 4.0, unit = "ft" }', '{ value = "4", unit = "ft" }', ("value is '4'", "int or float")),
-        ("[time]", "[tim]", ("unknown key 'tim'", "reference, experiment, file, time")),
-        ("[time]", "[time]\nstart = 7", ("samples from 7 s to inf s", "found -1.5 s")),
-        ("[time]", "[file]\nskiplines = 1\n[time]", ("[file]", "unknown key 'skiplines'", "skip_lines")),
-        ("[time]", "[time", ("cannot be read as TOML",)),
+        ("noise = 0.1", "nose = 0.1", ("signals.pressure_in", "unknown key 'nose'", "did you mean noise")),
+        ("noise = 0.1", "noise = -1", ("signals.pressure_in: noise: expected 0 or more, got -1",)),
+        ("noise = 0.1", 'noise = "0.1"', ("noise: expected a number, got '0.1'",)),
+        ("span = [1.0, 401.0]", "span = [401, 1]", ("span: expected [lowest, highest], got [401, 1]",)),
+        ("span = [1.0, 401.0]", "span = [1]", ("span: expected 2 numbers, got [1]",)),
+        ("factor = 40.0", "factor = 0", ("factor: expected another number than 0, got 0",)),
+        ('unit = "bar"', 'unit = "barn"', ("signals.pressure_in", "unit 'barn'", "psi")),
+        ('unit = "bar"\n', "", ("signals.pressure_in: unit: expected a text, got nothing",)),
+        ('unit = "ms"', 'unit = "mm"', ("time: unit: expected one of time", "got 'mm'")),
+        ('"valve"', '"value"', ("procedure: expected one of valve, hose_resistance", "got 'value'")),
+        ("[experiment]", '[experiment]\nuse = "fit"', ("use: expected one of train, test, got 'fit'",)),
+        (
+            '{ value = 4.0, unit = "ft" }',
+            "4.0",
+            ("experiment: length: expected a text or a table of value, unit, got 4.0",),
+        ),
+        (
+            '{ value = 4.0, unit = "ft" }',
+            '{ value = "4", unit = "ft" }',
+            ("experiment.length: value: expected a number, got '4'",),
+        ),
+        ("[time]", "[tim]", ("unknown key 'tim'; did you mean time",)),
+        ("[time]", "[time]\nstart = 7", ("samples from 7 s to inf s", "got -1.5 s")),
+        ("[time]", "[file]\nskiplines = 1\n[time]", ("file", "unknown key 'skiplines'", "skip_lines")),
+        ("[time]", "[time", ("expected TOML, got",)),
     ],
 )
 def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
@@ -163,14 +171,14 @@ def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
 
 def test_files_that_are_not_there(csv):
     """A path that cannot be read says what was expected there."""
-    refused(csv.with_name("b.csv"), "b.csv", "found no such file")
-    refused(csv.with_name("a.xlsx"), "a.xlsx", ".csv, .parquet, .mat, .toml")
-    refused(csv.parent.with_suffix(".csv"), "found no such file")
+    refused(csv.with_name("b.csv"), "b.csv", "got no such file")
+    refused(csv.with_name("a.xlsx"), "a.xlsx", ".csv, .parquet, .mat or .toml file, got no such file")
+    refused(csv.parent.with_suffix(".csv"), "got no such file")
     csv.with_suffix(".mat").write_bytes(b"")
-    refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, found a.csv, a.mat")
+    refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, got a.csv, a.mat")
     csv.with_suffix(".toml").unlink()
     refused(csv, "a.toml", "describes the columns", "no such file")
-    with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], found none, only a\.csv"):
+    with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], got none, only a\.csv"):
         read_folder(csv.parent)
-    with pytest.raises(Problem, match="expected a folder of recordings, found a file"):
+    with pytest.raises(Problem, match="expected a folder of recordings, got a file"):
         read_folder(csv)

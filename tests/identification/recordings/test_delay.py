@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fmus.identification.recordings.derivatives import delay, shift
-from fmus.identification.recordings.recording import add
+from fmus.identification.recordings.reading import add
 from orchestrator.base.errors import Problem
 
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.identification.recordings.derivatives import SavitzkyGolay, derivatives, filter_for
-from fmus.identification.recordings.recording import Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 
 @given(

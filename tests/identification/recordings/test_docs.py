@@ -6,7 +6,7 @@ from pathlib import Path
 from fmus.identification import recordings
 from fmus.identification.pipeline import CONDITIONS, OF_MACHINE, PROCEDURES
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.recordings import description
+from fmus.identification.recordings.reading import PROCEDURES as KNOWN
 from fmus.identification.recordings.reading import read
 from fmus.identification.refinement.problem import signals as names
 
@@ -25,7 +25,7 @@ def test_the_example_of_the_docs_is_read(tmp_path):
 
 def test_every_procedure_and_function_of_the_docs_exists():
     """Procedures, keys of a signal and functions that the text names are those of the code."""
-    assert all(f"`{name}`" in TEXT for name in description.PROCEDURES)
+    assert all(f"`{name}`" in TEXT for name in KNOWN)
     for cells in re.findall(r"^\| (`[a-z_A-Z`, ]+) \| ", TEXT[TEXT.index("## Signals") :], re.MULTILINE):
         assert all(hasattr(recordings, name) for name in re.findall(r"`(\w+)`", cells))
 

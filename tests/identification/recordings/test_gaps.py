@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.clock import bridged, evenly, thinned, uniform_rate
-from fmus.identification.recordings.recording import Sensor, take
+from fmus.identification.recordings.clock import evenly, thinned, uniform_rate
+from fmus.identification.recordings.reading import take
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor, bridged
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):

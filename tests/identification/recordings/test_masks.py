@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.identification.recordings.masks import averages, good, good_all, standard_error, steady
-from fmus.identification.recordings.recording import Sensor, add, blank, split, take, window
+from fmus.identification.recordings.reading import add, blank, split, take, window
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 
 def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
@@ -99,7 +100,7 @@ def test_parts_of_a_recording_keep_everything_else(recording):
     more = add(made, "v", np.zeros(100), "m/s")
     assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
     assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
-    with pytest.raises(Problem, match=r"no samples from 3 s to 4 s, found 0 s to 0\.495 s"):
+    with pytest.raises(Problem, match=r"no samples from 3 s to 4 s, got 0 s to 0\.495 s"):
         window(made, 3, 4)
-    with pytest.raises(Problem, match=r"signal v has shape \(3,\), expected \(100,\)"):
+    with pytest.raises(Problem, match=r"signal v: expected shape \(100,\), got \(3,\)"):
         add(made, "v", np.zeros(3), "m/s")

@@ -8,7 +8,7 @@ import pytest
 
 from fmus.identification.recordings.masks import clipped, noise, step, stuck
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.recording import Sensor
+from orchestrator.data.recording import Sensor
 
 RATE, SIZE = 200.0, 4000
 GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)

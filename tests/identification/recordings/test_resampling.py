@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.identification.recordings.clock import resample, uniform_rate
-from fmus.identification.recordings.recording import Sensor
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 
 @given(rate=st.floats(20, 2000), slope=st.floats(-5, 5), jitter=st.floats(0, 0.2), seed=st.integers(0, 1000))

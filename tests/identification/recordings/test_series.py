@@ -49,13 +49,13 @@ def test_matlab_variables_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "options", "message"),
     [
-        ({"u": 2}, {}, "column '2' expected, found 0, 1"),
-        ({"u": 0}, {"rate": 0}, "rate above 0, found 1 columns and a rate of 0 Hz"),
-        ({"u": 0}, {"units": {"v": "bar"}}, "found a unit of v"),
-        ({"u": 0}, {"units": {"u": "bat"}}, 'u: unit "bat"'),
-        ({"u": 0, "v": "p"}, {}, "expected the names of columns, found place 0"),
-        ({"u": "x"}, {}, "column 'x' expected, found 1, 2"),
-        ({"u": 1}, {}, "line 3: column '1': expected a number, found 'x'"),
+        ({"u": 2}, {}, "column '2' expected, got 0, 1"),
+        ({"u": 0}, {"rate": 0}, "rate above 0, got 1 columns and a rate of 0 Hz"),
+        ({"u": 0}, {"units": {"v": "bar"}}, "got a unit of v"),
+        ({"u": 0}, {"units": {"u": "bat"}}, "u: unit 'bat'"),
+        ({"u": 0, "v": "p"}, {}, "expected the names of columns, got place 0"),
+        ({"u": "x"}, {}, "column 'x' expected, got 1, 2"),
+        ({"u": 1}, {}, "line 3: column '1': expected a number, got 'x'"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):

@@ -8,8 +8,8 @@ import pytest
 
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.data import usable_samples
+from orchestrator.data.recording import Recording, Sensor
 
 SIZE = 4000
 T = np.arange(SIZE) / 200
@@ -22,7 +22,7 @@ def rounded(values, step):
 
 def made(sensor, values, name="pressure"):
     return Recording(
-        Path("run.csv"), "", "machine", "train", {}, T, {name: values}, {name: "1"}, {name: sensor}
+        Path("run.csv"), T, {name: values}, {name: "1"}, procedure="machine", sensors={name: sensor}
     )
 
 

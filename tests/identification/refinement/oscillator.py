@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Scalar, Subsystem
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.data import Mapped
 from fmus.identification.refinement.problem import EstimationProblem, Run, free_parameters
 from fmus.identification.refinement.simulation import Model
 from fmus.parameters import Values
+from orchestrator.data.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 

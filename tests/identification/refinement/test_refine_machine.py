@@ -11,7 +11,6 @@ import pytest
 from fmus.contract import quantities
 from fmus.identification import machine
 from fmus.identification.known import nominal
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.problem import parameters, signals
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
@@ -19,6 +18,7 @@ from fmus.identification.refinement.simulation import Model
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.scenarios import WORK_CYCLE
 from fmus.parameters import values
+from orchestrator.data.recording import Recording, Sensor
 
 SECONDS = 18.0  # of the work cycle: all axes, both ways
 SIDES = ("swing_{}_a", "swing_{}_b", "boom_head_{}", "boom_rod_{}", "stick_head_{}", "stick_rod_{}")

@@ -11,10 +11,11 @@ from identification.refinement.oscillator import TRUTH, problem, recording, run
 
 from fmus.identification import machine
 from fmus.identification.known import nominal
-from fmus.identification.recordings.recording import Recording, Sensor, window
+from fmus.identification.recordings.reading import window
 from fmus.identification.refinement.problem import signals
 from fmus.identification.refinement.refine import refine
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording, Sensor
 
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
@@ -27,7 +28,7 @@ def still(*outputs: str, use: str = "train", **more: float) -> Recording:
     read |= {names[n]: np.full(200, value) for n, value in more.items()}
     sensors = {names[n]: Sensor("transducer", 1e4) for n in outputs}
     time = np.arange(200) / 200
-    return Recording(Path(f"{use}.csv"), "", "machine", use, {}, time, read, {}, sensors)
+    return Recording(Path(f"{use}.csv"), time, read, {}, procedure="machine", use=use, sensors=sensors)
 
 
 def test_a_recording_may_begin_in_motion() -> None:

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from fmus.identification.recordings.recording import Recording
 from fmus.identification.report.attribution import shown, slopes
 from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.scenarios import Move
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
@@ -80,7 +80,7 @@ def test_a_recording_drives_the_machine():
     commands = {signal: np.where(time > 1.0, 2.0, 0.0) for signal in COMMANDS.values()}
     supply = {"swing.supply_pressure": 2e7 + 1e4 * rng.standard_normal(time.size)}
     signals = {**angles, **commands, **supply}
-    recording = Recording(Path("x.csv"), "x", "machine", "test", {}, time, signals, {})
+    recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
     found = drive(recording)
     # measurement noise: mean of 100 samples, five standard deviations
     assert found.pose == pytest.approx(POSE, abs=5e-5)
@@ -98,7 +98,7 @@ def test_gaps_of_a_command_are_bridged_or_refused():
         lost[name] = ramp.copy()
         lost[name][gap] = np.nan
     signals = {**angles, **dict.fromkeys(COMMANDS.values(), lost["short"])}
-    recording = Recording(Path("x.csv"), "x", "machine", "test", {}, time, signals, {})
+    recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
     # straight lines through the samples may be off by this
     np.testing.assert_allclose(drive(recording).commands["boom_command"], ramp, atol=STRAIGHT)
     long = replace(recording, signals={**signals, COMMANDS["boom_command"]: lost["long"]})

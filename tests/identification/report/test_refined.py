@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.recording import Recording, Sensor
 from fmus.identification.refinement.problem import EstimationProblem, Free, Run
 from fmus.identification.refinement.random_starts import Start, Starts
 from fmus.identification.refinement.residuals import Traces, Whiteness
@@ -18,6 +17,7 @@ from fmus.identification.report.comparison import compare
 from fmus.identification.report.content import Channel, Quality
 from fmus.identification.report.page import quality, refinement, told
 from fmus.machine.one_block import HARVESTER
+from orchestrator.data.recording import Recording, Sensor
 
 TIME = np.arange(0.0, 2.0, 0.005)
 NAMES = {"valve_area": "valve_area", "hose": "boom_stick.hose"}
@@ -98,8 +98,17 @@ def machine() -> Recording:
     signals = {"manipulator.boom_angle": 0.1 * np.sin(np.pi * TIME), "boom_stick.boom_head_flow": flow}
     units = {"manipulator.boom_angle": "rad", "boom_stick.boom_head_flow": "m3/s"}
     sensors = {"boom_stick.boom_head_flow": Sensor("turbine", 5e-6, dead_zone=1e-4)}
-    given = (Path("a/b.csv"), "A cycle", "machine", "test", {}, TIME, signals, units, sensors, "simulation")
-    return Recording(*given)
+    return Recording(
+        Path("a/b.csv"),
+        TIME,
+        signals,
+        units,
+        title="A cycle",
+        procedure="machine",
+        use="test",
+        sensors=sensors,
+        kind="simulation",
+    )
 
 
 def test_speeds_are_compared_through_one_filter():
