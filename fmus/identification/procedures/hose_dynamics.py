@@ -392,10 +392,10 @@ def _fits(
     files = [str(group.source) for group in groups]
     start = inertance_start(float(hose.inertance(length, bore, density)), resistance, flow)
     both = zip(groups, cuts, strict=True)
-    inertance = fits("I", [inertance(g, w, transition) for g, w in both], start, files)
+    inertances = fits("I", [inertance(g, w, transition) for g, w in both], start, files)
     start = capacitance_start(float(hose.capacitance(length, bore, modulus)), flow)
     both = zip(groups, cuts, strict=True)
-    return inertance, fits("C", [capacitance(g, w) for g, w in both], start, files)
+    return inertances, fits("C", [capacitance(g, w) for g, w in both], start, files)
 
 
 def _check_flows(group: Recording) -> None:
