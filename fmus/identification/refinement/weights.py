@@ -88,9 +88,9 @@ def seen(residuals: list[Array], model_error: bool, memory: bool) -> Scales:
     if model_error:
         power = np.array([np.mean(part**2) if part.size else 0.0 for part in residuals])
         floor = np.sqrt(np.maximum(0.0, power - 1))
-    tuning = [tuning(part / math.hypot(1, f)) for part, f in zip(residuals, floor, strict=True)]
+    tunings = [tuning(part / math.hypot(1, f)) for part, f in zip(residuals, floor, strict=True)]
     lasting = [correlation_time(part) if memory else 1.0 for part in residuals]
-    return Scales(floor, np.array(lasting), np.array(tuning))
+    return Scales(floor, np.array(lasting), np.array(tunings))
 
 
 def correlation_time(residual: Array) -> float:
