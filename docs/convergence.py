@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orchestrator.results.figures import png
+from orchestrator.base.plotting import png
 from orchestrator.studies.convergence import ConvergenceStudy
 from orchestrator.studies.convergence_report import (
     cost,

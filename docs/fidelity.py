@@ -50,9 +50,9 @@ from fmus.export.build import build
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES
 from orchestrator import load
+from orchestrator.base.plotting import png
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import draw
-from orchestrator.results.figures import png
 from orchestrator.studies.variants import combinations
 
 HERE = Path(__file__).parent

@@ -12,8 +12,8 @@ from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Tes
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
 
 from fmus.machine.parts import FAMILIES
+from orchestrator.base.text import share
 from orchestrator.results.comparison import Comparison
-from orchestrator.results.summary import share
 from orchestrator.studies.variants import Combination
 
 LEAST = 0.05  # bar: a ripple below has no frequency worth telling

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from fmus.machine.build import build_machine, data
 from orchestrator import load, run
+from orchestrator.base.plotting import png
 from orchestrator.data.recording import read_recording
 from orchestrator.results.compare import compare
-from orchestrator.results.figures import draw, png
 from orchestrator.results.layout import read_layout
 from orchestrator.results.motion import strobe
+from orchestrator.results.validation_report import draw
 
 IMAGES = Path(__file__).parent / "images"
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from fmus.contract import Subsystem, quantities
 from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, load, run
+from orchestrator.base.text import share
 from orchestrator.results.comparison import Comparison, compare
-from orchestrator.results.summary import share
 from orchestrator.studies.convergence_report import write
 from orchestrator.studies.variants import inside
 

@@ -114,6 +114,17 @@ class Table:
                 raise inner.wrong(name, "a table")
         return {name: Table(f"{inner.where}.{quoted(name)}", value) for name, value in inner.data.items()}
 
+    def entries(self, key: str) -> list[Table]:
+        """The tables of a list; none if it is missing."""
+        value = self.data.get(key, [])
+        if not isinstance(value, list):
+            raise self.wrong(key, "a list")
+        where = f"{self.where}: {key}"
+        for number, entry in enumerate(value, 1):
+            if not isinstance(entry, dict):
+                raise Problem(f"{where} {number}: expected a table, got {_shown(entry)}")
+        return [Table(f"{where} {number}", entry) for number, entry in enumerate(value, 1)]
+
     def inside(self, key: str) -> Table:
         """The table of a key; an empty one if it is missing."""
         value = self.data.get(key, {})

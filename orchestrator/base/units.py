@@ -176,7 +176,8 @@ def pretty(unit: str) -> str:
     """A unit as print has it: m³/(s·Pa), N·m; nothing for pure numbers."""
     if unit in ("", "1", "-"):
         return ""
-    return re.sub(r"(?<=[A-Za-z])\^?(-?\d)", lambda m: raised(m[1]), unit).replace(".", "·")
+    powers = re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.\d)", lambda m: raised(m[1]), unit)
+    return re.sub(r"\.(?!\d)", "·", powers)
 
 
 def raised(digits: str) -> str:

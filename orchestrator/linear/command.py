@@ -11,11 +11,11 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder
+from orchestrator.base.text import TextTable
 from orchestrator.cli.options import assignments
 from orchestrator.linear.linearize import linearize
 from orchestrator.linear.model import Array, Linear, Named
 from orchestrator.linear.modes import Mode
-from orchestrator.results.comparison_report import aligned
 
 HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12
@@ -52,7 +52,7 @@ def text(linear: Linear) -> str:
     count = ", ".join(f"{len(group)} {word}{'s' * (len(group) != 1)}" for word, group in groups.items())
     lines = [f"{linear.name} at t = {linear.time:g} s: {count}", *_point(linear)]
     lines += [_stability(linear.modes), ""] if linear.modes else [""]
-    lines += aligned(HEAD, [_row(m) for m in linear.modes], (3, 4))
+    lines += TextTable(HEAD, [_row(m) for m in linear.modes], left=(3, 4)).lines()
     return "\n".join([*lines, *(f"note: {note}" for note in linear.notes)])
 
 

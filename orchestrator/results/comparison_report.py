@@ -1,38 +1,28 @@
-"""Signals of several runs over each other, and below each the difference from the reference.
+"""A comparison of runs as text for the terminal, as numbers for programs and as a picture for people.
 
-A comparison as text for the terminal.
-
-A comparison as files: numbers for programs, a picture for people.
+In the picture signals of several runs lie over each other, each with its differences from the reference below.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
 
+from orchestrator.base.page import write_json
+from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, draw_traces, handle, png
+from orchestrator.base.text import NONE, TextTable, finer, number, share
 from orchestrator.base.units import convert, linear, shown
 from orchestrator.engine.result import Facts
-from orchestrator.results import summary
 from orchestrator.results.compare import Row
 from orchestrator.results.comparison import CONSTANT, USUAL, Comparison, Run
-from orchestrator.results.figures import PALETTE, decimate, frame, png
-from orchestrator.results.summary import finer
 
 PANELS = 6  # more rows than these do not fit on a page
 EACH = 3  # of one quantity
 ALIKE = 0.01  # of its range: two curves that are nearer cannot be told apart in the picture
-# Colours that differ in hue and lightness (Okabe and Ito, darkened), each with its own dashes for print.
-COLOURS = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f", "#7a6400", "#333333")
-DASHES = ("-", (0, (4, 2)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
 
 
 def chosen(comparison: Comparison) -> list[str]:
@@ -68,78 +58,38 @@ def _alike(row: Row, other: Row) -> bool:
 
 def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:
     """The picture; `signals` default to those of the comparison that differ most."""
+    reference = comparison.reference
+    styles = {reference.label: {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}}
+    for place, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
+        dashes = DASHED[place % len(DASHED)]
+        styles[run.label] = {"color": PALETTE.line(place), "linewidth": 1.2, "linestyle": dashes}
     names = list(signals) if signals is not None else chosen(comparison)
-    heights = [2.5, 1.2] * len(names)
-    figure = Figure(figsize=(9.6, 0.46 * sum(heights) + 0.9), layout=ConstrainedLayoutEngine(h_pad=0.02))
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    for place, name in enumerate(names):
-        _curves(axes[2 * place], comparison, name)
-        _differences(axes[2 * place + 1], comparison, name)
-    axes[-1].set_xlabel("time [s]", color=PALETTE.ink)
-    axes[-1].set_xlim(*comparison.window)
-    _legend(figure, comparison)
-    figure.align_ylabels()
-    return figure
-
-
-def _curves(axes: Axes, comparison: Comparison, name: str) -> None:
-    frame(axes)
-    unit = comparison.reference.trace.units.get(name, "")
-    for run in [comparison.reference, *_others(comparison)]:
-        own = run.trace.units.get(name, unit)
-        seen = (run.trace.time >= comparison.window[0]) & (run.trace.time <= comparison.window[1])
-        values = convert(run.trace[name][seen], own, shown(unit), name)
-        axes.plot(*decimate(run.trace.time[seen], values), **_style(comparison, run))
-    axes.set_ylabel(f"[{shown(unit) or '1'}]", color=PALETTE.ink, fontsize=9)
-    axes.set_title(name, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
-
-
-def _differences(axes: Axes, comparison: Comparison, name: str) -> None:
-    """Run - reference, on a scale of its own."""
-    frame(axes)
-    axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
-    largest, unit = 0.0, ""
-    for run in _others(comparison):
-        row = comparison.against[run.label][name]
-        unit = finer(row.unit)
-        difference = (row.simulation - row.reference) * linear(row.unit, unit, name)[0]
-        largest = max(largest, float(np.abs(difference).max()))
-        axes.plot(*decimate(row.time, difference), **_style(comparison, run) | {"linewidth": 0.9})
-    axes.set_ylim(-1.2 * largest or -1, 1.2 * largest or 1)
-    axes.set_ylabel(f"difference\n[{unit or '1'}]", color=PALETTE.ink, fontsize=7)
-    axes.locator_params(axis="y", nbins=3)
-
-
-def _others(comparison: Comparison) -> list[Run]:
-    return [run for run in comparison.runs if run.label in comparison.against]
-
-
-def _style(comparison: Comparison, run: Run) -> dict[str, Any]:
-    """The reference broad and pale, the others thin, each in its colour."""
-    if run is comparison.reference:
-        return {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}
-    place = _others(comparison).index(run)
-    dashes = DASHES[place % len(DASHES)]
-    return {"color": COLOURS[place % len(COLOURS)], "linewidth": 1.2, "linestyle": dashes}
-
-
-def _legend(figure: Figure, comparison: Comparison) -> None:
-    """Title on the left, the runs on the right."""
-    runs = [comparison.reference, *_others(comparison)]
-    labels = [f"{run.label} (reference)" if run is comparison.reference else run.label for run in runs]
-    handles = [
-        Line2D([], [], label=label, **_style(comparison, run))
-        for run, label in zip(runs, labels, strict=True)
+    key = [
+        handle(f"{label} (reference)" if label == reference.label else label, **style)
+        for label, style in styles.items()
     ]
-    figure.legend(
-        handles=handles,
-        loc="outside upper center",
-        ncols=min(len(runs), 4),
-        fontsize=9,
-        frameon=False,
-        labelcolor=PALETTE.ink,
-    )
+    return draw_traces([_panel(comparison, styles, name) for name in names], comparison.window, key=key)
+
+
+def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name: str) -> TracePanel:
+    """A signal of all runs, and below it its differences from the reference."""
+    unit = comparison.reference.trace.units.get(name, "")
+    runs = {run.label: run.trace for run in comparison.runs}
+    lines = []
+    for label, style in styles.items():
+        trace = runs[label]
+        seen = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
+        values = convert(trace[name][seen], trace.units.get(name, unit), shown(unit), name)
+        lines.append(TraceLine(trace.time[seen], values, style))
+    rows = {label: validation[name] for label, validation in comparison.against.items()}
+    error_unit = finer(next(iter(rows.values())).unit).shown if rows else ""
+    errors = [
+        TraceLine(
+            row.time, linear(row.unit, error_unit, name)[0] * (row.simulation - row.reference), styles[label]
+        )
+        for label, row in rows.items()
+    ]
+    return TracePanel(shown(unit), lines, "", name, errors, "difference", error_unit, heights=(2.5, 1.2))
 
 
 def text(comparison: Comparison) -> str:
@@ -171,27 +121,27 @@ def _costs(comparison: Comparison) -> list[str]:
         return []
     times = ["times real time", "wall us/ms", "FMUs us/ms", f"x {reference.label}", "of them"]
     rows = [_cost(run, reference) for run in runs]
-    told = "us/ms: per millisecond simulated; FMUs: the steps of all FMUs, calls from Python included"
-    return [*aligned(["run", "master", "step", *times], rows, left=(0, 1, 7)), told]
+    note = "us/ms: per millisecond simulated; FMUs: the steps of all FMUs, calls from Python included"
+    return [*TextTable(["run", "master", "step", *times], rows, left=(0, 1, 7)).lines(), note]
 
 
 def _cost(run: Run, reference: Run) -> list[str]:
     if run.facts is None:
-        return [run.label, *[summary.NONE] * 6, ""]
+        return [run.label, *[NONE] * 6, ""]
     known, length = run.facts, run.facts.simulated or float("nan")
     inside, usual = _inside(known), sum(_inside(reference.facts).values())
     ranked = sorted(inside.items(), key=lambda entry: -entry[1])
-    each = ", ".join(f"{name} {summary.number(spent, 2)}" for name, spent in ranked)
-    factor = summary.number(length / known.wall if known.wall else None)
-    wall, whole = summary.number(1e3 * known.wall / length), sum(inside.values())
-    times = summary.number(whole / usual if usual else None, 2)
+    each = ", ".join(f"{name} {number(spent, 2)}" for name, spent in ranked)
+    factor = number(length / known.wall if known.wall else None)
+    wall, whole = number(1e3 * known.wall / length), sum(inside.values())
+    times = number(whole / usual if usual else None, 2)
     return [
         _named(run.label, known),
         known.master,
         f"{known.step:.3g} s mean" if known.adaptive else f"{known.step:g} s",
         factor,
         wall,
-        summary.number(whole, 2),
+        number(whole, 2),
         times,
         each,
     ]
@@ -217,13 +167,13 @@ def _worst(comparison: Comparison, label: str) -> list[str]:
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)
         most = largest.metrics.maximum_error
-        nrmse = summary.share(worst.metrics.nrmse) if worst else summary.NONE
+        nrmse = share(worst.metrics.nrmse) if worst else NONE
         same = "the same" if worst and largest.signal == worst.signal else largest.signal
         rows.append([quantity, str(len(groups[quantity])), nrmse, _who(worst)])
-        rows[-1] += [summary.difference(most, largest.unit), same if most else ""]
+        rows[-1] += [finer(largest.unit).ascii(most), same if most else ""]
     against = f"{label} against {comparison.reference.label}, all signals"
     head = [against, "number", "largest NRMSE", "of", "largest difference", "of"]
-    return aligned(head, rows, left=(0, 3, 5))
+    return TextTable(head, rows, left=(0, 3, 5)).lines()
 
 
 def _who(worst: Row | None) -> str:
@@ -245,37 +195,22 @@ def _signals(comparison: Comparison) -> list[str]:
             rows.append([f"{row.group}"] + [""] * len(by_run))
         before = row.group
         rows.append([f"  {signal}", *(", ".join(_cells(rows_[signal])) for rows_ in by_run)])
-    return aligned(["NRMSE, largest difference", *comparison.against], rows, left=(0,))
+    return TextTable(["NRMSE, largest difference", *comparison.against], rows).lines()
 
 
 def _cells(row: Row) -> tuple[str, str]:
     """NRMSE, of a reference that stands still none, and the largest difference in the unit of a reader."""
     m = row.metrics
     still = any(note.startswith("the reference is") for note in row.metrics.notes)
-    nrmse = summary.NONE if still and m.rmse else summary.share(m.nrmse)
-    return nrmse, summary.difference(m.maximum_error, row.unit)
-
-
-def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int]) -> list[str]:
-    """Columns of equal width; those in `left` begin, the others end, below each other."""
-    table = [list(head), *map(list, rows)]
-    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
-    return [
-        "  ".join(
-            c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(r, widths, strict=True))
-        ).rstrip()
-        for r in table
-    ]
+    nrmse = NONE if still and m.rmse else share(m.nrmse)
+    return nrmse, finer(row.unit).ascii(m.maximum_error)
 
 
 def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path]:
     """Write comparison.png and comparison.json to a folder; returns both."""
-    home = Path(folder)
-    home.mkdir(parents=True, exist_ok=True)
-    picture, numbers = home / "comparison.png", home / "comparison.json"
+    picture = Path(folder) / "comparison.png"
+    numbers = write_json(picture.with_suffix(".json"), data(comparison))
     picture.write_bytes(png(draw(comparison)))
-    text = json.dumps(data(comparison), indent=1, ensure_ascii=False)
-    numbers.write_text(text + "\n", encoding="utf-8", newline="\n")
     return picture, numbers
 
 

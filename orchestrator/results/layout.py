@@ -11,8 +11,7 @@ points = [{ label = "tip", radius = "arm.tip_radius", height = 1.2 }]     # sign
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,26 +19,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
+from orchestrator.base.toml import Table
 from orchestrator.data.trace import Trace
-from orchestrator.results.figures import FigureSpec, Panel
 from orchestrator.results.motion import Motion
 
-_NUMBER = (int, float)
-_KEYS: Mapping[str, Mapping[str, Any]] = {
-    "": {"title": str, "figure": list, "motion": dict},
-    "figure": {"title": str, "caption": str, "panels": list},
-    "panel": {"label": str, "signals": list, "names": list},
-    "motion": {"angle": str, "tip": str, "points": list, "lines": list, "ground": _NUMBER},
-    "point": {"label": str, "radius": (str, *_NUMBER), "height": (str, *_NUMBER)},
-}
-_KINDS = {
-    _NUMBER: "a number",
-    str: "text",
-    list: "a list",
-    dict: "a table",
-    (str, *_NUMBER): "a signal or a number",
-}
+_PLACE = ("radius", "height")
+
+
+@dataclass(frozen=True)
+class PanelSpec:
+    """One row of a figure: signals of one quantity over time; `names` tells two of them apart."""
+
+    label: str
+    signals: tuple[str, ...]
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FigureSpec:
+    """A figure: its rows from top to bottom."""
+
+    title: str
+    panels: tuple[PanelSpec, ...]
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,29 +73,25 @@ class Layout:
     ground: float = 0.0
     source: str = "layout"
 
-    @property
-    def named(self) -> tuple[tuple[str, str], ...]:
-        """All signals with the places where they are named, (place, signal)."""
-        named = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
-        named += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
-        return tuple(named + ([("[motion] angle", self.angle)] if self.angle else []))
-
     def check(self, trace: Trace) -> None:
         """Refuse a layout that names a signal the run does not have."""
-        for where, signal in self.named:
+        named = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
+        named += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
+        named += [("[motion] angle", self.angle)] if self.angle else []
+        for where, signal in named:
             if signal not in trace.signals:
                 raise UnknownSignal(signal, trace.signals, f"{self.source}: {where}: ")
 
     def within(self, trace: Trace) -> Layout:
         """The layout without what the trace lacks: signals, rows and figures left empty, the motion."""
-        figures = tuple(replace(f, panels=_shown(f.panels, trace)) for f in self.figures)
+        figures = tuple(replace(f, panels=_known(f.panels, trace)) for f in self.figures)
         kept = replace(self, figures=tuple(f for f in figures if f.panels))
         return kept if self.motion(trace) else replace(kept, points=(), angle="", lines=(), tip="")
 
     def motion(self, trace: Trace) -> Motion | None:
         """The moving points over time; None when the layout has none or the trace lacks a signal of them."""
-        named = {s for p in self.points for s in p.signals} | ({self.angle} - {""})
-        if not self.points or named - set(trace.signals):
+        needed = {s for p in self.points for s in p.signals} | ({self.angle} - {""})
+        if not self.points or needed - set(trace.signals):
             return None
         turn = trace[self.angle] if self.angle else np.zeros_like(trace.time)
 
@@ -107,41 +107,7 @@ class Layout:
         return Motion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
 
 
-def read_layout(path: Path) -> Layout:
-    """Read a layout; a key that is unknown, missing or of the wrong type is a Problem."""
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise Problem(f"{path}: no such file") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise Problem(f"{path}: expected TOML, got {error}") from None
-    _check(tables, "", f"{path}")
-    motion = tables.get("motion", {})
-    where = f"{path}: [motion]"
-    _check(motion, "motion", where)
-    points = motion.get("points", [])
-    for point in points:
-        _check(point, "point", f"{where} points", required=("label", "radius", "height"))
-    labels = [point["label"] for point in points]
-    lines = tuple(_texts(line, f"{where} lines") for line in motion.get("lines", []))
-    for label in (*(label for line in lines for label in line), motion.get("tip", "")):
-        if label and label not in labels:
-            raise Problem(f"{where}: expected one of the points {', '.join(labels)}, got {label!r}")
-    return Layout(
-        title=tables.get("title", ""),
-        figures=tuple(_figure(entry, path) for entry in tables.get("figure", [])),
-        points=tuple(MovingPoint(**point) for point in points),
-        angle=motion.get("angle", ""),
-        tip=motion.get("tip", ""),
-        ground=float(motion.get("ground", 0.0)),
-        lines=lines,
-        source=str(path),
-    )
-
-
-def _shown(panels: Sequence[Panel], trace: Trace) -> tuple[Panel, ...]:
+def _known(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ...]:
     """The panels with only the signals that the trace has, and only those that have any."""
     kept = []
     for panel in panels:
@@ -152,36 +118,67 @@ def _shown(panels: Sequence[Panel], trace: Trace) -> tuple[Panel, ...]:
     return tuple(kept)
 
 
-def _figure(entry: Mapping[str, Any], path: Path) -> FigureSpec:
-    where = f"{path}: [[figure]]"
-    _check(entry, "figure", where, required=("title", "panels"))
-    panels = tuple(_panel(panel, f"{where} {entry['title']!r} panels") for panel in entry["panels"])
-    if not panels:
-        raise Problem(f"{where} {entry['title']!r}: expected at least one panel, got none")
-    return FigureSpec(entry["title"], panels, entry.get("caption", ""))
+def read_layout(path: Path) -> Layout:
+    """Read a layout; a key that is unknown, missing or of the wrong type is a Problem."""
+    try:
+        layout = toml.read(path, path.read_bytes()).only(("title", "figure", "motion"))
+    except FileNotFoundError:
+        raise Problem(f"{path}: no such file") from None
+    except OSError as error:
+        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    motion = layout.inside("motion").only(("angle", "tip", "points", "lines", "ground"))
+    points = tuple(_point(point) for point in motion.entries("points"))
+    labels = [point.label for point in points]
+    if not isinstance(motion.data.get("lines", []), list):
+        raise motion.wrong("lines", "a list")
+    lines = tuple(_names(line, motion, "lines") for line in motion.data.get("lines", []))
+    for label in (*(label for line in lines for label in line), _text(motion, "tip")):
+        if label and label not in labels:
+            raise Problem(f"{motion.where}: expected one of the points {', '.join(labels)}, got {label!r}")
+    return Layout(
+        title=_text(layout, "title"),
+        figures=tuple(_figure(figure) for figure in layout.entries("figure")),
+        points=points,
+        angle=_text(motion, "angle"),
+        tip=_text(motion, "tip"),
+        ground=motion.number("ground") or 0.0,
+        lines=lines,
+        source=str(path),
+    )
 
 
-def _panel(entry: Mapping[str, Any], where: str) -> Panel:
-    _check(entry, "panel", where, required=("label", "signals"))
-    texts = (_texts(entry.get(key, []), f"{where} {entry['label']!r} {key}") for key in ("signals", "names"))
-    return Panel(entry["label"], *texts)
+def _text(table: Table, key: str) -> str:
+    """A text, which may be empty or missing."""
+    value = table.data.get(key, "")
+    if not isinstance(value, str):
+        raise table.wrong(key, "a text")
+    return value
 
 
-def _check(table: Any, kind: str, where: str, required: Sequence[str] = ()) -> None:
-    """Refuse what is not a table, an unknown or missing key and a value of the wrong type."""
-    if not isinstance(table, dict):
-        raise Problem(f"{where}: expected a table, got {table!r}")
-    known = _KEYS[kind]
-    for key, value in table.items():
-        if key not in known:
-            raise Problem(f"{where}: unknown key {key!r}, expected one of {', '.join(known)}")
-        if not isinstance(value, known[key]) or isinstance(value, bool):
-            raise Problem(f"{where}: {key} is {value!r}, expected {_KINDS[known[key]]}")
-    if missing := [key for key in required if key not in table]:
-        raise Problem(f"{where}: {missing[0]} is missing")
-
-
-def _texts(values: Any, where: str) -> tuple[str, ...]:
+def _names(values: Any, table: Table, key: str) -> tuple[str, ...]:
     if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-        raise Problem(f"{where}: expected a list of names, got {values!r}")
+        raise table.wrong(key, "a list of names")
     return tuple(values)
+
+
+def _figure(figure: Table) -> FigureSpec:
+    figure.only(("title", "caption", "panels")).need("title", "a text")
+    panels = tuple(_panel(panel) for panel in figure.entries("panels"))
+    if not panels:
+        raise figure.wrong("panels", "at least one panel")
+    return FigureSpec(_text(figure, "title"), panels, _text(figure, "caption"))
+
+
+def _panel(panel: Table) -> PanelSpec:
+    panel.only(("label", "signals", "names")).need("label", "a text")
+    signals = _names(panel.need("signals", "a list of names"), panel, "signals")
+    return PanelSpec(_text(panel, "label"), signals, _names(panel.data.get("names", []), panel, "names"))
+
+
+def _point(point: Table) -> MovingPoint:
+    place = [point.only(("label", "radius", "height")).need(key, "a signal or a number") for key in _PLACE]
+    for key, value in zip(_PLACE, place, strict=True):
+        if not isinstance(value, str) and not toml.is_number(value):
+            raise point.wrong(key, "a signal or a number")
+    point.need("label", "a text")
+    return MovingPoint(_text(point, "label"), *place)

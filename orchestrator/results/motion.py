@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.results.figures import PALETTE
+from orchestrator.base.plotting import PALETTE, WIDTH, frame, heading, new_figure
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ class Motion:
     ground: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not fit and numbers that are none."""
+        """Refuse shapes that do not fit and numbers that are not finite."""
         for label, values in self.points.items():
             if values.shape != (len(self.time), 3):
                 raise Problem(f"motion: {label!r} has shape {values.shape}, expected ({len(self.time)}, 3)")
@@ -115,23 +116,37 @@ def frames(motion: Motion, ghost: Motion | None = None) -> dict[str, Any]:
 
 def strobe(motion: Motion, poses: int = 9, title: str = "") -> Figure:
     """A still picture: the machine at `poses` instants, evenly spread over the path of its tip, by time."""
-    figure = Figure(figsize=(9.6, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH, 4.6)
     still = motion.at(_instants(motion, poses))
-    share = (still.time - motion.time[0]) / (motion.time[-1] - motion.time[0])
-    colours = colormaps["viridis"](0.88 * share)
     panels = figure.subplots(1, len(motion.views), squeeze=False)[0]
+    start, stop = float(motion.time[0]), float(motion.time[-1])
+    early = LinearSegmentedColormap.from_list("early", colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
+    scale = ScalarMappable(Normalize(start, stop), early)
     for axes, view in zip(panels, motion.views, strict=True):
-        path = getattr(motion, view)(motion.leader)
-        axes.plot(*path.T, color=PALETTE.faint, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
-        for k, colour in enumerate(colours):
-            _pose(axes, still, view, k, tuple(colour))
-        _scene(axes, motion, view)
-    bar = figure.colorbar(_scale(motion), ax=figure.axes, shrink=0.8, pad=0.01)
+        _draw_view(axes, motion, view)
+        for k, colour in enumerate(scale.to_rgba(still.time)):
+            for line in still.drawn:
+                xy = np.array([getattr(still, view)(label)[k] for label in line])
+                style = {"linewidth": 2.6, "marker": "o", "markersize": 3.2, "solid_joinstyle": "round"}
+                axes.plot(*xy.T, color=tuple(colour), **style)
+    bar = figure.colorbar(scale, ax=figure.axes, shrink=0.8, pad=0.01)
     bar.set_label("time [s]", color=PALETTE.ink)
-    if title:
-        figure.suptitle(title, x=0.01, ha="left", fontsize=12, color=PALETTE.ink, fontweight="bold")
+    heading(figure, title)
     return figure
+
+
+def _draw_view(axes: Axes, motion: Motion, view: str) -> None:
+    """The path of the tip, ground or axis of rotation, labels; both axes to one scale."""
+    if view == "side":
+        frame(axes, "along the arm [m]" if motion.turning else "x [m]", "height [m]", size=10)
+        axes.axhline(motion.ground, color=PALETTE.faint, linewidth=1.2)
+    else:
+        frame(axes, "x [m]", "y [m]", size=10)
+        axes.plot(0, 0, marker="+", color=PALETTE.faint, markersize=10)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title({"side": "Side view", "top": "From above"}[view], loc="left", fontsize=10)
+    path = getattr(motion, view)(motion.leader)
+    axes.plot(*path.T, color=PALETTE.faint, linewidth=1.0, linestyle=(0, (4, 2)), zorder=1)
 
 
 def _instants(motion: Motion, poses: int) -> Array:
@@ -161,36 +176,3 @@ def _deviation(machines: Sequence[Motion]) -> list[float]:
     """Distance between the tips of machine and ghost [mm]."""
     one, other = (m.points[m.leader] for m in machines)
     return [round(value, 2) for value in (1e3 * np.linalg.norm(one - other, axis=1)).tolist()]
-
-
-def _pose(axes: Axes, still: Motion, view: str, k: int, colour: tuple[float, ...]) -> None:
-    """One pose of a strobe picture."""
-    for line in still.drawn:
-        xy = np.array([getattr(still, view)(label)[k] for label in line])
-        axes.plot(*xy.T, color=colour, linewidth=2.6, marker="o", markersize=3.2, solid_joinstyle="round")
-
-
-def _scene(axes: Axes, motion: Motion, view: str) -> None:
-    """Equal scales, ground or axis of rotation, labels."""
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True, color=PALETTE.grid, linewidth=0.6)
-    axes.set_axisbelow(True)
-    if view == "side":
-        axes.axhline(motion.ground, color=PALETTE.faint, linewidth=1.2)
-        axes.set_xlabel("along the arm [m]" if motion.turning else "x [m]")
-        axes.set_ylabel("height [m]")
-    else:
-        axes.plot(0, 0, marker="+", color=PALETTE.faint, markersize=10)
-        axes.set_xlabel("x [m]")
-        axes.set_ylabel("y [m]")
-    axes.set_title({"side": "Side view", "top": "From above"}[view], loc="left", fontsize=10)
-
-
-def _scale(motion: Motion) -> Any:
-    """The colour scale of a strobe picture, time [s]."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-
-    part = LinearSegmentedColormap.from_list("early", colormaps["viridis"](np.linspace(0.0, 0.88, 64)))
-    return ScalarMappable(Normalize(float(motion.time[0]), float(motion.time[-1])), part)

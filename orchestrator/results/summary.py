@@ -1,7 +1,4 @@
-"""Numbers of a validation as a reader sees them: display units, few digits, named limits.
-
-The outcome of a validation as text for the terminal, one line per signal in 80 columns.
-"""
+"""The outcome of a validation in words: values and limits of each signal, and the summary for a terminal."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
-from orchestrator.base.units import linear, shown
+from orchestrator.base.text import NONE, finer, number, share
 from orchestrator.data.description import METRICS
 from orchestrator.results.compare import Row, Validation
 
@@ -26,24 +23,6 @@ NAMES = {
     "vaf": "VAF",
     "iso": "ISO rating",
 }
-NONE = "-"
-# Errors are smaller than what they are errors of.
-_FINER = {"m": "mm", "m/s": "mm/s"}
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with a few significant digits; a dash where there is none."""
-    if value is None:
-        return NONE
-    if value == 0:
-        return "0"
-    text = f"{value:.{digits}g}"
-    return text if "e" not in text or abs(value) < 1e-4 or abs(value) >= 1e6 else f"{value:.0f}"
-
-
-def share(value: float | None) -> str:
-    """A pure number as percent."""
-    return NONE if value is None else f"{number(100 * value)} %"
 
 
 def percent(value: float | None) -> str:
@@ -51,27 +30,12 @@ def percent(value: float | None) -> str:
     return NONE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
 
 
-def finer(unit: str) -> str:
-    """The unit in which errors of a signal in `unit` are shown, such as `mm` for `m` and `bar` for `Pa`."""
-    return _FINER.get(unit) or shown(unit)
-
-
-def plain(value: float, unit: str) -> str:
-    """An error in the display unit, without the unit's name; an offset of the unit does not count."""
-    return number(value * linear(unit, finer(unit), "display")[0])
-
-
-def difference(value: float, unit: str) -> str:
-    """An error with its display unit, such as `0.12 bar` or `0.05 mm`."""
-    return f"{plain(value, unit)} {finer(unit)}".rstrip()
-
-
 def judged(row: Row, value: float | None) -> str:
     """A value or limit of the row's tolerance in the words of its metric."""
     if row.tolerance is None or value is None:
         return NONE
     if row.tolerance.in_unit:
-        return difference(value, row.unit)
+        return finer(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return share(value)
     return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
@@ -89,16 +53,15 @@ def miss(row: Row) -> str:
     """By how much a failed row misses, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
     if row.tolerance is None or row.passed:
         return ""
-    value, allowed = row.judged_value, row.tolerance.limit
+    metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
     limits = f"limit {judged(row, allowed)}"
     if value is None:
         why = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
-        return f"no {NAMES[row.tolerance.metric]}, {limits}" + (f" ({why})" if why else "")
-    says = f"{NAMES[row.tolerance.metric]} {judged(row, value)}, {limits}"
+        return f"no {metric}, {limits}" + (f" ({why})" if why else "")
     if not row.tolerance.upper:
-        return f"{says} ({judged(row, allowed - value)} short)"
+        return f"{metric} {judged(row, value)}, {limits} ({judged(row, allowed - value)} short)"
     ratio = value / allowed
-    return f"{says} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
+    return f"{metric} {judged(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
 def outcome(row: Row) -> str:
@@ -130,8 +93,7 @@ class Summary:
         yield Text(f"Compared with: {validation.title}", "bold")
         yield from _table(validation, options.max_width)
         yield from (Text(note, "dim") for note in (_LEGEND, *validation.notes, *_remarks(validation)))
-        colour = _COLOUR[validation.passed if validation.judged else None]
-        yield Text(validation.verdict, colour)
+        yield Text(validation.verdict, _COLOUR[validation.passed if validation.judged else None])
 
 
 def summary(validation: Validation) -> Summary:
@@ -152,36 +114,31 @@ def _missed(validation: Validation) -> Iterator[Text]:
 
 
 def _table(validation: Validation, width: int) -> Iterator[Text]:
-    """Headings, then per group and limit a line that names them and one line per signal."""
-    names = _names(validation)
-    room = min(max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12))
-    yield Text(_line("  ", "", room, _HEADINGS), "dim")
-    for title, rows in _sections(validation).items():
-        yield Text(title, "bold")
-        for row in rows:
-            mark = "! " if row.passed is False else "  "
-            yield Text(_line(mark, names[row.signal], room, _cells(row)), _style(row))
+    """Headings, then a line for each group and limit, and below it a line for each signal.
 
-
-def _sections(validation: Validation) -> dict[str, list[Row]]:
-    """Rows that share group, unit and limit, by their headline; those that are not judged come last."""
-    found: dict[str, list[Row]] = {}
-    for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
-        judged_by = limit(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-        head = f"{row.group or 'signals'} [{finer(row.unit) or '1'}]: {judged_by}"
-        found.setdefault(head, []).append(row)
-    return found
-
-
-def _names(validation: Validation) -> dict[str, str]:
-    """Signal -> its name without the component where no other signal has the same."""
+    Groups share unit and limit; signals that are not judged come last. A signal has the name of its component
+    only where another one has the same name.
+    """
     short = {row.signal: row.signal.rpartition(".")[2] for row in validation.rows}
     often = Counter(short.values())
-    return {signal: name if often[name] == 1 else signal for signal, name in short.items()}
+    names = {signal: name if often[name] == 1 else signal for signal, name in short.items()}
+    sections: dict[str, list[Row]] = {}
+    for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
+        rule = limit(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
+        title = f"{row.group or 'signals'} [{finer(row.unit).shown or '1'}]: {rule}"
+        sections.setdefault(title, []).append(row)
+    room = min(max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12))
+    yield Text(_line("  ", "", room, _HEADINGS), "dim")
+    for title, rows in sections.items():
+        yield Text(title, "bold")
+        for row in rows:
+            mark, colour = ("! ", _COLOUR[False]) if row.passed is False else ("  ", "")
+            colour = _COLOUR[None] if row.passed is None else colour
+            yield Text(_line(mark, names[row.signal], room, _cells(row)), colour)
 
 
 def _remarks(validation: Validation) -> list[str]:
-    """Notes on signals, each told once with the signals it is about."""
+    """Notes on signals, each once with the signals it is about."""
     about: dict[str, list[str]] = {}
     for row in validation.rows:
         for note in row.notes:
@@ -190,21 +147,16 @@ def _remarks(validation: Validation) -> list[str]:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    m = row.metrics
+    m, unit = row.metrics, finer(row.unit)
+    fits = ("<-999" if v is not None and v < -999 else percent(v).removesuffix(" %") for v in (m.fit, m.vaf))
     return (
-        plain(m.maximum_error, row.unit),
-        plain(m.rmse, row.unit),
+        unit.plain(m.maximum_error),
+        unit.plain(m.rmse),
         share(m.nrmse).removesuffix(" %"),
-        _percent(m.fit),
-        _percent(m.vaf),
+        *fits,
         NONE if m.iso.overall is None else f"{m.iso.overall:.3f}",
         outcome(row).replace("fail", "FAIL"),
     )
-
-
-def _percent(value: float | None) -> str:
-    """Fit or VAF, short also where it is hopeless."""
-    return "<-999" if value is not None and value < -999 else percent(value).removesuffix(" %")
 
 
 def _line(mark: str, name: str, room: int, cells: tuple[str, ...]) -> str:
@@ -212,7 +164,3 @@ def _line(mark: str, name: str, room: int, cells: tuple[str, ...]) -> str:
     above, name = (f"{mark}{name}\n", "") if len(name) > room else ("", name)
     numbers = " ".join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
     return f"{above}{mark}{name.ljust(room)} {numbers}".rstrip()
-
-
-def _style(row: Row) -> str:
-    return _COLOUR[False] if row.passed is False else _COLOUR[None] if row.passed is None else ""

@@ -23,10 +23,9 @@ from orchestrator.data.trace import Trace, write
 from orchestrator.engine.result import Card, Result, write_facts
 from orchestrator.engine.run import contents, given, simulated
 from orchestrator.fmi.description import Variable
-from orchestrator.results import report as reporting
+from orchestrator.results import validation_report as reporting
 from orchestrator.results.compare import Validation, by_variable, compare, once
-from orchestrator.results.figures import FigureSpec, Panel
-from orchestrator.results.layout import Layout, read_layout
+from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import lost
@@ -133,24 +132,24 @@ def another_model(system: System, reference: Recording) -> str:
     return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
 
 
-def describe(component: Component) -> reporting.Component:
+def describe(component: Component) -> reporting.ReportedComponent:
     """One FMU of the run."""
     source = component.source
     file = source.inside[-1] if source and source.inside else source.path.name if source else ""
     face = component.interface
-    return reporting.Component(
+    return reporting.ReportedComponent(
         component.name, file, face.version, face.guid, f"{face.fmi}.0 CS", face.tool, face.text
     )
 
 
-def parameters(system: System) -> Iterable[reporting.Parameter]:
+def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
     """All parameters of a run; with provenance where the FMU carries its `resources/parameters.toml`."""
     for component in system.components.values():
         known = _provenance(component)
         for v in component.interface.of("parameter"):
             number = known.get(v.name, {})
             value = component.start.get(v.name, v.start if v.start is not None else "")
-            yield reporting.Parameter(
+            yield reporting.ReportedParameter(
                 component=component.name,
                 name=v.name,
                 value=float(value) if v.is_real else value,
@@ -201,7 +200,7 @@ def _bond(residual: str, exchanged: str, share: str) -> str:
 
 def _figures(validation: Validation) -> tuple[FigureSpec, ...]:
     """Without a layout: one figure, a row per compared signal."""
-    panels = tuple(Panel(row.title, (row.signal,)) for row in validation.rows)
+    panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
     return (FigureSpec("Signals", panels),) if panels else ()
 
 

@@ -10,8 +10,7 @@ import pytest
 from orchestrator import Problem, System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
-from orchestrator.results.figures import FigureSpec, Panel
-from orchestrator.results.layout import Layout, MovingPoint
+from orchestrator.results.layout import FigureSpec, Layout, MovingPoint, PanelSpec
 from orchestrator.results.validate import card, describe, judge, parameters
 
 PROVENANCE = """
@@ -126,7 +125,7 @@ def test_the_card_in_the_report(oscillator):
 
 def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path):
     """Instead of the defaults: one figure per signal and no motion."""
-    figures = (FigureSpec("Both", (Panel("In", ("gain.u",)), Panel("Out", ("gain.y",)))),)
+    figures = (FigureSpec("Both", (PanelSpec("In", ("gain.u",)), PanelSpec("Out", ("gain.y",)))),)
     layout = Layout("My gain", figures, (MovingPoint("tip", "gain.y", 1.0),))
     _, data = judged(fmus["gain"], ramp, reference, tmp_path, layout)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -137,7 +136,7 @@ def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path
 
 def test_a_layout_for_another_system_is_told(fmus, ramp, reference, tmp_path):
     """File, place and signal."""
-    layout = Layout("x", (FigureSpec("F", (Panel("a", ("gain.z",)),)),), source="my.toml")
+    layout = Layout("x", (FigureSpec("F", (PanelSpec("a", ("gain.z",)),)),), source="my.toml")
     with pytest.raises(Problem, match=r"my.toml: figure 'F': no signal gain.z in the run"):
         judged(fmus["gain"], ramp, reference, tmp_path, layout)
 

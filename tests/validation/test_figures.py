@@ -10,19 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from orchestrator.base import plotting
 from orchestrator.base.errors import Problem
+from orchestrator.base.plotting import decimate, png, svg
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results import figures as embedding
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.figures import FigureSpec, Panel, decimate, draw, png, svg
+from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.results.validation_report import draw
 
 SPEC = FigureSpec(
     "Shaft",
     (
-        Panel("Command", ("pump.command",)),
-        Panel("Angle", ("shaft.angle",)),
-        Panel("Pressure", ("pump.pressure",), ("head",)),
+        PanelSpec("Command", ("pump.command",)),
+        PanelSpec("Angle", ("shaft.angle",)),
+        PanelSpec("Pressure", ("pump.pressure",), ("head",)),
     ),
 )
 
@@ -94,7 +96,7 @@ def test_verdict_is_written_at_the_panel(outcome: Validation, trace: Trace) -> N
 
 def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
     """A figure that asks for a signal nobody has is named."""
-    spec = FigureSpec("Shaft", (Panel("Angle", ("shaft.angel",)),))
+    spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
     with pytest.raises(Problem, match=r"figure 'Shaft': signal 'shaft.angel' is neither compared nor in the"):
         draw(spec, outcome, trace)
 
@@ -106,10 +108,10 @@ def test_same_figure_same_bytes(outcome: Validation, trace: Trace) -> None:
 
 def test_embedded_svg_follows_the_page(outcome: Validation, trace: Trace) -> None:
     """The inline SVG has colours by variable, ids of its own, text as text and untouched numbers in it."""
-    text = str(embedding.embed(draw(SPEC, outcome, trace), "f7-", "Shaft"))
+    text = str(plotting.embed(draw(SPEC, outcome, trace), "f7-", "Shaft"))
     assert text.startswith("<svg")
     assert "http" not in text
-    assert "var(--fig-s0, #06406b)" in text
+    assert "var(--fig-dark0, #06406b)" in text
     assert 'id="f7-' in text
     assert "url(#f7-" in text
     assert ">Angle<" in text
@@ -119,8 +121,8 @@ def test_too_large_an_svg_becomes_a_png(
     outcome: Validation, trace: Trace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A figure with too many points is embedded as picture, so that the report stays small."""
-    monkeypatch.setattr(embedding, "SVG_LIMIT", 10)
-    text = str(embedding.embed(draw(SPEC, outcome, trace), "f-", 'A "title"'))
+    monkeypatch.setattr(plotting, "SVG_LIMIT", 10)
+    text = str(plotting.embed(draw(SPEC, outcome, trace), "f-", 'A "title"'))
     assert text.startswith('<img class="paper" alt="A &#34;title&#34;" src="data:image/png;base64,iVBOR')
 
 

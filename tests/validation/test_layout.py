@@ -10,8 +10,7 @@ import pytest
 from fmus.machine.build import data
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.results.figures import FigureSpec, Panel
-from orchestrator.results.layout import Layout, read_layout
+from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 
 LAYOUT = """
 title = "Shaft"
@@ -43,8 +42,8 @@ def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
     """Title, figures with their panels, and motion come out as they were written."""
     layout = read_layout(written(tmp_path, LAYOUT))
     panels = (
-        Panel("Angle", ("shaft.angle",)),
-        Panel("Pressures", ("pump.pressure", "pump.command"), ("p", "u")),
+        PanelSpec("Angle", ("shaft.angle",)),
+        PanelSpec("Pressures", ("pump.pressure", "pump.command"), ("p", "u")),
     )
     assert (layout.title, layout.figures) == ("Shaft", (FigureSpec("Turning", panels, "of the shaft"),))
     layout.check(trace)
@@ -91,7 +90,7 @@ def test_what_a_run_lacks_can_be_left_out(tmp_path: Path, trace: Trace) -> None:
     layout = read_layout(written(tmp_path, LAYOUT))
     assert layout.within(trace) == layout
     kept = layout.within(trace.select(["pump.command"]))
-    assert [f.panels for f in kept.figures] == [(Panel("Pressures", ("pump.command",), ("u",)),)]
+    assert [f.panels for f in kept.figures] == [(PanelSpec("Pressures", ("pump.command",), ("u",)),)]
     assert (kept.points, kept.angle) == ((), "")
     assert layout.within(trace.select([])).figures == ()
 
@@ -125,32 +124,37 @@ def test_a_signal_that_the_run_lacks_is_named(
     ("text", "told"),
     [
         ("x = ", r"expected TOML, got "),
-        ("colour = 1", r"unknown key 'colour', expected one of title, figure, motion"),
-        ("title = 3", r"title is 3, expected text"),
-        ("figure = 'A'", r"figure is 'A', expected a list"),
-        ("figure = ['A']", r"\[\[figure\]\]: expected a table, got 'A'"),
-        ("[[figure]]\npanels = []", r"\[\[figure\]\]: title is missing"),
-        ("[[figure]]\ntitle = 'A'\npanels = 3", r"\[\[figure\]\]: panels is 3, expected a list"),
+        ("colour = 1", r"unknown key 'colour'; there are title, figure, motion"),
+        ("titel = 'A'", r"unknown key 'titel'; did you mean title"),
+        ("title = 3", r"title: expected a text, got 3"),
+        ("figure = 'A'", r"figure: expected a list, got 'A'"),
+        ("figure = ['A']", r"figure 1: expected a table, got 'A'"),
+        ("[[figure]]\npanels = []", r"figure 1: title: expected a text, got nothing"),
+        ("[[figure]]\ntitle = 'A'\npanels = 3", r"figure 1: panels: expected a list, got 3"),
+        ("[[figure]]\ntitle = 'A'\npanels = []", r"figure 1: panels: expected at least one panel, got \[\]"),
         (
-            "[[figure]]\ntitle = 'A'\npanels = []",
-            r"\[\[figure\]\] 'A': expected at least one panel, got none",
+            "[[figure]]\ntitle = 'A'\npanels = [{label = 'b'}]",
+            r"figure 1: panels 1: signals: expected a list of names, got nothing",
         ),
-        ("[[figure]]\ntitle = 'A'\npanels = [{label = 'b'}]", r"'A' panels: signals is missing"),
         (
             "[[figure]]\ntitle = 'A'\npanels = [{label = 'b', signals = [1]}]",
-            r"'A' panels 'b' signals: expected a list of names, got \[1\]",
+            r"figure 1: panels 1: signals: expected a list of names, got \[1\]",
         ),
-        ("[motion]\npoints = 3", r"\[motion\]: points is 3, expected a list"),
-        ("[motion]\nangle = 3", r"\[motion\]: angle is 3, expected text"),
-        ("[motion]\npoints = [{label = 'a', radius = 1}]", r"\[motion\] points: height is missing"),
+        ("[motion]\npoints = 3", r"motion: points: expected a list, got 3"),
+        ("[motion]\nangle = 3", r"motion: angle: expected a text, got 3"),
+        (
+            "[motion]\npoints = [{label = 'a', radius = 1}]",
+            r"motion: points 1: height: expected a signal or a number, got nothing",
+        ),
         (
             "[motion]\npoints = [{label = 'a', radius = true, height = 1}]",
-            r"\[motion\] points: radius is True, expected a signal or a number",
+            r"motion: points 1: radius: expected a signal or a number, got True",
         ),
         (
             "[motion]\nlines = [['a', 'b']]\npoints = [{label = 'a', radius = 1, height = 1}]",
-            r"\[motion\]: expected one of the points a, got 'b'",
+            r"motion: expected one of the points a, got 'b'",
         ),
+        ("[motion]\nlines = 3", r"motion: lines: expected a list, got 3"),
     ],
 )
 def test_mistakes_name_file_place_and_what_was_expected(tmp_path: Path, text: str, told: str) -> None:

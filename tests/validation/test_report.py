@@ -15,9 +15,14 @@ import pytest
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.figures import FigureSpec, Panel
+from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import Motion
-from orchestrator.results.report import Component, Parameter, Report, write_report
+from orchestrator.results.validation_report import (
+    Report,
+    ReportedComponent,
+    ReportedParameter,
+    write_report,
+)
 
 VOID = {"meta", "link", "br", "input", "img"}
 
@@ -55,13 +60,17 @@ def report(outcome: Validation, trace: Trace) -> Report:
         "Shaft & pump",
         outcome,
         figures=(
-            FigureSpec("Shaft", (Panel("Command", ("pump.command",)), Panel("Angle", ("shaft.angle",)))),
-            FigureSpec("Pump", (Panel("Pressure", ("pump.pressure",)),), caption="Taken at the <port>."),
+            FigureSpec(
+                "Shaft", (PanelSpec("Command", ("pump.command",)), PanelSpec("Angle", ("shaft.angle",)))
+            ),
+            FigureSpec("Pump", (PanelSpec("Pressure", ("pump.pressure",)),), caption="Taken at the <port>."),
         ),
         trace=trace,
         facts={"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
-        components=(Component("pump", "pump.fmu", version="1.2", guid="{1-2-3}", fmi="2.0"),),
-        parameters=(Parameter("pump", "volume", 1.5e-3, "m3", "Dead volume", "assumed", changed=True),),
+        components=(ReportedComponent("pump", "pump.fmu", version="1.2", guid="{1-2-3}", fmi="2.0"),),
+        parameters=(
+            ReportedParameter("pump", "volume", 1.5e-3, "m3", "Dead volume", "assumed", changed=True),
+        ),
         card={"real-time factor": np.float64(31.25), "energy residual [J]": {"shaft": 1e-3}, "order": None},
         motion=motion,
         ghost=motion,
@@ -187,7 +196,7 @@ def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
         for k in range(15)
     )
     specs = [
-        FigureSpec(f"Figure {n}", tuple(Panel(f"Row {k}", (f"s{5 * n + k}",)) for k in range(5)))
+        FigureSpec(f"Figure {n}", tuple(PanelSpec(f"Row {k}", (f"s{5 * n + k}",)) for k in range(5)))
         for n in range(3)
     ]
     outcome = replace(report.validation, rows=rows, window=(0.0, 60.0))

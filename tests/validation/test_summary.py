@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.compare import Validation, compare
-from orchestrator.results.summary import number, percent, summary
+from orchestrator.results.summary import percent, summary
 
 
 def shown(outcome: Validation, width: int = 80) -> list[str]:

@@ -1,0 +1,76 @@
+"""Pages that are one HTML file each: styles, scripts and figures inside, no network needed."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from orchestrator.base.text import number, typeset
+from orchestrator.base.units import pretty
+
+HERE = Path(__file__).with_name("templates")
+
+
+def render(template: Path, *, title: str, **content: Any) -> str:
+    """The HTML text of a template that extends `page.html.j2`, with its CSS file of the same name.
+
+    Templates have the filters number, typeset, pretty (units) and upper_first.
+    """
+    environment = Environment(
+        loader=FileSystemLoader([template.parent, HERE]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        number=lambda value, digits=3: typeset(number(value, digits)),
+        typeset=typeset,
+        pretty=pretty,
+        upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
+    )
+    styles = (HERE / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
+    style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles))
+    return environment.get_template(template.name).render(title=title, style=style, **content)
+
+
+def script_data(data: Any) -> Markup:
+    """Data for a script element; `<` could otherwise end it."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file, equal on every platform; folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
+def write_json(path: Path, values: Any) -> Path:
+    """Write values as `plain` makes them."""
+    return write_text(path, json.dumps(plain(values), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def plain(values: Any) -> Any:
+    """Dataclasses, mappings, sequences and NumPy numbers as JSON knows them; what is not finite is null."""
+    if is_dataclass(values) and not isinstance(values, type):
+        return {field.name: plain(getattr(values, field.name)) for field in fields(values)}
+    if isinstance(values, Mapping):
+        return {str(key): plain(value) for key, value in values.items()}
+    if isinstance(values, str | bool | int) or values is None:
+        return values
+    if isinstance(values, np.generic):
+        return plain(values.item())
+    if isinstance(values, float):
+        return values if math.isfinite(values) else None
+    if isinstance(values, Iterable):
+        return [plain(value) for value in values]
+    return str(values)

@@ -1,0 +1,238 @@
+"""The report of a validation: one self-contained HTML file, and the same numbers as JSON.
+
+What ran is data handed in by the caller; this module knows no system. A figure shows signals over each other
+as in the paper's Figs. 10 and 11: the reference is a broad solid line, the simulation a dotted one, and the
+strip below shows simulation - reference on a scale of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from orchestrator.base import page
+from orchestrator.base.errors import Problem
+from orchestrator.base.plotting import (
+    PALETTE,
+    REFERENCE,
+    SIMULATION,
+    TraceLine,
+    TracePanel,
+    draw_traces,
+    embed,
+    handle,
+)
+from orchestrator.base.text import NONE, display_unit, finer, number, share, typeset
+from orchestrator.base.units import convert, shown
+from orchestrator.data.trace import Trace
+from orchestrator.results import summary
+from orchestrator.results.compare import Row, Validation
+from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.results.motion import Motion, frames, strobe
+
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+@dataclass(frozen=True)
+class ReportedComponent:
+    """One FMU of the run."""
+
+    name: str
+    file: str
+    version: str = ""
+    guid: str = ""
+    fmi: str = ""
+    tool: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class ReportedParameter:
+    """One parameter of the run; source and note where they are known, changed when set for this run."""
+
+    component: str
+    name: str
+    value: float | int | bool | str
+    unit: str = ""
+    text: str = ""
+    source: str = ""
+    note: str = ""
+    changed: bool = False
+
+
+@dataclass(frozen=True)
+class Report:
+    """What to report.
+
+    facts    what ran, in the order to show: system, scenario, master, step, start, stop, command line ...
+    card     the accuracy card of the run: name -> number, text or a mapping of those
+    trace    the run: for figures of signals that were not compared, such as commands
+    motion, ghost   the machine's motion in the run and in the reference
+    warnings        what the run reported, one line each
+    notes           remarks on the run
+    caution         what to know before the verdict is read
+    """
+
+    title: str
+    validation: Validation
+    figures: Sequence[FigureSpec] = ()
+    trace: Trace | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    components: Sequence[ReportedComponent] = ()
+    parameters: Sequence[ReportedParameter] = ()
+    card: Mapping[str, Any] = field(default_factory=dict)
+    motion: Motion | None = None
+    ghost: Motion | None = None
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    caution: str = ""
+
+
+def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:
+    """Write the HTML to `path` and the JSON next to it; returns both paths."""
+    html = Path(path)
+    page.write_text(html, render(report))
+    return html, page.write_json(html.with_suffix(".json"), numbers(report))
+
+
+def numbers(report: Report) -> dict[str, Any]:
+    """All numbers and texts of the report, in SI or the signal's stated unit."""
+    checked = report.validation
+    return {
+        "title": report.title,
+        "passed": checked.passed,
+        "verdict": checked.verdict,
+        "reference": {"file": checked.source, **checked.about},
+        "window": {"start": checked.window[0], "stop": checked.window[1]},
+        "signals": [_numbers(row) for row in checked.rows],
+        "facts": report.facts,
+        "accuracy": report.card,
+        "components": report.components,
+        "parameters": report.parameters,
+        "notes": [*report.notes, *checked.notes],
+        "warnings": report.warnings,
+    }
+
+
+def _numbers(row: Row) -> dict[str, Any]:
+    metrics = asdict(row.metrics)
+    metrics["iso"]["grade"] = row.metrics.iso.grade
+    metrics.pop("notes")
+    judged = row.tolerance and {**asdict(row.tolerance), "value": row.judged_value}
+    return {
+        "signal": row.signal,
+        "label": row.label,
+        "group": row.group,
+        "unit": row.unit,
+        "samples": len(row.time),
+        "metrics": metrics,
+        "tolerance": judged,
+        "passed": row.passed,
+        "notes": row.notes,
+    }
+
+
+def render(report: Report) -> str:
+    """The HTML text."""
+    checked, motion = report.validation, report.motion
+    return page.render(
+        TEMPLATES / "validation_report.html.j2",
+        title=report.title,
+        report=report,
+        checked=checked,
+        tiles=[_tile(name, rows) for name, rows in checked.groups.items()],
+        words=summary,
+        error=lambda value, row: finer(row.unit).text(value),
+        share=share,
+        value=_value,
+        figures=[
+            (spec, embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
+            for k, spec in enumerate(report.figures)
+        ],
+        motion=motion and page.script_data(frames(motion, report.ghost)),
+        still=motion and embed(strobe(motion), "m-", "motion"),
+        script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
+    )
+
+
+def _tile(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """A group in one line: how many are within limits, and the one that comes closest to its limit."""
+    judged = [(row.limit_use, row) for row in rows if row.tolerance is not None]
+    use, worst = max(judged, key=lambda entry: entry[0], default=(0.0, None))
+    return {
+        "name": name or "signals",
+        "count": len(rows),
+        "failed": sum(row.passed is False for _, row in judged),
+        "judged": len(judged),
+        "worst": worst,
+        "use": min(use, 1.0),
+    }
+
+
+def _value(value: Any) -> str:
+    """A value of facts, card or parameters."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: NONE}[value]
+    return typeset(number(value, 6)) if isinstance(value, float) else str(value)
+
+
+def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
+    """The figure of a validation; signals that were not compared, such as commands, come from the trace."""
+    panels = [_panel(spec, panel, validation, trace) for panel in spec.panels]
+    key = handle("reference", **REFERENCE), handle("simulation", **SIMULATION)
+    return draw_traces(panels, validation.window, spec.title, key=key)
+
+
+def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Trace | None) -> TracePanel:
+    """The panel's signals, from the comparison where there is one, else from the trace."""
+    rows = {row.signal: row for row in validation.rows}
+    lines, errors, compared, units = list[TraceLine](), list[TraceLine](), list[tuple[str, Row]](), set[str]()
+    for place, signal in enumerate(panel.signals):
+        light, dark = PALETTE.pair(place)
+        name = panel.names[place] if place < len(panel.names) else ""
+        if signal in rows:
+            row = rows[signal]
+            units.add(shown(row.unit))
+            simulation, reference = (
+                convert(y, row.unit, shown(row.unit), signal) for y in (row.simulation, row.reference)
+            )
+            lines.append(TraceLine(row.time, reference, {"color": light, "linewidth": 2.6}, name))
+            lines.append(TraceLine(row.time, simulation, {**SIMULATION, "color": dark}))
+            if row.passed is not None or not validation.judged:
+                errors.append(TraceLine(row.time, simulation - reference, {"color": dark}))
+            compared.append((name, row))
+        elif trace is not None and signal in trace.signals:
+            unit = trace.units.get(signal, "")
+            units.add(shown(unit))
+            values = convert(trace[signal], unit, shown(unit), signal)
+            lines.append(TraceLine(trace.time, values, {"color": dark, "linewidth": 1.2}, name))
+        else:
+            raise Problem(f"figure {spec.title!r}: signal {signal!r} is neither compared nor in the run")
+    return TracePanel(
+        unit=", ".join(sorted(units)),
+        lines=lines,
+        label=panel.label,
+        errors=errors,
+        error_unit=", ".join(sorted(units)),
+        bounds={bound for _, row in compared for bound in _bounds(row)},
+        remarks=[_verdict(name, row) for name, row in compared if row.tolerance],
+    )
+
+
+def _verdict(name: str, row: Row) -> tuple[str, str]:
+    """The judged number with its limit, and its colour."""
+    value = summary.judged(row, row.judged_value)
+    text = f"{'✓' if row.passed else '✗'} {name} {value}\n{summary.limit(row)}".replace("  ", " ")
+    return text, PALETTE.good if row.passed else PALETTE.bad
+
+
+def _bounds(row: Row) -> Iterable[float]:
+    """The limit as an error in the display unit, for metrics that have one."""
+    if row.tolerance is not None and row.tolerance.metric in ("nrmse", "rmse", "maximum"):
+        scale = 1.0 if row.tolerance.in_unit else row.metrics.normalised_by
+        yield row.tolerance.limit * scale * display_unit(row.unit).factor
