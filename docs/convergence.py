@@ -19,7 +19,6 @@ from orchestrator.studies.convergence_report import (
     cost,
     draw_error,
     draw_work,
-    markdown,
     maximum,
     nrmse,
     own_steps,
@@ -56,14 +55,14 @@ def main() -> None:
     pictures("work-cycle", cycle)
     pictures("m1", benchmark)
     for group in ("speed", "pressure"):
-        fill(PAGE, f"work cycle, {group}", markdown(nrmse(cycle, group)))
-    fill(PAGE, "work cycle, cost", markdown(cost(cycle)))
+        fill(PAGE, f"work cycle, {group}", nrmse(cycle, group).markdown())
+    fill(PAGE, "work cycle, cost", cost(cycle).markdown())
     for name, study in (("work cycle", cycle), ("M1", benchmark)):
         if chosen := own_steps(study):
-            fill(PAGE, f"{name}, own steps", markdown(chosen))
+            fill(PAGE, f"{name}, own steps", chosen.markdown())
     for document in (PAGE, EXAMPLE / "README.md"):
-        fill(document, "M1, pressure", markdown(nrmse(benchmark, "pressure")))
-        fill(document, "M1, length", markdown(maximum(benchmark, "position")))
+        fill(document, "M1, pressure", nrmse(benchmark, "pressure").markdown())
+        fill(document, "M1, length", maximum(benchmark, "position").markdown())
 
 
 def pictures(name: str, study: ConvergenceStudy) -> None:

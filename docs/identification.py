@@ -16,12 +16,14 @@ from fmus.identification.known import Estimate, lookup, nominal
 from fmus.identification.outcome import beside, explanation, worst
 from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.identification.report import figures, wording
+from fmus.identification.report import wording
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.comparison import Compared, picture
-from fmus.identification.report.panels import png, prose
+from fmus.identification.report.finding_figures import draw_finding
 from fmus.identification.report.wording import caption
 from fmus.rig.command import rig
+from orchestrator.base.plotting import png
+from orchestrator.base.text import typeset
 
 HERE = Path(__file__).parent
 PAGE, FIGURES = HERE / "identification.md", HERE / "figures"
@@ -77,8 +79,8 @@ def draw(found: Identified) -> None:
     kinds = [r.kind for r in found.recordings]
     for finding in found.findings:
         number, name = PROCEDURES[finding.procedure]
-        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(figures.draw_finding(finding, kinds)))
-        said = [f"- {prose(remark)}" for remark in finding.remarks]
+        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_finding(finding, kinds)))
+        said = [f"- {typeset(remark)}" for remark in finding.remarks]
         told = [caption(finding, kinds), "", estimates(finding.estimates), "", *said]
         fill(f"figure {number}", "\n".join(told).rstrip())
 

@@ -25,7 +25,7 @@ from orchestrator.studies.convergence import (
     from_run,
     run_settings,
 )
-from orchestrator.studies.convergence_report import maximum, show
+from orchestrator.studies.convergence_report import maximum
 from orchestrator.studies.convergence_study import report, watched
 
 FOLDER = Path("build/hydraulic_manipulator")
@@ -76,7 +76,7 @@ def main() -> None:
     """Print the tables, write numbers and pictures."""
     systems = build(FOLDER)
     found = manipulator(systems["rates"])
-    show(Console(), maximum(found, "position"))
+    maximum(found, "position").print(Console())
     report(found, FOLDER)
     print(beside_the_published(systems, FOLDER / "steps.png"))
 

@@ -15,7 +15,7 @@ from fmus.identification.recordings.reading import left_out, read_folder
 from fmus.identification.refinement.problem import parameters, signals
 from fmus.identification.report import wording
 from fmus.identification.report.comparison import Compared
-from fmus.identification.report.page import quality, told, write_page
+from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.identification.report.wording import warnings
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
@@ -46,7 +46,7 @@ def run(
     qualities = [quality(r) for r in recordings]
     seconds = sum(float(r.time[-1] - r.time[0]) for r in recordings)
     print(f"{folder}: {len(recordings)} recordings, {seconds:.0f} s")
-    for line in (*told(qualities), *left_out(folder, recordings)):
+    for line in (*faults(qualities), *left_out(folder, recordings)):
         print(f"  {line}")
     recordings = [thinned(evenly(r)) if r.procedure == MACHINE else evenly(r) for r in recordings]
     found = identify(

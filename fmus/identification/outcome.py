@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,12 @@ from fmus.identification.known import Estimate, Known, lookup, nominal
 from fmus.identification.pipeline import MACHINE, Identified
 from fmus.identification.refinement.problem import parameters, signals
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.comparison import Compared, attribute, picture, predicted
-from fmus.identification.report.content import Page, Parameter, Picture, Quality, Refinement
-from fmus.identification.report.page import refinement
+from fmus.identification.report.comparison import Compared, Picture, attribute, picture, predicted
+from fmus.identification.report.identification_page import (
+    IdentificationPage,
+    IdentifiedParameter,
+    refinement,
+)
 from fmus.identification.report.wording import warnings
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
@@ -38,14 +42,18 @@ def worst(seen: Compared) -> dict[str, tuple[str, float]]:
 
 
 def content(
-    folder: Path, out: Path, found: Identified, shown: Compared | None, qualities: Sequence[Quality] = ()
-) -> Page:
+    folder: Path,
+    out: Path,
+    found: Identified,
+    shown: Compared | None,
+    qualities: Sequence[Mapping[str, Any]] = (),
+) -> IdentificationPage:
     """Everything that the page shows.
 
     folder, out   where the recordings are, where the parameters are written
     shown         what `beside` gives
     """
-    return Page(
+    return IdentificationPage(
         title=f"Identification from {folder.name}",
         source=str(folder),
         kinds=tuple(dict.fromkeys(r.kind for r in found.recordings)),
@@ -67,14 +75,14 @@ def _numbers(known: Known) -> dict[str, float]:
     return {name: number.value for name, number in known.items() if name in own}
 
 
-def _parameter(estimate: Estimate, procedure: str) -> Parameter:
+def _parameter(estimate: Estimate, procedure: str) -> IdentifiedParameter:
     before = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in SUBSYSTEMS.values() if name in (q := quantities(s.parameters)))
-    return Parameter(estimate, procedure, before.value, before.source, text)
+    return IdentifiedParameter(estimate, procedure, before.value, before.source, text)
 
 
-def _refinement(found: Identified) -> Refinement | None:
+def _refinement(found: Identified) -> dict[str, Any] | None:
     if found.refined is None:
         return None
     return refinement(found.refined, parameters(), signals(), starts=found.starts)

@@ -1,19 +1,12 @@
-"""The lines of a picture: which settings share one, and in which colour.
+"""What a convergence study found: tables, pictures for people, files for programs.
 
-The names of lines, each beside the end of its line.
-
-Two pictures of a study: error over step, and error over wall time. Each line is named where it stands.
-
-A study as tables: error and order over the step, and what each run cost.
-
-A study as files: numbers for programs, pictures for people.
+The pictures show the error over the step and over the wall time. Settings that give the same share one line,
+and each line has its name next to its end.
 """
 
 from __future__ import annotations
 
 import csv
-import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,18 +14,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
-from rich.text import Text as Words
 
+from orchestrator.base.page import plain, write_json
+from orchestrator.base.plotting import PALETTE, frame, new_figure, png
+from orchestrator.base.text import TextTable, finer
 from orchestrator.base.units import linear
-from orchestrator.results.figures import PALETTE, frame, png
-from orchestrator.results.summary import finer
 from orchestrator.studies.convergence import ConvergenceStudy, SettingRun
 
 # One colour for each family, different in hue and in lightness (Okabe and Ito, darkened).
@@ -43,7 +30,7 @@ ALIKE = 0.01  # settings whose errors differ by less share a line
 
 
 @dataclass(eq=False)
-class Line:
+class StudyLine:
     """The rows of one setting, or of several that give the same."""
 
     names: list[str]
@@ -65,9 +52,9 @@ class Line:
         return ", ".join([self.names[0], *(n.removeprefix(f"{first} ") for n in self.names[1:])])
 
 
-def lines_of(study: ConvergenceStudy, group: str) -> list[Line]:
+def lines_of(study: ConvergenceStudy, group: str) -> list[StudyLine]:
     """One for each setting; those that give the same as one before share its line."""
-    lines: list[Line] = []
+    lines: list[StudyLine] = []
     count: dict[str, int] = {}
     for setting in study.settings:
         rows = study.of(setting)
@@ -77,7 +64,7 @@ def lines_of(study: ConvergenceStudy, group: str) -> list[Line]:
             continue
         place = count.get(setting.family, 0)
         count[setting.family] = place + 1
-        lines.append(Line([setting.label], rows, COLOURS.get(setting.family, OTHER), place))
+        lines.append(StudyLine([setting.label], rows, COLOURS.get(setting.family, OTHER), place))
     return lines
 
 
@@ -94,24 +81,20 @@ LETTER = 0.0062  # width of a letter of a name, of the width of the picture
 LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1.0, "shrinkB": 3.0}
 
 
-def room(lines: Sequence[Line]) -> float:
+def room(lines: Sequence[StudyLine]) -> float:
     """For the names, as a share of the width of what is drawn beside them."""
     width = 0.05 + LETTER * max((len(line.name) for line in lines), default=0)
     return width / (1 - width)
 
 
-def name(axes: Axes, ends: Mapping[Line, tuple[float, float]], left: bool) -> None:
-    """The name of each line beside its end, moved up or down where names would touch."""
+def write_names(axes: Axes, ends: Mapping[StudyLine, tuple[float, float]], left: bool) -> None:
+    """The name of each line next to its end, moved up or down where names would touch."""
     to_axes = (axes.transData + axes.transAxes.inverted()).transform
     at = {line: to_axes(end) for line, end in ends.items()}
     lines = sorted(at, key=lambda line: float(at[line][1]))
     heights = _apart([float(at[line][1]) for line in lines])
-    edge = (
-        min((float(x) for x, _ in at.values()), default=0.0)
-        if left
-        else max((float(x) for x, _ in at.values()), default=0.0)
-    )
-    x = edge - 0.03 if left else edge + 0.03
+    edges = [float(x) for x, _ in at.values()] or [0.0]
+    x = min(edges) - 0.03 if left else max(edges) + 0.03
     for line, height in zip(lines, heights, strict=True):
         axes.annotate(
             line.name,
@@ -163,7 +146,7 @@ def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
     _losses(axes, lines, chosen)
     _triangles(axes, steps)
     ends = {line: (1e3 * line.stable[0].mean_step, line.stable[0].error(chosen)) for line in drawn}
-    name(axes, ends, left=True)
+    write_names(axes, ends, left=True)
     return figure
 
 
@@ -180,24 +163,22 @@ def draw_work(study: ConvergenceStudy, group: str | None = None) -> Figure:
         axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** room(drawn))
         axes.set_xticks(_round(*axes.get_xlim()), [f"{tick:g}" for tick in _round(*axes.get_xlim())])
     ends = {line: (1e3 * line.stable[0].cost, line.stable[0].error(chosen)) for line in drawn}
-    name(axes, ends, left=False)
+    write_names(axes, ends, left=False)
     return figure
 
 
 def _figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=SIZE, layout=ConstrainedLayoutEngine())
-    FigureCanvasAgg(figure)
+    figure = new_figure(*SIZE)
     axes = figure.subplots()
-    frame(axes)
+    frame(axes, y=f"worst {group}, root mean square error over range", size=10)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.minorticks_off()
-    axes.set_ylabel(f"worst {group}, root mean square error over range", color=PALETTE.ink)
     axes.set_title(f"against: {study.truth.title}", loc="left", fontsize=9, color=PALETTE.faint)
     return figure, axes
 
 
-def _plot(axes: Axes, line: Line, x: Callable[[SettingRun], float], group: str) -> None:
+def _plot(axes: Axes, line: StudyLine, x: Callable[[SettingRun], float], group: str) -> None:
     axes.plot(
         [x(row) for row in line.stable],
         [row.error(group) for row in line.stable],
@@ -209,7 +190,7 @@ def _plot(axes: Axes, line: Line, x: Callable[[SettingRun], float], group: str) 
     )
 
 
-def _losses(axes: Axes, lines: Sequence[Line], group: str) -> None:
+def _losses(axes: Axes, lines: Sequence[StudyLine], group: str) -> None:
     """A cross above the picture for each unstable run, side by side where there are several."""
     low, high = axes.get_ylim()
     level = high * (high / low) ** 0.05
@@ -267,17 +248,8 @@ def _round(low: float, high: float) -> list[float]:
     return [tick for p in powers for k in (1, 2, 5) if low <= (tick := k * 10.0**p) <= high]
 
 
-UNSTABLE, REFUSED = "unstable", "not possible"
+UNSTABLE, REFUSED = STRONG = "unstable", "not possible"
 ORDER = "behind an error: the order of convergence, measured from the next smaller step"
-
-
-@dataclass(frozen=True)
-class Text:
-    """One table as text: a line for each setting, a column for each step."""
-
-    title: str
-    head: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
 
 
 def share(value: float) -> str:
@@ -294,7 +266,7 @@ def duration(step: float) -> str:
     return f"{1e3 * step:g} ms"
 
 
-def nrmse(study: ConvergenceStudy, group: str) -> Text:
+def nrmse(study: ConvergenceStudy, group: str) -> TextTable:
     """The worst signal of a group: root mean square error over its range, and the order."""
 
     def cell(row: SettingRun) -> str:
@@ -304,18 +276,18 @@ def nrmse(study: ConvergenceStudy, group: str) -> Text:
     return _text(study, f"{group}: worst NRMSE against {study.truth.title}; {ORDER}", cell)
 
 
-def maximum(study: ConvergenceStudy, group: str) -> Text:
+def maximum(study: ConvergenceStudy, group: str) -> TextTable:
     """The largest difference of a group at any instant, in the unit of a reader."""
-    unit = study.truth.groups[group][0].unit
+    unit = finer(study.truth.groups[group][0].unit).shown
 
     def cell(row: SettingRun) -> str:
         error = row.maximum(group)
-        return _short(f"{error.maximum * linear(error.unit, finer(unit), error.signal)[0]:.2g}")
+        return _short(f"{error.maximum * linear(error.unit, unit, error.signal)[0]:.2g}")
 
-    return _text(study, f"{group}: largest difference [{finer(unit) or '1'}] from {study.truth.title}", cell)
+    return _text(study, f"{group}: largest difference [{unit or '1'}] from {study.truth.title}", cell)
 
 
-def cost(study: ConvergenceStudy) -> Text:
+def cost(study: ConvergenceStudy) -> TextTable:
     """Wall time of the stable runs."""
     return _text(study, "wall time [ms] for each second simulated", _cost)
 
@@ -324,7 +296,7 @@ def _cost(row: SettingRun) -> str:
     return f"{1e3 * row.cost:.2g}"
 
 
-def own_steps(study: ConvergenceStudy) -> Text | None:
+def own_steps(study: ConvergenceStudy) -> TextTable | None:
     """Settings that choose their steps: a line for each case; None if there are none."""
     groups = list(study.truth.groups)
     lines = []
@@ -333,26 +305,23 @@ def own_steps(study: ConvergenceStudy) -> Text | None:
         known = (str(row.taken), f"{1e3 * row.mean_step:.3g} ms", *errors, _cell(row, _cost))
         lines.append((f"{row.setting.label} {row.case}", *known))
     head = ("master", "steps", "mean step", *groups, "wall [ms/s]")
-    return (
-        Text(f"steps of their own: worst NRMSE against {study.truth.title}", head, tuple(lines))
-        if lines
-        else None
-    )
+    title = f"steps of their own: worst NRMSE against {study.truth.title}"
+    return TextTable(head, lines, title=title, strong=STRONG) if lines else None
 
 
-def tables(study: ConvergenceStudy) -> list[Text]:
+def tables(study: ConvergenceStudy) -> list[TextTable]:
     """All tables of a study."""
     found = [*(nrmse(study, group) for group in study.truth.groups), cost(study), own_steps(study)]
     return [table for table in found if table]
 
 
-def _text(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str]) -> Text:
+def _text(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str]) -> TextTable:
     lines = []
     for setting in (setting for setting in study.settings if not setting.own):
         by_step = {row.step: row for row in study.of(setting)}
         cells = [_cell(by_step.get(step), cell) for step in study.steps]
         lines.append((setting.label, *cells))
-    return Text(title, ("master", *map(duration, study.steps)), tuple(lines))
+    return TextTable(["master", *map(duration, study.steps)], lines, title=title, strong=STRONG)
 
 
 def _cell(row: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
@@ -374,35 +343,6 @@ def ends(study: ConvergenceStudy) -> Iterator[str]:
         yield f"{setting.label}: {UNSTABLE} at {lost.case or duration(lost.step)}: {why}"
 
 
-def show(console: Console, text: Text) -> None:
-    """Print a table; a narrow terminal breaks lines, but no cell is cut."""
-    table = rich(text)
-    console.width = max(
-        console.width, Measurement.get(console, console.options.update(max_width=400), table).maximum
-    )
-    console.print(Words(text.title, "bold"), table, sep="\n")
-
-
-def rich(text: Text) -> Table:
-    """For the terminal, without its title."""
-    table = Table(box=SIMPLE_HEAD)
-    for place, heading in enumerate(text.head):
-        table.add_column(Words(heading), justify="right" if place else "left", no_wrap=True)
-    for line in text.lines:
-        table.add_row(*(Words(c, "red" if c in (UNSTABLE, REFUSED) else "") for c in line))
-    return table
-
-
-def markdown(text: Text) -> str:
-    """For a document; what is unstable stands out."""
-
-    def line(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(f"**{c}**" if c in (UNSTABLE, REFUSED) else c for c in cells) + " |"
-
-    rule = "|---|" + "--:|" * (len(text.head) - 1)
-    return "\n".join([line(text.head), rule, *map(line, text.lines)])
-
-
 DPI = 110
 
 
@@ -416,8 +356,7 @@ def write(study: ConvergenceStudy, folder: str | Path) -> list[Path]:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    text = json.dumps(data(study), indent=1, ensure_ascii=False)
-    numbers.write_text(text + "\n", encoding="utf-8", newline="\n")
+    write_json(numbers, data(study))
     pictures = {home / "convergence.png": draw_error(study), home / "work_precision.png": draw_work(study)}
     for path, figure in pictures.items():
         path.write_bytes(png(figure, DPI))
@@ -448,8 +387,8 @@ def _about(row: SettingRun) -> dict[str, Any]:
         "steps": row.taken,
         "simulated [s]": row.simulated,
         "stable": row.stable,
-        "wall [s]": _number(row.wall),
-        "wall per simulated [1]": _number(row.cost),
+        "wall [s]": plain(row.wall),
+        "wall per simulated [1]": plain(row.cost),
         "ended": row.ended or row.refused,
     }
 
@@ -458,10 +397,7 @@ def _row(study: ConvergenceStudy, row: SettingRun) -> dict[str, Any]:
     errors = {
         group: {
             "order": study.order(row, group),
-            "signals": {
-                e.signal: {"nrmse": _number(e.nrmse), "maximum": _number(e.maximum), "unit": e.unit}
-                for e in found
-            },
+            "signals": {e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in found},
         }
         for group, found in row.errors.items()
     }
@@ -479,8 +415,3 @@ def _flat(study: ConvergenceStudy, row: SettingRun) -> dict[str, Any]:
             f"{group} order": study.order(row, group),
         }
     return line
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no infinity."""
-    return value if math.isfinite(value) else None

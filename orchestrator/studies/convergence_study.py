@@ -26,7 +26,7 @@ from orchestrator.studies.convergence import (
     run_settings,
     usual,
 )
-from orchestrator.studies.convergence_report import duration, ends, show, tables, write
+from orchestrator.studies.convergence_report import duration, ends, tables, write
 
 OTHERS = ("scenario", "parameters", "set", "swap")  # with one of them the usual reference is of another run
 
@@ -118,7 +118,7 @@ def watched(rows: Iterable[SettingRun], total: int) -> Iterator[SettingRun]:
 def report(study: ConvergenceStudy, out: Path) -> None:
     """Print the tables and notes, write the files."""
     console = Console()
-    for text in tables(study):
-        show(console, text)
+    for table in tables(study):
+        table.print(console)
     lines = [*ends(study), *(f"note: {note}" for note in study.notes)]
     print("\n".join([*lines, "", *map(str, write(study, out))]))

@@ -83,9 +83,9 @@ def run(
     print(progress.text(results))
     print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
     if report:
-        from orchestrator.studies.report import page as reporting
+        from orchestrator.studies.report import study_page
 
-        print(f"report: {reporting.report(folder)}")
+        print(f"report: {study_page.report(folder)}")
     return bool((table["status"] != FAILED).any())
 
 

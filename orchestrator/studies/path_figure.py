@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
 
-from orchestrator.results.figures import PALETTE, frame
+from orchestrator.base.plotting import PALETTE, frame, handle, legend, new_figure
 from orchestrator.studies.path_following import Array, PathRun
 
-COLOURS = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f")  # of the machines
 WITH, WITHOUT = "-", (0, (3, 1.5))
 UPRIGHT = 0.05  # height over length of a path that rises
 STRAIGHT = 1e-3  # width over length, seen from above
@@ -26,9 +22,7 @@ def draw(runs: Sequence[PathRun]) -> Figure:
     """One row per path: from above, from the side, and the error over time."""
     paths = list(dict.fromkeys(r.path for r in runs))
     machines = list(dict.fromkeys(r.machine for r in runs))
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
-    figure = Figure(figsize=(14, 3.7 * len(paths) + 0.5), layout=layout)
-    FigureCanvasAgg(figure)
+    figure = new_figure(14, 3.7 * len(paths) + 0.5, w_pad=0.08, h_pad=0.08)
     axes = figure.subplots(len(paths), 3, squeeze=False, width_ratios=(1, 1, 1.4))
     for (left, middle, right), path in zip(axes, paths, strict=True):
         mine = [r for r in runs if r.path == path]
@@ -72,36 +66,31 @@ def _seen(
     names: tuple[str, str],
 ) -> None:
     """Both axes to the same scale."""
-    frame(axes)
+    frame(axes, *names, size=10)
     axes.plot(*view(runs[0].wanted), color=PALETTE.faint, linewidth=4, alpha=0.5)
     for run in runs:
         axes.plot(*view(run.tip), **_style(run, machines))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(names[0], color=PALETTE.ink)
-    axes.set_ylabel(names[1], color=PALETTE.ink)
 
 
 def _errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
     """On a logarithmic scale: with and without feedback are far apart."""
-    frame(axes)
+    frame(axes, y="distance to the commanded point [mm]", size=10)
     for run in runs:
         axes.semilogy(run.time, np.maximum(1e3 * run.error, LEAST / 10), **_style(run, machines))
     axes.set_ylim(LEAST, None)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
-    axes.tick_params(axis="y", which="minor", colors=PALETTE.ink, labelsize=8)
-    axes.set_ylabel("distance to the commanded point [mm]", color=PALETTE.ink)
 
 
 def _style(run: PathRun, machines: Sequence[str]) -> dict[str, Any]:
-    colour = COLOURS[machines.index(run.machine) % len(COLOURS)]
+    colour = PALETTE.line(machines.index(run.machine))
     return {"color": colour, "linewidth": 1.3, "linestyle": WITH if run.feedback else WITHOUT}
 
 
 def _legend(figure: Figure, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
-    handles = [Line2D([], [], color=PALETTE.faint, linewidth=4, alpha=0.5, label="path")]
-    for colour, machine in zip(COLOURS, machines, strict=False):
-        handles.append(Line2D([], [], color=colour, linewidth=1.3, label=machine))
+    handles = [handle("path", color=PALETTE.faint, linewidth=4, alpha=0.5)]
+    handles += [handle(name, color=PALETTE.line(k), linewidth=1.3) for k, name in enumerate(machines)]
     if any(not r.feedback for r in runs):
-        handles.append(Line2D([], [], color=PALETTE.ink, linestyle=WITHOUT, label="without feedback"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, labelcolor=PALETTE.ink)
+        handles.append(handle("without feedback", color=PALETTE.ink, linestyle=WITHOUT))
+    legend(figure, handles=handles, loc="outside upper center", ncols=5, fontsize=10)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder
-from orchestrator.results.figures import png
+from orchestrator.base.page import write_json
+from orchestrator.base.plotting import png
 from orchestrator.ssp.load import load
 from orchestrator.studies.path_figure import draw
 from orchestrator.studies.path_following import (
@@ -70,9 +70,7 @@ def track(
     figure, numbers = out / "tracking.png", out / "tracking.json"
     print(text(runs))
     figure.write_bytes(png(draw(runs)))
-    numbers.write_text(
-        json.dumps(data(runs), indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n"
-    )
+    write_json(numbers, data(runs))
     print(figure, numbers)
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
     for r in beyond:

@@ -14,8 +14,8 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
+from orchestrator.base.text import TextTable, display_unit
 from orchestrator.studies.analysis.results import alike
-from orchestrator.studies.report.quantities import factor, seen
 from orchestrator.studies.single_run import EARLY, FAILED, OK, Row
 from orchestrator.studies.store import Results
 
@@ -113,19 +113,13 @@ def text(results: Results) -> str:
 
 
 def _outputs(results: Results) -> list[str]:
-    rows = [("output", "minimum", "mean", "maximum", "unit")]
+    rows = []
     for output in results.study.outputs:
         column = results.table[output.column]
-        unit = seen(output.unit, column.abs().max())
-        low, mean, high = (f"{v * factor(unit):.5g}" for v in (column.min(), column.mean(), column.max()))
-        rows.append((output.name, low, mean, high, unit.shown))
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in (1, 2, 3)), row[4]],
-        ).rstrip()
-        for row in rows
-    ]
+        unit = display_unit(output.unit, column.abs().max())
+        values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
+        rows.append((output.name, *values, unit.shown))
+    return TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
 
 
 def _reasons(results: Results) -> list[str]:

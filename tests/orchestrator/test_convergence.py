@@ -22,7 +22,7 @@ from orchestrator.studies.convergence import (
     rates,
     run_settings,
 )
-from orchestrator.studies.convergence_report import UNSTABLE, ends, markdown, nrmse, own_steps
+from orchestrator.studies.convergence_report import UNSTABLE, ends, nrmse, own_steps
 
 SSD = """<SystemStructureDescription version="1.0" name="two"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="two"><Elements>
@@ -85,7 +85,7 @@ def test_orders_of_convergence(moving, truth, label):
     found = ConvergenceStudy(truth, rows)
     # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
     assert found.order(rows[1], "position") == pytest.approx(ORDERS[label], abs=0.2)
-    (line,) = nrmse(found, "position").lines
+    (line,) = nrmse(found, "position").rows
     assert line[0] == label
     assert float(line[2].split()[1]) == pytest.approx(ORDERS[label], abs=0.2)  # the same, printed
 
@@ -103,8 +103,8 @@ def test_runs_that_leave_the_truth_are_unstable(moving, truth):
     rows = tuple(run_settings(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
     found = ConvergenceStudy(truth, rows)
     assert [row.stable for row in rows] == [True, False]
-    assert nrmse(found, "position").lines[0][2] == UNSTABLE
-    assert f"**{UNSTABLE}**" in markdown(nrmse(found, "position"))
+    assert nrmse(found, "position").rows[0][2] == UNSTABLE
+    assert f"**{UNSTABLE}**" in nrmse(found, "position").markdown()
     (told,) = ends(found)
     assert told.startswith("jacobi order 2: unstable at 50 ms: ran to the end")
     assert found.order(rows[1], "position") is None
@@ -151,10 +151,10 @@ def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, 
     own = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
     chosen = [Setting("free", Coupling("jacobi"), own=own), *choose(["jacobi order 0"])]
     found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
-    assert len(nrmse(found, "position").lines) == 1
+    assert len(nrmse(found, "position").rows) == 1
     table = own_steps(found)
-    assert [line[0] for line in table.lines] == ["free coarse", "free fine"]
-    assert [line[1:3] for line in table.lines] == [("200", "5 ms")] * 2
+    assert [line[0] for line in table.rows] == ["free coarse", "free fine"]
+    assert [line[1:3] for line in table.rows] == [("200", "5 ms")] * 2
     assert found.rows[1].error("position") < found.rows[2].error("position")  # order 1 is better than 0
     assert own_steps(ConvergenceStudy(truth, tuple(row for row in found.rows if not row.case))) is None
 

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
+from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
 from orchestrator.studies.analysis.wording import sentences
-from orchestrator.studies.report.quantities import number, told
 from orchestrator.studies.study import Choice
 
 THREE = [uniform(f"x{i}", 0.0, 1.0) for i in range(3)]
@@ -46,7 +46,7 @@ def test_a_small_sample_of_a_bent_function_is_refused() -> None:
     found = finding(results(ishigami, ISHIGAMI, "latin", 60))
     assert found.sensitivity is not None
     assert not found.sensitivity.reliable
-    assert sentences(found)[0].startswith("What moves peak most cannot be told from 60 samples")
+    assert sentences(found)[0].startswith("What moves peak most cannot be found from 60 samples")
 
 
 def test_the_sentence_names_the_factor_its_share_and_the_direction() -> None:
@@ -61,14 +61,14 @@ def test_no_factor_stands_out_when_all_do_the_same() -> None:
     """Equal factors are not put in an order."""
     said = sentences(finding(results(lambda x: x["x1"] + x["x2"] + x["x3"], UNIT, "saltelli", 64)))
     assert said[0].startswith("No factor stands out for peak")
-    assert "2 more cannot be told apart from it" in said[0]
+    assert "2 more cannot be distinguished from it" in said[0]
 
 
 def test_two_that_cannot_be_told_apart_are_named_together() -> None:
     """Two leaders with intervals that overlap: neither is called the first."""
     said = sentences(finding(results(lambda x: x["x1"] + 1.02 * x["x2"], UNIT, "saltelli", 64)))
     assert said[0].startswith("peak moves most with x")
-    assert said[0].endswith("which of them more these runs do not tell.")
+    assert said[0].endswith("these runs do not show which of them moves it more.")
 
 
 def test_what_acts_together_is_told() -> None:
@@ -124,11 +124,11 @@ def test_nothing_is_said_when_all_runs_failed() -> None:
 
 def test_numbers_are_read_in_usual_units() -> None:
     """bar for Pa, L/min for m3/s, powers of ten raised, pure numbers without a unit."""
-    assert told(2.0684e7, "Pa") == "207 bar"
-    assert told(1e-3, "m3/s") == "60 L/min"
-    assert told(9.38e-13, "m3/Pa") == "0.0938 cm³/bar"
-    assert told(0.62, "1") == "0.62"
-    assert number(-0.5) == "\N{MINUS SIGN}0.5"
+    assert display_unit("Pa").text(2.0684e7) == "207 bar"
+    assert display_unit("m3/s").text(1e-3) == "60 L/min"
+    assert display_unit("m3/(s.V)").text(9.38e-13) == "9.38·10⁻¹³ m³/(s·V)"
+    assert display_unit("1").text(0.62) == "0.62"
+    assert display_unit("1").text(-0.5) == "\N{MINUS SIGN}0.5"
 
 
 def test_points_of_sobol_do_not_lend_one_factor_the_effect_of_another() -> None:

@@ -14,10 +14,11 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results, uniform
 
+from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.wording import sentences
-from orchestrator.studies.report.page import NUMBERS, PAGE, write
-from orchestrator.studies.report.plots import bands, medians, quantiles
+from orchestrator.studies.report.study_figures import bands, medians, quantiles
+from orchestrator.studies.report.study_page import NUMBERS, PAGE, write
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor
 
@@ -140,7 +141,7 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
     """Median, area and dashed lines in bar, over all runs and by option, where some runs failed."""
     found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=_some)
     assert found.bands is not None
-    axes = bands(found, "part.pressure", "Pa", choice).axes[0]
+    axes = bands(found, "part.pressure", display_unit("Pa"), choice).axes[0]
     ended = found.bands.merge(found.table[found.table["status"] == "ok"], on="run")
     groups = [ended] if choice is None else [ended[ended[choice.column] == o] for o in choice.options]
     quantiles = [

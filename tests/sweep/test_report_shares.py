@@ -9,8 +9,8 @@ import pytest
 from sweep.synthetic import Columns, effects, finding, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.report.page import PAGE, write
-from orchestrator.studies.report.plots import tornado
+from orchestrator.studies.report.study_figures import tornado
+from orchestrator.studies.report.study_page import PAGE, write
 from orchestrator.studies.study import Choice
 
 TWO = Choice("swing", ("lumped", "detailed"))

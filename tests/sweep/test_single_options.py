@@ -11,7 +11,7 @@ from sweep.synthetic import ishigami, results, uniform
 
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.report.page import NUMBERS, PAGE, write
+from orchestrator.studies.report.study_page import NUMBERS, PAGE, write
 from orchestrator.studies.study import Choice, Factor
 
 POSE = Choice("parameters", ("reach",))

@@ -8,7 +8,7 @@ import pytest
 from sweep.studies import run
 
 from orchestrator.studies import study_file
-from orchestrator.studies.report import page
+from orchestrator.studies.report import study_page
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
@@ -35,7 +35,7 @@ def test_the_small_study_runs_as_it_stands(fmu_dir, tmp_path, one):
     assert runs == [0, 1, 2, 3]
     assert (results.table["status"] == "ok").all()
     assert results.table["output:peak"].between(1e6, 2.07e7).all()
-    assert page.report(tmp_path / "out").exists()
+    assert study_page.report(tmp_path / "out").exists()
 
 
 def test_the_short_scenario_leaves_the_machine_at_rest(fmu_dir, tmp_path, one):

@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.studies import study_file
 from orchestrator.studies.parameter_study import Where, sweep
-from orchestrator.studies.report import page
+from orchestrator.studies.report import study_page
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
 
@@ -47,6 +47,6 @@ def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> No
     results = sweep(file, tmp_path / "out", Where(workers=1))
     assert (results.table["status"] == "ok").all()
     assert results.table["output:start_left"].between(1e6, 2.07e7).all()
-    assert page.report(tmp_path / "out").exists()
-    numbers = json.loads((tmp_path / "out" / page.NUMBERS).read_text("utf-8"))
-    assert numbers["sentences"]["start_left"][0].startswith("What moves start_left cannot be told")
+    assert study_page.report(tmp_path / "out").exists()
+    numbers = json.loads((tmp_path / "out" / study_page.NUMBERS).read_text("utf-8"))
+    assert numbers["sentences"]["start_left"][0].startswith("What moves start_left cannot be found")

@@ -12,7 +12,7 @@ from sweep.synthetic import ISHIGAMI, ishigami, results
 from orchestrator.studies import progress
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import alike
-from orchestrator.studies.report.page import PAGE, write
+from orchestrator.studies.report.study_page import PAGE, write
 from orchestrator.studies.store import Results
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from sweep.synthetic import finding, results, uniform
 
+from orchestrator.base.text import display_unit
 from orchestrator.studies import progress
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.wording import sentences
-from orchestrator.studies.report.page import NUMBERS, PAGE, words, write
-from orchestrator.studies.report.plots import scatter
-from orchestrator.studies.report.quantities import display, factor, seen
+from orchestrator.studies.report.study_figures import scatter
+from orchestrator.studies.report.study_page import NUMBERS, PAGE, factor_words, write
 
 SPACE = (uniform("x1", 0.0, 1.0), uniform("x2", 0.0, 1.0))
 
@@ -36,9 +36,9 @@ def test_the_unit_follows_from_the_largest_number(
     unit: str, largest: float, shown: str, scale: float
 ) -> None:
     """mm and mm/s where all is small, else the units of all other reports."""
-    own = seen(unit, largest)
-    assert display(own) == shown
-    assert factor(own) == pytest.approx(scale, rel=1e-15)  # rounding
+    own = display_unit(unit, largest)
+    assert own.name == shown
+    assert own.factor == pytest.approx(scale, rel=1e-15)  # rounding
 
 
 @pytest.mark.parametrize("method", ["saltelli", "morris", "latin"])
@@ -64,8 +64,8 @@ def test_one_large_number_keeps_all_in_metres() -> None:
 
 def test_a_factor_is_told_in_one_unit_too() -> None:
     """By the largest number of its distribution."""
-    assert words(uniform("bore", 0.001, 0.05)) == "1 to 50 mm"
-    assert words(uniform("bore", 0.001, 0.5)) == "0.001 to 0.5 m"
+    assert factor_words(uniform("bore", 0.001, 0.05)) == "1 to 50 mm"
+    assert factor_words(uniform("bore", 0.001, 0.5)) == "0.001 to 0.5 m"
 
 
 def test_the_command_line_prints_bar() -> None:

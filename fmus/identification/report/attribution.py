@@ -1,13 +1,7 @@
-"""Which part of a residual r the columns of d explain: sums of squares, alone and together.
-
-r has shape (n,), d shape (n, m): a column for each effect.
-
-Residuals of several signals as one column, each over its own size.
-
-Which effect a residual shows.
+"""Which effect a residual shows: what each variant of a part would change, compared with the residual.
 
 The residual r(t) = measured - predicted of all signals, each over its own root mean square, is regressed on
-what each effect would change, d_k(t) of `effects`:
+what each effect would change in the identified machine, d_k(t) = y(t; variant k) - y(t; the usual machine):
 
     r = sum_k c_k d_k + sum_j b_j dy/dp_j + e        c_k >= 0
 
@@ -15,14 +9,6 @@ The identified parameters p_j may take what they can: a fit without the effect h
 c_k = 1 means an effect as strong as the numbers of the variant say. A share is that of the residual's sum of
 squares. Alone: only effect k is there. Together: the mean over all orders in which effects can be added
 [Shapley value; Lindeman, Merenda and Gold 1980], so that the shares add up to what all of them explain.
-
-What each effect that a variant of a part has would change in the signals of the identified machine.
-
-    d_k(t) = y(t; variant k, identified numbers) - y(t; the usual machine, identified numbers)
-
-`attribution` compares these changes with a residual.
-
-What an attribution says, in whole sentences for whoever ran the test.
 """
 
 from __future__ import annotations
@@ -34,14 +20,165 @@ from math import factorial
 
 import numpy as np
 import statsmodels.api as sm
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fmus.identification.report.prediction import Array as Array_of_prediction
-from fmus.identification.report.prediction import Drive, Signals, predict
+from fmus.identification.report.prediction import Array, Drive, Signals, predict
 from orchestrator.base.errors import Problem
 
-Array = NDArray[np.float64]
+# effect -> the variants that have it
+EFFECTS: Mapping[str, Mapping[str, str]] = {
+    "swinging head": {"manipulator": "pendulum"},
+    "dry friction": {"manipulator": "friction"},
+    "hose walls, air and spools of boom and stick": {"boom_stick": "detailed"},
+    "hose walls, air and spool of the swing": {"swing": "detailed"},
+    "pump and engine": {"supply": "engine_pump"},
+}
+STEP = 1e-3  # relative, of finite differences: errors of the solver are 1e5 times smaller
+ABOVE_NOISE = 1.5  # times the sensor's noise: a residual below shows nothing
+MEMORY = 0.5  # s: over which neighbouring samples of a residual are taken to depend on each other
+LEAST = 0.2  # share from which an effect is reported
+CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be distinguished from it
+SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
+
+
+def shown(given: Drive) -> dict[str, Mapping[str, str]]:
+    """The effects that a prediction can miss: where the supply pressure was measured, its cause is in it."""
+    measured = given.supply_pressure is not None
+    return {name: swap for name, swap in EFFECTS.items() if not (measured and "supply" in swap)}
+
+
+def changes(given: Drive, numbers: Mapping[str, float]) -> dict[str, dict[str, Array]]:
+    """What each effect would change in every signal of the machine."""
+    usual = predict(given, numbers)
+    return {name: _difference(predict(given, numbers, swap), usual) for name, swap in shown(given).items()}
+
+
+def slopes(given: Drive, numbers: Mapping[str, float], names: Iterable[str]) -> dict[str, dict[str, Array]]:
+    """What each parameter would change, by finite differences: one `STEP` of its value.
+
+    A name without its part means the numbers of all parts that have it.
+    """
+    usual, found = predict(given, numbers), {}
+    for name in names:
+        own = {key: (1 + STEP) * v for key, v in numbers.items() if name in (key, key.partition(".")[2])}
+        if not own:
+            raise Problem(f"{name}: expected its number among those of the machine")
+        found[name] = _difference(predict(given, {**numbers, **own}), usual)
+    return found
+
+
+def _difference(one: Signals, other: Signals) -> dict[str, Array]:
+    return {name: one[name] - other[name] for name in other if name in one}
+
+
+@dataclass(frozen=True)
+class EffectShare:
+    """What one effect explains, as shares of the residual's sum of squares.
+
+    coefficient, low, high   how strong it is, 1 as in the variant, with its 95 % interval
+    signals                  share alone, by signal, of what the parameters leave
+    """
+
+    effect: str
+    alone: float
+    together: float
+    coefficient: float
+    low: float
+    high: float
+    signals: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Which effects a residual shows.
+
+    shares      largest alone first
+    together    share that all effects explain
+    parameters  share that other values of the identified parameters would take
+    noise       share that is noise of the sensors
+    quiet       signals left out, because their residual is not above the noise
+    verdict     all this in words
+    """
+
+    shares: tuple[EffectShare, ...]
+    together: float
+    parameters: float
+    noise: float
+    signals: tuple[str, ...]
+    quiet: tuple[str, ...]
+    verdict: str
+
+    @property
+    def effect(self) -> str:
+        """The effect that the residual shows, empty if it shows none."""
+        return self.shares[0].effect if self.shares and self.shares[0].alone >= LEAST else ""
+
+
+def explain(
+    residual: Signals,
+    effects: Mapping[str, Signals],
+    *,
+    step: float,
+    noise: Mapping[str, float] | None = None,
+    absorbed: Mapping[str, Signals] | None = None,
+    small: Mapping[str, float] | None = None,
+) -> Explanation:
+    """Which effects the residual shows.
+
+    residual   measured - predicted by signal, shape (n,); NaN where there is no sample
+    effects    what each effect would change
+    step       sample time [s]
+    noise      standard deviation of a sample of each signal's sensor
+    absorbed   what each identified parameter would change
+    small      root mean square of each signal's residual up to which it is good enough to be left alone
+    """
+    noise, small = noise or {}, small or {}
+    size = {name: rms(values) for name, values in residual.items()}
+    used = [n for n in residual if size[n] > max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0))]
+    quiet = tuple(n for n in residual if n not in used)
+    if not used:
+        only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
+        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing(only_small))
+    known = {n: np.isfinite(residual[n]) for n in used}
+
+    def column(signals: Signals) -> Array:
+        """Signals under each other, each over its size; those with many samples count as much as others."""
+        weights = {n: 1 / (size[n] * np.sqrt(known[n].sum())) for n in used}
+        return np.concatenate(
+            [weights[n] * (signals[n] if n in signals else 0 * residual[n])[known[n]] for n in used]
+        )
+
+    r = column(residual)
+    d = np.column_stack([column(change) for change in effects.values()])
+    whole = float(r @ r)
+    ends = np.cumsum([0, *(int(known[n].sum()) for n in used)])
+    ranges = {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
+    if absorbed:
+        slope = np.column_stack([column(change) for change in absorbed.values()])
+        r, d = without(slope, r), without(slope, d)
+    parameters = 1 - float(r @ r) / whole
+    part = explained(d, r) / whole
+    joint = shapley(part, len(effects))
+    shares = [
+        EffectShare(
+            name,
+            float(part[1 << k]),
+            joint[k],
+            *coefficient(d[:, k], r, round(MEMORY / step)),
+            by_signal(d[:, k], r, ranges),
+        )
+        for k, name in enumerate(effects)
+    ]
+    ordered = tuple(sorted(shares, key=lambda s: -s.alone))
+    noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
+    text = verdict(ordered, float(part[-1]), parameters, noisy)
+    return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, text)
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the samples that are there."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
 
 
 def without(slope: Array, values: Array) -> Array:
@@ -100,176 +237,6 @@ def by_signal(d: Array, r: Array, rows: Mapping[str, slice]) -> dict[str, float]
     return found
 
 
-def rms(values: Array_of_prediction) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
-
-
-def rows(residual: Signals, used: Sequence[str]) -> dict[str, slice]:
-    """Where each signal stands in the stacked rows."""
-    ends = np.cumsum([0, *(int(np.isfinite(residual[n]).sum()) for n in used)])
-    return {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
-
-
-def stack(
-    values: Signals, residual: Signals, size: Mapping[str, float], used: Sequence[str]
-) -> Array_of_prediction:
-    """Signals under each other, each over the size of its residual; a signal that is not there is zero.
-
-    Signals with many samples count as much as those with few.
-    """
-    pieces = []
-    for n in used:
-        known = np.isfinite(residual[n])
-        weight = 1 / (size[n] * np.sqrt(known.sum()))
-        pieces.append(values[n][known] * weight if n in values else np.zeros(int(known.sum())))
-    return np.concatenate(pieces)
-
-
-ABOVE_NOISE = 1.5  # times the sensor's noise: a residual below shows nothing
-MEMORY = 0.5  # s: over which neighbouring samples of a residual are taken to depend on each other
-
-
-@dataclass(frozen=True)
-class Share:
-    """What one effect explains, as shares of the residual's sum of squares.
-
-    coefficient, low, high   how strong it is, 1 as in the variant, with its 95 % interval
-    signals                  share alone, by signal, of what the parameters leave
-    """
-
-    effect: str
-    alone: float
-    together: float
-    coefficient: float
-    low: float
-    high: float
-    signals: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Which effects a residual shows.
-
-    shares      largest alone first
-    together    share that all effects explain
-    parameters  share that other values of the identified parameters would take
-    noise       share that is noise of the sensors
-    quiet       signals left out, because their residual is not above the noise
-    verdict     all this in words
-    """
-
-    shares: tuple[Share, ...]
-    together: float
-    parameters: float
-    noise: float
-    signals: tuple[str, ...]
-    quiet: tuple[str, ...]
-    verdict: str
-
-    @property
-    def named(self) -> str:
-        """The effect that the residual shows, empty if it shows none."""
-        return self.shares[0].effect if self.shares and self.shares[0].alone >= LEAST else ""
-
-
-def explain(
-    residual: Signals,
-    effects: Mapping[str, Signals],
-    *,
-    step: float,
-    noise: Mapping[str, float] | None = None,
-    absorbed: Mapping[str, Signals] | None = None,
-    small: Mapping[str, float] | None = None,
-) -> Explanation:
-    """Which effects the residual shows.
-
-    residual   measured - predicted by signal, shape (n,); NaN where there is no sample
-    effects    what each effect would change
-    step       sample time [s]
-    noise      standard deviation of a sample of each signal's sensor
-    absorbed   what each identified parameter would change
-    small      root mean square of each signal's residual up to which it is good enough to be left alone
-    """
-    noise, small = noise or {}, small or {}
-    size = {name: rms(values) for name, values in residual.items()}
-    used = [n for n in residual if size[n] > max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0))]
-    quiet = tuple(n for n in residual if n not in used)
-    if not used:
-        only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
-        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing(only_small))
-    r = stack({n: residual[n] for n in used}, residual, size, used)
-    d = np.column_stack([stack(change, residual, size, used) for change in effects.values()])
-    whole = float(r @ r)
-    ranges = rows(residual, used)
-    if absorbed:
-        slope = np.column_stack([stack(change, residual, size, used) for change in absorbed.values()])
-        r, d = without(slope, r), without(slope, d)
-    parameters = 1 - float(r @ r) / whole
-    part = explained(d, r) / whole
-    alone = [float(part[1 << k]) for k in range(len(effects))]
-    joint = shapley(part, len(effects))
-    fits = [coefficient(d[:, k], r, round(MEMORY / step)) for k in range(len(effects))]
-    found = tuple(
-        Share(name, alone[k], joint[k], *fits[k], by_signal(d[:, k], r, ranges))
-        for k, name in enumerate(effects)
-    )
-    ordered = tuple(sorted(found, key=lambda s: -s.alone))
-    noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    told = verdict(ordered, float(part[-1]), parameters, noisy)
-    return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, told)
-
-
-# effect -> the variants that have it
-EFFECTS: Mapping[str, Mapping[str, str]] = {
-    "swinging head": {"manipulator": "pendulum"},
-    "dry friction": {"manipulator": "friction"},
-    "hose walls, air and spools of boom and stick": {"boom_stick": "detailed"},
-    "hose walls, air and spool of the swing": {"swing": "detailed"},
-    "pump and engine": {"supply": "engine_pump"},
-}
-STEP = 1e-3  # relative, of finite differences: errors of the solver are 1e5 times smaller
-
-
-def shown(given: Drive) -> dict[str, Mapping[str, str]]:
-    """The effects that a prediction can miss: where the supply pressure was measured, its cause is in it."""
-    measured = given.supply_pressure is not None
-    return {name: swap for name, swap in EFFECTS.items() if not (measured and "supply" in swap)}
-
-
-def changes(given: Drive, numbers: Mapping[str, float]) -> dict[str, dict[str, Array_of_prediction]]:
-    """What each effect would change in every signal of the machine."""
-    usual = predict(given, numbers)
-    return {name: _difference(predict(given, numbers, swap), usual) for name, swap in shown(given).items()}
-
-
-def slopes(
-    given: Drive, numbers: Mapping[str, float], names: Iterable[str]
-) -> dict[str, dict[str, Array_of_prediction]]:
-    """What each parameter would change, by finite differences: one `STEP` of its value.
-
-    A name without its part means the numbers of all parts that have it.
-    """
-    usual = predict(given, numbers)
-    return {name: _difference(predict(given, _moved(numbers, name)), usual) for name in names}
-
-
-def _moved(numbers: Mapping[str, float], name: str) -> dict[str, float]:
-    own = [key for key in numbers if name in (key, key.partition(".")[2])]
-    if not own:
-        raise Problem(f"{name}: expected its number among those of the machine")
-    return {key: value * (1 + STEP) if key in own else value for key, value in numbers.items()}
-
-
-def _difference(one: Signals, other: Signals) -> dict[str, Array_of_prediction]:
-    return {name: one[name] - other[name] for name in other if name in one}
-
-
-LEAST = 0.2  # share from which an effect is named
-CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be told from it
-SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
-
-
 def nothing(small: bool) -> str:
     """No signal has a residual worth an explanation; `small`: some are just small, not within the noise."""
     to = f" or to {100 * SMALL:g} % of its range" if small else ""
@@ -279,39 +246,34 @@ def nothing(small: bool) -> str:
     )
 
 
-def verdict(found: Sequence[Share], together: float, parameters: float, noise: float) -> str:
-    """Shares as in `Explanation`, largest alone first."""
+def verdict(found: Sequence[EffectShare], together: float, parameters: float, noise: float) -> str:
+    """The explanation in whole sentences; shares as in `Explanation`, largest alone first."""
     first = found[0]
     if first.alone < LEAST:
-        told = (
+        text = (
             f"None of the effects below explains what the prediction misses: the largest share is "
             f"{_percent(first.alone)} ({first.effect}), all of them together explain {_percent(together)}."
         )
     else:
-        told = (
+        text = (
             f"The residual shows one effect most: {first.effect}, {_percent(first.alone)} of it, "
             f"{first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {_percent(together)}."
         )
         close = [s.effect for s in found[1:] if s.alone >= CLOSE * first.alone]
         if close:
-            told += f" The data hardly tell it from {' and '.join(close)}."
-    return told + _rest(together, parameters, noise)
-
-
-def _rest(together: float, parameters: float, noise: float) -> str:
-    """Where what the effects do not explain is from."""
-    told, left = "", 1 - together - parameters - noise
+            text += f" The data hardly distinguish it from {' and '.join(close)}."
+    left = 1 - together - parameters - noise
     if parameters > LEAST / 2:
-        told += (
+        text += (
             f" {_percent(parameters)} would go if the identified parameters had slightly other values: that "
             "part is their uncertainty, or an effect that looks like it."
         )
     if noise > LEAST / 2:
-        told += f" {_percent(noise)} is noise of the sensors."
+        text += f" {_percent(noise)} is noise of the sensors."
     if left > LEAST / 2:
-        told += f" The other {_percent(left)} has a cause that is not in the list."
-    return told
+        text += f" The other {_percent(left)} has a cause that is not in the list."
+    return text
 
 
 def _percent(share: float) -> str:

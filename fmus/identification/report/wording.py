@@ -1,9 +1,4 @@
-"""Numbers as a reader sees them: display units, as many digits as the interval bears.
-
-What makes the numbers of a refinement doubtful, for the top of the page and for the terminal.
-
-What stands below a figure: what it shows, the paper's figure, and where the data come from.
-"""
+"""What the report of an identification says: values with the digits of their interval, doubts, captions."""
 
 from __future__ import annotations
 
@@ -14,39 +9,26 @@ import numpy as np
 
 from fmus.identification.known import Estimate, Finding
 from fmus.identification.refinement.result import Refined
-from fmus.identification.report.panels import pretty, raised
-from orchestrator.base.units import display
+from orchestrator.base import text
+from orchestrator.base.text import DASH, display_unit, sentences, typeset
 
-NONE = "–"  # noqa: RUF001
-WIDE = 0.5  # of a value: an interval with a larger half is told as a factor
+WIDE = 0.5  # of a value: an interval with a larger half is shown as a factor
 FACTOR = "\N{MULTIPLICATION SIGN}÷"
-MINUS = "\N{MINUS SIGN}"
 
 
 def unit(name: str) -> str:
-    """The display unit; nothing for a pure number."""
-    shown = (display(name) or (name, 1.0))[0]
-    return "" if shown == "1" else pretty(shown)
+    """The display unit as print has it; nothing for a pure number."""
+    return display_unit(name).name
 
 
 def in_unit(value: float, name: str) -> float:
     """A value in SI in the display unit."""
-    return value * (display(name) or (name, 1.0))[1]
+    return display_unit(name).factor * value
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with a few significant digits; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return NONE
-    if value == 0:
-        return "0"
-    rounded = float(f"{value:.{digits - 1}e}")
-    exponent = math.floor(math.log10(abs(rounded)))
-    if -4 <= exponent < 6:
-        text = f"{rounded:.{max(0, digits - 1 - exponent)}f}"
-    else:
-        text = f"{rounded / 10.0**exponent:.{digits - 1}f}·10{raised(str(exponent))}"
-    return text.replace("-", MINUS)
+    """A number with significant digits as print has it; a dash where there is none."""
+    return typeset(text.number(value, digits, zeros=True))
 
 
 def digits(estimate: Estimate) -> int:
@@ -74,17 +56,15 @@ def _aligned(end: float, estimate: Estimate) -> str:
         return "open"
     if not math.isfinite(end) or not end or not estimate.value:
         return number(end)
-    shift = math.floor(math.log10(abs(in_unit(estimate.value, estimate.unit)))) - math.floor(
-        math.log10(abs(end))
-    )
-    return number(end, max(1, digits(estimate) - shift))
+    sizes = (math.floor(math.log10(abs(x))) for x in (in_unit(estimate.value, estimate.unit), end))
+    return number(end, max(1, digits(estimate) - next(sizes) + next(sizes)))
 
 
 def spread(estimate: Estimate) -> str:
     """Half the interval over the value; a factor where the interval is wide and lies on one side of zero."""
     half, value = (estimate.high - estimate.low) / 2, estimate.value
     if not value or not math.isfinite(half):
-        return NONE
+        return DASH
     if estimate.low * estimate.high > 0 and half > WIDE * abs(value):
         ratio = estimate.high / estimate.low
         return f"{FACTOR} {number(math.sqrt(max(ratio, 1 / ratio)), 2)}"
@@ -95,13 +75,13 @@ def share(value: float | None, digits: int = 2) -> str:
     """A pure number as percent; what only rounding made is zero."""
     if value is not None and abs(value) < 1e-9:
         return "0 %"
-    return NONE if value is None or not math.isfinite(value) else f"{number(100 * value, digits)} %"
+    return typeset(text.share(value, digits, zeros=True))
 
 
 def change(now: float, before: float | None) -> str:
     """How far a value is from the one before."""
     if before is None or before == 0:
-        return NONE
+        return DASH
     found = 100 * (now / before - 1)
     return f"{'+' if found > 0 else ''}{number(found, 2)} %"
 
@@ -134,12 +114,10 @@ def warnings(
         found.append(f"At a bound, so not identified: {ended}.")
     poor = {name: share for name, share in _shares(refined).items() if share > POOR}
     if poor:
-        told = ", ".join(
-            f"{signals.get(n, n)} {_percent(poor[n])}" for n in sorted(poor, key=lambda n: -poor[n])
-        )
+        worst = sorted(poor, key=lambda name: -poor[name])
         found.append(
             f"The model does not follow even the recordings it was fitted to; above {_percent(POOR)} of the "
-            f"range (NRMSE): {told}."
+            f"range (NRMSE): {', '.join(f'{signals.get(n, n)} {_percent(poor[n])}' for n in worst)}."
         )
     return [*found, CHECK] if found else []
 
@@ -196,9 +174,3 @@ def footer(number: int, kinds: Iterable[str]) -> str:
 def caption(finding: Finding, kinds: Iterable[str]) -> str:
     """One paragraph: title, origin of the data, the paper's figure."""
     return sentences(finding.title, origin(kinds), counterpart(finding.figure))
-
-
-def sentences(*parts: str) -> str:
-    """Parts as sentences, empty ones left out."""
-    found = [part.strip().rstrip(".") for part in parts if part.strip()]
-    return " ".join(f"{part[0].upper()}{part[1:]}." for part in found)

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies.report.quantities import Seen, seen
+from orchestrator.base.text import DisplayUnit, display_unit
 from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
@@ -150,10 +150,10 @@ class Finding:
     notes: tuple[str, ...] = ()
 
     @property
-    def seen(self) -> Seen:
+    def display(self) -> DisplayUnit:
         """The unit for a reader, of all numbers alike."""
         largest = max(abs(self.spread.minimum), abs(self.spread.maximum)) if self.spread else math.inf
-        return seen(self.unit, largest)
+        return display_unit(self.unit, largest)
 
 
 @dataclass(frozen=True)

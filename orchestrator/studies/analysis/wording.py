@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from orchestrator.base.text import DisplayUnit, listed
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -13,7 +14,6 @@ from orchestrator.studies.analysis.results import (
     Sensitivity,
     short,
 )
-from orchestrator.studies.report.quantities import Unit, told
 
 MEASURES = {
     "maximum": "maximum",
@@ -26,10 +26,10 @@ MEASURES = {
     "time_of_maximum": "time of the maximum",
 }
 SHARES = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
-NOTICEABLE = 0.05  # share of the variance, or of the largest mu*, below which a factor is not named
-TOGETHER = 0.1  # share that factors must move together before it is told
-CLEAR = 0.3  # rank correlation above which a direction is told
-MANY = 3  # factors that cannot be told apart from the first; with more of them none stands out
+NOTICEABLE = 0.05  # share of the variance, or of the largest mu*, below which a factor is not mentioned
+TOGETHER = 0.1  # share that factors must move together before it is reported
+CLEAR = 0.3  # rank correlation above which a direction is reported
+MANY = 3  # factors that cannot be distinguished from the first; with more of them none stands out
 
 
 def what(finding: Finding) -> str:
@@ -47,12 +47,12 @@ def sentences(finding: Finding) -> list[str]:
         return [f"No run has {finding.name}."]
     spread = finding.spread
     if finding.constant:
-        value = told(spread.median, finding.seen)
+        value = finding.display.text(spread.median)
         return [f"{finding.name} is {value} in all {spread.runs} runs: nothing moves it."]
-    ends = f"{told(spread.low, finding.seen)} and {told(spread.high, finding.seen)}"
-    where = f"Nine of ten runs lie between {ends}; the median is {told(spread.median, finding.seen)}."
+    ends = f"{finding.display.text(spread.low)} and {finding.display.text(spread.high)}"
+    where = f"Nine of ten runs lie between {ends}; the median is {finding.display.text(spread.median)}."
     if finding.sensitivity is None:
-        return [f"What moves {finding.name} cannot be told: {'; '.join(finding.notes)}.", where]
+        return [f"What moves {finding.name} cannot be found: {'; '.join(finding.notes)}.", where]
     return [*_answer(finding, finding.sensitivity), where]
 
 
@@ -60,7 +60,7 @@ def _answer(finding: Finding, sensitivity: Sensitivity) -> list[str]:
     if not sensitivity.reliable:
         fit = 100 * sensitivity.quality.get("r_squared", 0.0)
         return [
-            f"What moves {finding.name} most cannot be told from {sensitivity.samples} samples: a linear"
+            f"What moves {finding.name} most cannot be found from {sensitivity.samples} samples: a linear"
             f" model explains {fit:.0f} % of its variance."
         ]
     effects, measure = sensitivity.effects, sensitivity.measure
@@ -70,7 +70,8 @@ def _answer(finding: Finding, sensitivity: Sensitivity) -> list[str]:
     answer = [_first(finding, effects, leaders, measure)]
     rest = [e for e in effects if e not in leaders and _counts(e, effects[0], measure)]
     if rest and len(leaders) <= MANY:
-        answer.append(f"Next: {', '.join(f'{e.label} {_size(e, measure, finding.seen)}' for e in rest[:4])}.")
+        sizes = [f"{e.label} {size(e.estimates[measure], measure, finding.display)}" for e in rest[:4]]
+        answer.append(f"Next: {', '.join(sizes)}.")
     together = _together(sensitivity)
     return [*answer, together] if together else answer
 
@@ -86,20 +87,20 @@ def _first(finding: Finding, effects: tuple[Effect, ...], leaders: list[Effect],
     top, share = effects[0], SHARES.get(measure, "over its range")
     if _none_stands_out(effects, leaders, measure):
         others = len(leaders) - 1
-        alike = f"; {others} more cannot be told apart from it" if others else ""
-        size = _size(top, measure, finding.seen)
-        return (
-            f"No factor stands out for {finding.name}: the largest is {top.label} with {size} {share}{alike}."
-        )
-    names, sizes = [e.label for e in leaders], [_size(e, measure, finding.seen) for e in leaders]
+        alike = f"; {others} more cannot be distinguished from it" if others else ""
+        largest = size(top.estimates[measure], measure, finding.display)
+        lead = f"the largest is {top.label} with {largest} {share}"
+        return f"No factor stands out for {finding.name}: {lead}{alike}."
+    names = [e.label for e in leaders]
+    sizes = [size(e.estimates[measure], measure, finding.display) for e in leaders]
     ending = _direction(finding, top)
     if len(leaders) > 1:
-        ending = "; which of them more these runs do not tell"
-    return f"{finding.name} moves most with {_list(names)}: {_list(sizes)} {share}{ending}."
+        ending = "; these runs do not show which of them moves it more"
+    return f"{finding.name} moves most with {listed(names)}: {listed(sizes)} {share}{ending}."
 
 
 def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
-    """Many cannot be told from the first, or the first not from nothing."""
+    """Many cannot be distinguished from the first, or the first not from nothing."""
     top = effects[0].estimates[measure]
     nothing = 0.0 if measure == MU_STAR else NOTICEABLE
     return top.floor <= nothing or len(leaders) > MANY or len(leaders) == len(effects)
@@ -112,20 +113,14 @@ def _counts(effect: Effect, top: Effect, measure: str) -> bool:
     return estimate.value >= NOTICEABLE * whole and estimate.floor > 0
 
 
-def _size(effect: Effect, measure: str, unit: Unit) -> str:
-    """An effect with its interval."""
-    return size(effect.estimates[measure], measure, unit)
-
-
-def size(estimate: Estimate, measure: str, unit: Unit) -> str:
+def size(estimate: Estimate, measure: str, unit: DisplayUnit) -> str:
     """An estimate with its interval, such as `61 % (54 to 68)` or `12.1 bar (11 to 13.2)`."""
     if measure == MU_STAR:
-        text = told(estimate.value, unit)
+        text = unit.text(estimate.value)
         if estimate.low is None:
             return text
-        return (
-            f"{text} ({told(max(0.0, estimate.floor), unit, False)} to {told(estimate.ceiling, unit, False)})"
-        )
+        low, high = (unit.text(end, named=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
+        return f"{text} ({low} to {high})"
     # a share lies between 0 and 1, an estimate of it need not
     value, low, high = (
         100 * min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling)
@@ -138,9 +133,9 @@ def _direction(finding: Finding, effect: Effect) -> str:
     if effect.kind == "choice":
         options = finding.by_choice[effect.name]
         medians = [
-            f"{told(own.median, finding.seen)} with {short(option)}" for option, own in options.items()
+            f"{finding.display.text(own.median)} with {short(option)}" for option, own in options.items()
         ]
-        return f"; its median is {_list(medians)}" if len(medians) <= MANY else ""
+        return f"; its median is {listed(medians)}" if len(medians) <= MANY else ""
     direction = effect.direction or 0.0
     if abs(direction) < CLEAR:
         return ", in no one direction"
@@ -148,7 +143,7 @@ def _direction(finding: Finding, effect: Effect) -> str:
 
 
 def _together(sensitivity: Sensitivity) -> str:
-    """What factors move only together, if totals and first orders tell it."""
+    """What factors move only together, if totals and first orders show it."""
     if any(FIRST not in e.estimates or TOTAL not in e.estimates for e in sensitivity.effects):
         return ""
     alone = [e.estimates[FIRST] for e in sensitivity.effects]
@@ -156,7 +151,3 @@ def _together(sensitivity: Sensitivity) -> str:
     if rest < TOGETHER or least <= 0.0:
         return ""
     return f"{100 * rest:.0f} % of its variance comes from things acting together, not one by one."
-
-
-def _list(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -5,16 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fmus.identification.known import Curve, Estimate, Finding, Panel
-from fmus.identification.report.attribution import Explanation, Share
-from fmus.identification.report.content import (
-    Channel,
-    Fit,
-    Page,
-    Parameter,
-    Quality,
-    Refinement,
-    Start,
-)
+from fmus.identification.report.attribution import EffectShare, Explanation
+from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter
 
 LITRES, BAR = ("L/min", 1e-3 / 60), ("bar", 1e5)
 AREA = Estimate("valve_area", 4.01e-5, "m2", 1e-7, 3.99e-5, 4.03e-5, "fit of 30 steps")
@@ -46,33 +38,58 @@ def finding(**more: object) -> Finding:
     return Finding(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})
 
 
-def page(**more: object) -> Page:
+def fit(signal: str, *numbers: float | None) -> dict[str, object]:
+    """How well a signal is predicted."""
+    names = ("train", "test", "noise", "memory", "white", "inputs")
+    return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
+
+
+def start(name: str, away: float, apart: float, residual: float, iterations: int) -> dict[str, object]:
+    """A search from a random start."""
+    end = {"apart": apart, "residual": residual, "iterations": iterations, "same": apart < 1}
+    return {"name": name, "away": away, **end}
+
+
+def channel(signal: str, unit: str, *remarks: str, dead: float = 0.0) -> dict[str, object]:
+    """Data quality of a signal."""
+    numbers = {"low": 0.0, "high": 2e-3, "noise": 5e-6, "dead": dead}
+    return {"signal": signal, "unit": unit, **numbers, "sensor": "turbine", "remarks": remarks}
+
+
+def quality(name: str, channels: tuple[dict[str, object], ...], *remarks: str) -> dict[str, object]:
+    """Data quality of a recording."""
+    about = {"title": "A", "procedure": "machine", "use": "test", "kind": "simulation"}
+    count = len(remarks) + sum(len(c["remarks"]) for c in channels)
+    numbers = {"duration": 42.0, "rate": 200.0, "faults": count}
+    return {"name": name, **about, **numbers, "channels": channels, "remarks": remarks}
+
+
+def page(**more: object) -> IdentificationPage:
     """A page with everything on it."""
-    joint = Refinement(
-        names=("valve_area", "swing.gear_ratio", "head_mass"),
-        correlation=np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]),
-        condition=123.4,
-        fits=(Fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), Fit("x", 0.01, None)),
-        unidentified=("head_mass: the data leave it open by 80 %.",),
-        starts=(Start("random 1", 0.2, 0.01, 3.1, 9), Start("random 2", 0.3, 7.0, 3.9, 14)),
-        facts={"search": "9 iterations"},
-    )
-    shares = (Share("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
+    joint = {
+        "names": ("valve_area", "swing.gear_ratio", "head_mass"),
+        "correlation": np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]),
+        "condition": 123.4,
+        "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), fit("x", 0.01)),
+        "unidentified": ("head_mass: the data leave it open by 80 %.",),
+        "starts": (start("random 1", 0.2, 0.01, 3.1, 9), start("random 2", 0.3, 7.0, 3.9, 14)),
+        "facts": {"search": "9 iterations"},
+        "remarks": (),
+    }
+    shares = (EffectShare("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
     seen = Explanation(shares, 0.6, 0.1, 0.05, ("manipulator.swing_angle",), ("quiet_one",), "One effect.")
-    channel = Channel("flow", "m3/s", 0.0, 2e-3, 5e-6, "turbine", ("1 sample clipped.",))
-    quality = Quality("a.csv", "A", "machine", "test", "simulation", 42.0, 200.0, (channel,))
     given = {
         "title": "Identification",
         "source": "recordings",
         "kinds": ("simulation",),
         "findings": (finding(),),
-        "parameters": (Parameter(AREA, "hose_resistance", 4e-5, "assumed", "Area of <all> edges"),),
-        "qualities": (quality,),
+        "parameters": (IdentifiedParameter(AREA, "hose_resistance", 4e-5, "assumed", "Area of <all> edges"),),
+        "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,
         "explanation": seen,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
-    return Page(**{**given, **more})
+    return IdentificationPage(**{**given, **more})
 
 
-__all__ = ["AREA", "finding", "page", "panel", "residual"]
+__all__ = ["AREA", "channel", "finding", "page", "panel", "quality", "residual"]

@@ -62,7 +62,7 @@ def noisy(change, share, seed=0):
 def test_the_effect_that_made_the_residual_is_named(effects, effect):
     """One effect plus as much noise: it is named, at its strength, and its share is that of the effect."""
     found = explain(noisy(effects[effect], 1.0), effects, step=STEP)
-    assert found.named == effect
+    assert found.effect == effect
     assert effect in found.verdict
     share = found.shares[0]
     # signals count by their residuals: half of each is noise, over 400 samples known to some percent
@@ -84,7 +84,7 @@ def test_white_noise_shows_no_effect(effects):
     rng = np.random.default_rng(1)
     noise = {n: rng.standard_normal(y.size) for n, y in effects["swinging head"].items()}
     found = explain(noise, effects, step=STEP)
-    assert found.named == ""
+    assert found.effect == ""
     assert found.verdict.startswith("None of the effects")
     assert "a cause that is not in the list" in found.verdict  # nobody said that it is noise
     # five columns explain five of some thousand samples by chance
@@ -98,7 +98,7 @@ def test_a_residual_within_the_noise_of_the_sensors_is_left_out(effects):
     size = {n: float(np.sqrt(np.mean(y**2))) for n, y in residual.items()}
     found = explain(residual, effects, step=STEP, noise=size)
     assert found.quiet == tuple(residual)
-    assert (found.named, found.shares) == ("", ())
+    assert (found.effect, found.shares) == ("", ())
     assert found.verdict.startswith("Nothing is left to explain")
     assert "range" not in found.verdict
 
@@ -107,7 +107,7 @@ def test_a_small_residual_needs_no_effect(effects):
     """Far above perfect sensors, but below what matters: the prediction is called as good as that."""
     residual = noisy(effects["swinging head"], 0.0)
     found = explain(residual, effects, step=STEP, small=dict.fromkeys(residual, np.inf))
-    assert (found.named, found.shares) == ("", ())
+    assert (found.effect, found.shares) == ("", ())
     assert "0.1 % of its range" in found.verdict
 
 
@@ -116,7 +116,7 @@ def test_what_parameters_can_take_is_no_effect(drive, effects):
     given_ = {DAMPING: 300.0}
     slope = slopes(drive, given_, [DAMPING])
     found = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
-    assert found.named == ""
+    assert found.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
     assert found.parameters == pytest.approx(0.99, abs=0.01)
 
@@ -126,7 +126,7 @@ def test_an_effect_is_named_beside_the_parameters(drive, effects):
     slope = slopes(drive, {DAMPING: 300.0}, [DAMPING])
     residual = noisy(effects["dry friction"], 0.2)
     found = explain(residual, effects, step=STEP, absorbed=slope)
-    assert found.named == "dry friction"
+    assert found.effect == "dry friction"
     assert found.shares[0].alone + found.parameters < 1.0
 
 
@@ -135,7 +135,7 @@ def test_gaps_do_not_count(effects):
     residual = noisy(effects["pump and engine"], 0.0)
     cut = {n: np.where(np.arange(y.size) < 200, np.nan, y) for n, y in residual.items()}
     found = explain(cut, effects, step=STEP)
-    assert found.named == "pump and engine"
+    assert found.effect == "pump and engine"
     # exact identity: without noise the effect explains all that is left
     assert found.shares[0].alone == pytest.approx(1.0, abs=1e-9)
 
@@ -183,4 +183,4 @@ def test_the_least_share_is_told(effects):
     found = explain(residual, effects, step=STEP)
     assert found.shares[0].effect == "swinging head"
     assert 0.05 < found.shares[0].alone < LEAST
-    assert found.named == ""
+    assert found.effect == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,17 +15,20 @@ from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
 from fmus.identification.known import Curve, Panel
-from fmus.identification.report import figures, panels, traces, wording
-from fmus.identification.report import figures as report_figures
-from fmus.identification.report import traces as report_traces
-from fmus.identification.report.traces import Line, Row
+from fmus.identification.report import wording
+from fmus.identification.report.comparison import SIGNALS, Compared, figure, relative_error
+from fmus.identification.report.finding_figures import draw_finding, draw_matrix
+from orchestrator.base import plotting
+from orchestrator.base.text import typeset
+from orchestrator.base.units import pretty
+from orchestrator.data.recording import Recording
 
 TIME = np.arange(0.0, 5.0, 0.005)
 
 
 def drawn(*panels, **more):
     """The axes of a figure with these panels, residuals among them."""
-    return figures.draw_finding(finding(panels=panels, **more), ["simulation"])
+    return draw_finding(finding(panels=panels, **more), ["simulation"])
 
 
 def test_a_residual_lies_below_its_panel_over_the_same_axis():
@@ -103,20 +107,20 @@ def test_a_large_cloud_keeps_the_page_small():
     """Fifty thousand points are a picture inside the SVG."""
     many = np.random.default_rng(0).standard_normal((2, 50_000))
     cloud = Panel("x", "y", (Curve("measured", *many),))
-    assert len(panels.svg(drawn(cloud))) < panels.SVG_LIMIT
+    assert len(plotting.svg(drawn(cloud))) < plotting.SVG_LIMIT
 
 
 def test_figures_are_reproducible_and_crisp():
     """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
-    one, other = (panels.svg(figures.draw_finding(finding())) for _ in range(2))
+    one, other = (plotting.svg(draw_finding(finding())) for _ in range(2))
     assert one == other
-    assert imread(io.BytesIO(panels.png(figures.draw_finding(finding())))).shape[1] > 1000
+    assert imread(io.BytesIO(plotting.png(draw_finding(finding())))).shape[1] > 1000
 
 
 def test_nothing_is_cut_off():
     """All labels lie inside the figure."""
     figure = drawn(panel(), residual(), replace(panel(), x_label="time", log=True))
-    panels.png(figure)
+    plotting.png(figure)
     renderer = figure.canvas.get_renderer()
     for axes in figure.axes:
         box = axes.get_tightbbox(renderer).transformed(figure.transFigure.inverted())
@@ -128,7 +132,7 @@ def test_nothing_is_cut_off():
 
 def test_a_picture_of_simulated_data_says_so():
     """Inside the picture and in its caption, with the paper's figure."""
-    assert "not FERIC data" in panels.svg(drawn(panel()))
+    assert "not FERIC data" in plotting.svg(drawn(panel()))
     told = wording.caption(finding(), ["simulation", "simulation"])
     assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
     assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
@@ -147,7 +151,7 @@ def test_a_picture_of_measured_data_says_so():
 def test_no_peak_is_lost(values):
     """Thinning keeps the largest and the smallest sample, the ends, and the order."""
     time = np.arange(values.size, dtype=float)
-    x, y = panels.decimate(time, values, 100)
+    x, y = plotting.decimate(time, values, 100)
     assert len(x) <= 202
     assert (np.diff(x) > 0).all()
     assert (x[0], x[-1]) == (time[0], time[-1])
@@ -161,32 +165,30 @@ def test_no_peak_is_lost(values):
 )
 def test_units_are_printed(unit, shown):
     """Powers are raised; a power that is not a whole number stays."""
-    assert panels.pretty(unit) == shown
+    assert pretty(unit) == shown
 
 
 def test_numbers_in_sentences_are_printed():
     """A remark of a procedure has no notation of a program; other words stay."""
-    told = panels.prose("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
+    told = typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
     assert told == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
 
 
-def line(**more):
-    """A pressure with its prediction, 1 % of its range off."""
-    measured = 1e7 + 1e6 * np.sin(TIME)
-    given_ = {
-        "signal": "p",
-        "unit": "Pa",
-        "measured": measured,
-        "predicted": measured + 2e4 * np.cos(9 * TIME),
-    }
-    return Line(**{**given_, **more})
+def seen(measured, predicted):
+    """A recording of the swing next to its prediction."""
+    units = {"swing.swing_command": "V", "manipulator.swing_angle": "rad", "swing.swing_pressure_a": "Pa"}
+    units |= {"swing.swing_flow_a": "m3/s", "manipulator.swing_speed": "rad/s"}
+    about = {"title": "A", "procedure": "machine", "use": "test", "kind": "simulation"}
+    recording = Recording(Path("a.csv"), TIME, measured, units, **about)
+    return Compared(recording, measured, predicted, units)
 
 
 def test_traces_have_their_residual_below():
     """A predicted signal has a strip with measured - predicted in its unit; a command has none."""
-    panels = [Row("command", (line(predicted=None, unit="V"),)), Row("pressure", (line(),))]
-    figure = traces.draw("Swing", TIME, panels, number=10, kinds=["simulation"])
-    command, pressure, strip = figure.axes
+    pressure = 1e7 + 1e6 * np.sin(TIME)  # with a prediction that is 1 % of its range off
+    measured = {"swing.swing_command": TIME, "swing.swing_pressure_a": pressure}
+    drawn = figure(seen(measured, {"swing.swing_pressure_a": pressure + 2e4 * np.cos(9 * TIME)}), "swing")
+    command, pressure, strip = drawn.axes
     assert command.get_ylabel() == "command\n[V]"
     assert pressure.get_ylabel() == "pressure\n[bar]"
     error = strip.lines[-1].get_ydata()
@@ -195,39 +197,42 @@ def test_traces_have_their_residual_below():
     assert error[0] == pytest.approx(-0.2)
     measured, predicted = pressure.lines
     assert (measured.get_linestyle(), predicted.get_linestyle()) == ("-", "--")
-    assert "cf. Fig. 10" in panels.svg(figure)
+    assert [text.get_text() for text in pressure.texts] == ["line A\nNRMSE 0.71 %"]
+    assert "cf. Fig. 10" in plotting.svg(drawn)
 
 
 @pytest.mark.filterwarnings("error")
 def test_a_flow_that_no_meter_saw_is_drawn():
     """Always in the dead zone: the panel is empty, without a warning."""
-    panels = [Row("flow", (line(measured=np.full(TIME.size, np.nan)),))]
-    assert len(traces.draw("Swing", TIME, panels).axes) == 2
+    lost = {"swing.swing_flow_a": np.full(TIME.size, np.nan)}
+    assert len(figure(seen(lost, {"swing.swing_flow_a": TIME}), "swing").axes) == 2
 
 
 def test_the_error_is_over_the_range():
     """NRMSE is the root mean square residual over the range of what was measured, gaps left out."""
     measured = np.array([0.0, 1.0, 2.0, np.nan, 4.0])
     # exact identity: every residual is 0.4, the range is 4
-    assert line(measured=measured, predicted=measured + 0.4).nrmse == pytest.approx(0.1)
-    assert line(measured=np.ones(5), predicted=np.zeros(5)).nrmse is None
-    assert line(predicted=None).nrmse is None
+    assert relative_error(measured, measured + 0.4) == pytest.approx(0.1)
+    assert relative_error(np.ones(5), np.zeros(5)) is None
+    assert relative_error(np.full(5, np.nan), np.zeros(5)) is None
 
 
 def test_rows_show_what_was_measured():
     """A joint without a flow meter has no row for flow."""
-    names = [n for signals in report_traces.SIGNALS["stick"].values() for n in signals]
-    measured = {n: TIME for n in names if "flow" not in n}
-    found = report_traces.rows("stick", measured, {}, dict.fromkeys(names, "Pa"))
-    assert [row.label for row in found] == ["command", "angle", "speed", "pressure"]
+    names = [n for signals in SIGNALS["swing"].values() for n in signals if "flow" not in n]
+    drawn = figure(seen({n: TIME for n in names[:4]}, {}), "swing")
+    assert [axes.get_ylabel().split("\n")[0] for axes in drawn.axes] == [
+        "command",
+        "angle",
+        "speed",
+        "pressure",
+    ]
 
 
 def test_correlations_stand_below_the_diagonal():
     """Each pair is told once, with its number if it is large."""
     names = ["a", "b", "c"]
-    figure = report_figures.draw_matrix(
-        names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])
-    )
+    figure = draw_matrix(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
     axes = figure.axes[0]
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +14,9 @@ from lxml import html
 
 from fmus.identification.known import Estimate
 from fmus.identification.report import wording
-from fmus.identification.report.content import Picture
-from fmus.identification.report.figures import draw_finding
-from fmus.identification.report.page import render, write_page
+from fmus.identification.report.comparison import Picture
+from fmus.identification.report.finding_figures import draw_finding
+from fmus.identification.report.identification_page import render, write_page
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +99,7 @@ def test_one_parameter_has_no_correlation():
     """A refinement of one parameter is shown without a matrix."""
     one = page().refinement
     assert one is not None
-    shown = render(page(refinement=replace(one, names=("head_mass",), correlation=np.ones((1, 1)))))
+    shown = render(page(refinement={**one, "names": ("head_mass",), "correlation": np.ones((1, 1))}))
     assert "Correlation of the estimates" not in shown
     assert "Joint refinement" in shown
 
@@ -165,5 +164,5 @@ def test_units_of_parameters_are_shown_as_readers_know_them():
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
     assert wording.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
     assert wording.change(1.1, 1.0) == "+10 %"
-    assert wording.change(1.1, None) == wording.NONE
+    assert wording.change(1.1, None) == wording.DASH
     assert wording.chance(1e-9) == "< 0.001"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from identification.report import samples
+from identification.report.samples import channel
 
 from fmus.identification.refinement.problem import EstimationProblem, Free, Run
 from fmus.identification.refinement.random_starts import Start, Starts
@@ -14,8 +15,7 @@ from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.comparison import compare
-from fmus.identification.report.content import Channel, Quality
-from fmus.identification.report.page import quality, refinement, told
+from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.machine.one_block import HARVESTER
 from orchestrator.data.recording import Recording, Sensor
 
@@ -59,36 +59,36 @@ def refined(**more) -> Refined:
 def test_a_refinement_is_told_in_the_names_of_the_page():
     """Names of parameters.toml, root mean square over the recordings, gaps where nothing was measured."""
     found = refinement(refined(), NAMES, {"angle": "manipulator.angle"})
-    angle, flow = found.fits
-    assert angle.signal == "manipulator.angle"
+    angle, flow = found["fits"]
+    assert angle["signal"] == "manipulator.angle"
     # exact identity: rounding only
-    assert angle.train == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
-    assert angle.test == pytest.approx(0.05)
-    assert (angle.noise, angle.memory, angle.inputs) == (1.1, 0.01, 0.3)
-    assert (flow.train, flow.test, flow.noise, flow.inputs) == (None, None, None, None)
-    assert found.names == ("valve_area", "boom_stick.hose")
-    assert found.correlation[0, 1] == pytest.approx(0.5)
-    assert found.unidentified == (
+    assert angle["train"] == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert angle["test"] == pytest.approx(0.05)
+    assert (angle["noise"], angle["memory"], angle["inputs"]) == (1.1, 0.01, 0.3)
+    assert [flow[name] for name in ("train", "test", "noise", "inputs")] == [None] * 4
+    assert found["names"] == ["valve_area", "boom_stick.hose"]
+    assert found["correlation"][0, 1] == pytest.approx(0.5)
+    assert found["unidentified"] == [
         "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each.",
-    )
-    assert found.remarks == ("boom_stick.hose ended at its bound.",)
+    ]
+    assert found["remarks"] == ["boom_stick.hose ended at its bound."]
 
 
 def test_a_search_that_did_not_converge_says_so():
     """The first remark of the section."""
     found = refinement(refined(converged=False, reason="40 iterations"))
-    assert found.remarks[0].startswith("The search did not converge: 40 iterations were not enough.")
-    assert "--free" in found.remarks[0]  # what to do
+    assert found["remarks"][0].startswith("The search did not converge: 40 iterations were not enough.")
+    assert "--free" in found["remarks"][0]  # what to do
 
 
 def test_random_starts_are_compared():
     """How far each start was from the values before; a search that went elsewhere is not the same."""
     begun = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
     ran = Starts((Start(begun, {}, 0.2, 1.0, 9), Start(begun, {}, np.inf, np.nan, 0)), 0.5, {})
-    one, other = refinement(refined(), starts=ran).starts
+    one, other = refinement(refined(), starts=ran)["starts"]
     # exact identity: both parameters are e times as large
-    assert one.away == pytest.approx(1.0)
-    assert (one.same, other.same) == (True, False)
+    assert one["away"] == pytest.approx(1.0)
+    assert (one["same"], other["same"]) == (True, False)
 
 
 def machine() -> Recording:
@@ -136,31 +136,26 @@ def test_the_dead_zone_is_left_out():
 def test_the_quality_of_a_recording_is_told():
     """Name, use, kind, rate, and the remarks by signal without its name before them."""
     found = quality(machine())
-    assert (found.name, found.use, found.kind) == ("b.csv", "test", "simulation")
+    assert (found["name"], found["use"], found["kind"]) == ("b.csv", "test", "simulation")
     # exact identity: rounding only
-    assert found.rate == pytest.approx(200.0)
-    flow = next(c for c in found.channels if c.signal == "boom_stick.boom_head_flow")
-    assert flow.sensor == "turbine"
-    assert flow.dead > 0  # not a fault, so no remark
-    assert not any("dead zone" in remark for remark in flow.remarks)
-    assert not any(remark.startswith(flow.signal) for remark in flow.remarks)
-    assert found.faults == 0
+    assert found["rate"] == pytest.approx(200.0)
+    flow = next(c for c in found["channels"] if c["signal"] == "boom_stick.boom_head_flow")
+    assert flow["sensor"] == "turbine"
+    assert flow["dead"] > 0  # not a fault, so no remark
+    assert not any("dead zone" in remark for remark in flow["remarks"])
+    assert not any(remark.startswith(flow["signal"]) for remark in flow["remarks"])
+    assert found["faults"] == 0
 
 
 def test_what_is_told_in_short():
     """Every fault on a line of its own; all dead zones, which are no faults, in one line with the largest."""
-    flow = Channel("flow", "m3/s", 0.0, 1.0, 0.0, dead=0.4)
-    faulty = Channel("pressure", "Pa", 0.0, 1.0, 0.0, remarks=("1 sample clipped.",))
-    asleep = Channel("other_flow", "m3/s", 0.0, 0.0, 0.0, dead=1.0)  # never moved: nothing to say
-    given = {"title": "", "procedure": "valve", "use": "train", "kind": "measurement"}
+    flow, asleep = channel("flow", "m3/s", dead=0.4), channel("other_flow", "m3/s", dead=1.0)  # never moved
+    faulty = channel("pressure", "Pa", "1 sample clipped.")
     recordings = [
-        Quality(name=name, **given, duration=1.0, rate=200.0, channels=channels, remarks=remarks)
-        for name, channels, remarks in (
-            ("a.csv", (flow, asleep), ("The clock: late.",)),
-            ("b.csv", (faulty, replace(flow, dead=0.25)), ()),
-        )
+        samples.quality("a.csv", (flow, asleep), "The clock: late."),
+        samples.quality("b.csv", (faulty, {**flow, "dead": 0.25})),
     ]
-    *faults, zones = told(recordings)
-    assert faults == ["a.csv: The clock: late.", "b.csv: pressure: 1 sample clipped."]
+    *reported, zones = faults(recordings)
+    assert reported == ["a.csv: The clock: late.", "b.csv: pressure: 1 sample clipped."]
     assert "2 recordings, at most 40 % of the samples (a.csv: flow)" in zones
-    assert list(told([])) == []
+    assert list(faults([])) == []

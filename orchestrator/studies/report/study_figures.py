@@ -1,0 +1,278 @@
+"""The figures of a study, for a column of its page.
+
+scatter     an output over its top factors: a dot per run, and the median in bins
+histogram   how an output spreads over the runs
+bands       quantiles of a signal over time
+tornado     what moves an output, the largest on top, each bar with its 95 % interval
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from orchestrator.base.plotting import PALETTE, few_ticks, frame, handle, legend, new_figure
+from orchestrator.base.text import DisplayUnit, display_unit, labelled
+from orchestrator.studies.analysis.results import (
+    FIRST,
+    MU_STAR,
+    TOTAL,
+    Array,
+    Effect,
+    Finding,
+    Sensitivity,
+    done,
+    short,
+)
+from orchestrator.studies.store import Results
+from orchestrator.studies.study import Choice, Factor, Output
+
+WIDTH = 6.2  # in; a column of the page, text stays readable where it is 500 pixels wide
+LIGHT, DARK = zip(*PALETTE.pairs[:3], strict=True)
+
+
+def column_figure(height: float) -> Figure:
+    """A figure as wide as a column; what is drawn as pixels is fine enough for two of them per point."""
+    made = new_figure(WIDTH, height, h_pad=0.05, w_pad=0.05)
+    made.set_dpi(144)
+    return made
+
+
+def label(name: str, unit: DisplayUnit) -> str:
+    """A quantity with its display unit."""
+    return labelled(name, unit.shown)
+
+
+PANELS = 4  # six where the tornado beside them is long
+DOTS = 1500  # per panel; more only cover each other
+FEW = 300  # runs up to which dots are drawn larger
+BINS = 12
+# Between the light and the dark of the palette: pixels do not follow the page's theme.
+COLOURS = ("#3f7fb0", "#c47a1f", "#2f8f6f")
+
+
+def scatter(results: Results, output: Output, finding: Finding, sensitivity: Sensitivity) -> Figure | None:
+    """Small multiples in the order of the tornado; none where no factor was varied."""
+    by_name = {f.name: f for f in results.study.factors}
+    top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name]
+    top = top[: PANELS if len(sensitivity.effects) <= 8 else PANELS + 2]
+    if not top:
+        return None
+    runs = done(results).dropna(subset=[output.column])
+    rows = (len(top) + 1) // 2
+    made = column_figure(0.4 + 2.15 * rows)
+    panels = made.subplots(rows, min(2, len(top)), sharey=True, squeeze=False)
+    choice = colouring(results, sensitivity)
+    for axes, factor in zip(panels.ravel(), top, strict=False):
+        unit = factor_unit(factor)
+        frame(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
+        x = unit.factor * runs[factor.column].to_numpy(float)
+        y = finding.display.factor * runs[output.column].to_numpy(float)
+        _dots(axes, x, y, choice, runs)
+        if has_line(results):
+            axes.plot(*medians(x, y), color=PALETTE.ink, linewidth=1.8)
+        few_ticks(axes.xaxis, 4)
+    for axes in panels.ravel()[len(top) :]:
+        axes.set_visible(False)
+    for axes in panels[:, 0]:
+        axes.set_ylabel(label(output.name, finding.display), color=PALETTE.ink, fontsize=8)
+        few_ticks(axes.yaxis, 4)
+    if choice:
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        legend(made, handles=handles, labels=labels, markerscale=3)
+    return made
+
+
+def _dots(axes: Axes, x: Array, y: Array, choice: Choice | None, runs: pd.DataFrame) -> None:
+    """Some of the runs, in the colours of the options."""
+    drawn = slice(None, None, max(1, -(-len(runs) // DOTS)))
+    size, alpha = (5, 0.45) if len(runs) > FEW else (12, 0.7)
+    for (name, rows), colour in zip(_groups(runs, choice), COLOURS, strict=False):
+        style = {"s": size, "alpha": alpha, "linewidths": 0, "rasterized": True}
+        axes.scatter(x[drawn][rows[drawn]], y[drawn][rows[drawn]], color=colour, label=name, **style)
+
+
+def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]]:
+    """Each option with the rows that have it; without a choice all rows."""
+    if choice is None:
+        return [("", np.ones(len(runs), dtype=bool))]
+    column = runs[choice.column].astype(str).to_numpy()
+    return [(short(option), column == option) for option in choice.options]
+
+
+def colouring(results: Results, sensitivity: Sensitivity | None) -> Choice | None:
+    """The choice that moves the output most, if its options can have colours of their own."""
+    by_name = {c.what: c for c in results.study.compared if len(c.options) <= len(COLOURS)}
+    names = [e.name for e in sensitivity.effects] if sensitivity else list(by_name)
+    return next((by_name[name] for name in names if name in by_name), None)
+
+
+def has_line(results: Results) -> bool:
+    """Whether medians say something: not at the four levels of Morris, at each of which the others differ."""
+    return results.study.method != "morris"
+
+
+def factor_unit(factor: Factor) -> DisplayUnit:
+    """The unit of what is drawn: samples of a relative factor are shares."""
+    if factor.relative:
+        return DisplayUnit("", "")
+    return display_unit(factor.unit, float(np.max([np.max(np.abs(n)) for n in factor.numbers.values()])))
+
+
+def medians(x: Array, y: Array) -> tuple[Array, Array]:
+    """Median of y in bins of equal count of x, or at each value where there are few."""
+    values = np.unique(x)
+    if len(values) <= BINS:
+        return values, np.array([np.median(y[x == value]) for value in values])
+    parts = np.array_split(np.argsort(x, kind="stable"), BINS)
+    return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
+
+
+def histogram(results: Results, output: Output, finding: Finding, choice: Choice | None) -> Figure:
+    """Runs over the output, options stacked; lines at 5, 50 and 95 %."""
+    made = column_figure(2.5)
+    axes = made.subplots()
+    frame(axes, label(output.name, finding.display), "runs")
+    scale = finding.display.factor
+    runs = done(results).dropna(subset=[output.column])
+    values = scale * runs[output.column].to_numpy(float)
+    edges = np.histogram_bin_edges(values, bins=min(50, max(8, round(len(values) ** 0.5))))
+    groups = _groups(runs, choice)
+    parts, names = [values[rows] for _, rows in groups], [name for name, _ in groups]
+    colours = list(LIGHT[: len(parts)])
+    axes.hist(parts, bins=edges.tolist(), stacked=True, color=colours, label=names, linewidth=0)
+    if finding.spread:
+        for value in (finding.spread.low, finding.spread.median, finding.spread.high):
+            axes.axvline(value * scale, color=PALETTE.ink, linewidth=1.0, linestyle=(0, (4, 2)))
+    few_ticks(axes.xaxis, 6)
+    if choice:
+        legend(made)
+    return made
+
+
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> Figure:
+    """Median, 5 to 95 % and extremes over the runs at each time; a colour per option."""
+    made = column_figure(2.7)
+    axes = made.subplots()
+    frame(axes, "time [s]", label(signal, unit))
+    runs = done(results)
+    assert results.bands is not None  # asked for only where signals are kept
+    groups = _groups(runs, choice)[: len(DARK)]
+    for place, (name, rows) in enumerate(groups):
+        kept = results.bands[results.bands["run"].isin(runs["run"][rows])]
+        if kept.empty:
+            continue
+        time, found = quantiles(kept, signal)
+        low, five, median, ninety_five, high = unit.factor * found
+        axes.fill_between(time, five, ninety_five, color=LIGHT[place], alpha=0.55, linewidth=0)
+        axes.plot(time, median, color=DARK[place], linewidth=1.6, label=name or "median, 5 to 95 %")
+        if choice is None:
+            style = {"color": DARK[place], "linewidth": 0.9, "linestyle": (0, (2, 2))}
+            axes.plot(time, low, label="least and largest", **style)
+            axes.plot(time, high, **style)
+    few_ticks(axes.yaxis)
+    axes.margins(x=0)
+    legend(axes)
+    return made
+
+
+def quantiles(kept: pd.DataFrame, signal: str) -> tuple[Array, Array]:
+    """Time (n,) and QUANTILES over runs, shape (5, n), in the unit of the signal."""
+    table = kept.pivot(index="time", columns="run", values=signal)
+    found = np.nanquantile(table.to_numpy(float), QUANTILES, axis=1)
+    return table.index.to_numpy(float), found
+
+
+MOST = 12  # bars; what is below them is in the table
+DOTTED = 12  # combinations whose dots can be told from each other
+LABELS = {
+    MU_STAR: "change over the factor's range, μ*",
+    TOTAL: "share of the variance",
+    FIRST: "share of the variance, first order",
+}
+
+
+def tornado(finding: Finding, sensitivity: Sensitivity) -> Figure:
+    """Bars from the measure that orders them; the first order within a total; dots for each combination."""
+    effects, measure = sensitivity.effects[:MOST], sensitivity.measure
+    unit = finding.display if measure == MU_STAR else DisplayUnit("1", "%")
+    made = column_figure(1.25 + 0.27 * len(effects))
+    axes = made.subplots()
+    frame(axes, label(LABELS.get(measure, "share of the variance"), unit))
+    axes.grid(False, axis="y")
+    for place, effect in enumerate(effects):
+        _bar(axes, place, effect, measure, unit.factor)
+    dotted = 0 < len(sensitivity.apart) <= DOTTED
+    if dotted and sensitivity.variance > 0:
+        _combinations(axes, effects, sensitivity.apart, measure, unit.factor)
+    names = [effect.label.replace(" (", "\n(") for effect in effects]
+    axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
+    axes.set_ylim(len(effects) - 0.4, -0.6)
+    right = axes.get_xlim()[1]
+    axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # no share is more than 100 %
+    few_ticks(axes.xaxis)
+    if marks := _marks(effects, measure, dotted):
+        legend(made, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
+    return made
+
+
+def _bar(axes: Axes, place: int, effect: Effect, measure: str, scale: float) -> None:
+    """Light: all that it does; dark: what it does by itself; a line for the interval."""
+    light, dark = PALETTE.pair(1 if effect.kind == "choice" else 0)
+    whole = effect.estimates[measure]
+    axes.barh(place, _drawn(whole.value, measure, scale), height=0.72, color=light, linewidth=0)
+    if measure == TOTAL:
+        alone = _drawn(effect.estimates[FIRST].value, measure, scale)
+        axes.barh(place, alone, height=0.34, color=dark, linewidth=0)
+    if "sigma" in effect.more:
+        axes.plot(effect.more["sigma"] * scale, place, marker="|", markersize=11, color=PALETTE.bad)
+    if whole.low is not None:
+        ends = [_drawn(end, measure, scale) for end in (whole.floor, whole.ceiling)]
+        axes.plot(ends, [place, place], color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
+
+
+def _drawn(value: float, measure: str, scale: float) -> float:
+    """Where a number lies on the axis: a share lies between 0 and 100 %, an estimate of it need not."""
+    return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
+
+
+def _combinations(
+    axes: Axes,
+    effects: tuple[Effect, ...],
+    apart: Mapping[str, tuple[Effect, ...]],
+    measure: str,
+    scale: float,
+) -> None:
+    """The same in each combination of choices; shares there are of the variance of that combination."""
+    places = {effect.name: place for place, effect in enumerate(effects)}
+    found = [effect for combination in apart.values() for effect in combination if effect.name in places]
+    x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in found]
+    y = [places[effect.name] + 0.24 for effect in found]
+    axes.plot(x, y, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)
+
+
+def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patch | Line2D]:
+    """What the marks of a tornado mean."""
+    marks: list[Patch | Line2D] = []
+    if measure == TOTAL:
+        marks += [Patch(color=LIGHT[0], label="total"), Patch(color=DARK[0], label="by itself")]
+    if any(effect.kind == "choice" for effect in effects):
+        marks.append(Patch(color=LIGHT[1], label="choice"))
+    if any(effect.estimates[measure].low is not None for effect in effects):
+        marks.append(handle("95 %", color=PALETTE.ink, linewidth=1.4))
+    if any("sigma" in effect.more for effect in effects):
+        name = "\N{GREEK SMALL LETTER SIGMA} of the effects"
+        marks.append(handle(name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
+    if dotted:
+        style = {"marker": "o", "markersize": 3, "markerfacecolor": "none", "linewidth": 0}
+        marks.append(handle("each combination", color=PALETTE.faint, **style))
+    return marks

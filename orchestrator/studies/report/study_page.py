@@ -1,0 +1,255 @@
+"""The report of a study: report.html and analysis.json next to its results.
+
+The page is one file that needs no network; the JSON holds the same numbers in the units of the FMUs.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from orchestrator.base import page
+from orchestrator.base.page import plain
+from orchestrator.base.plotting import embed
+from orchestrator.base.text import MINUS, NONE, DisplayUnit, TextTable, display_unit
+from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.analysis.results import (
+    FIRST,
+    MU_STAR,
+    REGRESSION,
+    TOTAL,
+    Analysis,
+    Effect,
+    Finding,
+    Sensitivity,
+    done,
+    short,
+)
+from orchestrator.studies.analysis.wording import MEASURES, sentences, size, what
+from orchestrator.studies.report.study_figures import (
+    MOST,
+    bands,
+    colouring,
+    factor_unit,
+    has_line,
+    histogram,
+    scatter,
+    tornado,
+)
+from orchestrator.studies.store import Results, read
+from orchestrator.studies.study import START, Factor, Output
+
+PAGE, NUMBERS = "report.html", "analysis.json"
+TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
+Picture = tuple[str, Markup, str]  # title, figure, caption
+METHODS = {
+    "latin": "Latin hypercube",
+    "sobol": "Sobol' points",
+    "grid": "full grid",
+    "saltelli": "Saltelli design",
+    "morris": "Morris trajectories",
+}
+HEADS = {
+    TOTAL: "total",
+    FIRST: "by itself",
+    REGRESSION: "linear model, squared",
+    MU_STAR: "μ*",
+    "mu": "μ",
+    "sigma": "\N{GREEK SMALL LETTER SIGMA}",
+    "regression": "coefficient",
+    "rank_regression": "coefficient of ranks",
+}
+BARS = 16
+PURE = DisplayUnit("", "")
+
+
+def report(folder: Path) -> Path:
+    """Analyse the finished study in a folder and write both files there; returns the path of the page."""
+    results = read(folder)
+    write(folder, results, analyse(results))
+    return folder / PAGE
+
+
+def write(folder: Path, results: Results, analysis: Analysis) -> None:
+    """Both files; equal results give equal bytes."""
+    study: dict[str, Any] = plain(results.study)
+    study.pop("folder")  # where the study lies is no result
+    said = {finding.name: sentences(finding) for finding in analysis.findings}
+    page.write_json(folder / NUMBERS, {"study": study, **plain(analysis), "sentences": said})
+    page.write_text(folder / PAGE, render(results, analysis))
+
+
+def render(results: Results, analysis: Analysis) -> str:
+    """The HTML text."""
+    study = results.study
+    outputs = {output.name: output for output in study.outputs}
+    return page.render(
+        TEMPLATE,
+        title=analysis.title,
+        study=study,
+        analysis=analysis,
+        method=METHODS[study.method],
+        measures=MEASURES,
+        short=short,
+        answers=[(k, f.name, sentences(f)) for k, f in enumerate(analysis.findings)],
+        tiles=[_tile(finding) for finding in analysis.findings],
+        varied=[(own, factor_words(own), _heights(results.table[own.column])) for own in study.factors],
+        sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
+        bands=_bands(results),
+        fixed=[_fixed(results, *item) for item in study.fixed.items()],
+    )
+
+
+def factor_words(factor: Factor) -> str:
+    """The numbers of a distribution with their unit, such as `0.5 to 3 bar`."""
+    unit = factor_unit(factor)
+    ending = " times its value" if factor.relative else f" {unit.name}".rstrip()
+    text = {
+        name: ", ".join(unit.text(float(value), 4, named=False) for value in np.atleast_1d(values))
+        for name, values in factor.numbers.items()
+    }
+    if factor.distribution == "values":
+        return text["values"] + ending
+    if factor.distribution in ("normal", "lognormal"):
+        return f"mean {text['mean']}, standard deviation {text['sd']}{ending}"
+    mode = f", most often {text['mode']}" if factor.distribution == "triangular" else ""
+    return f"{text['minimum']} to {text['maximum']}{ending}{mode}"
+
+
+def _heights(column: pd.Series) -> list[float]:
+    """Heights of a histogram of what was drawn, the highest 1."""
+    values = column.to_numpy(float)
+    if not len(values) or np.ptp(values) == 0:
+        return [1.0]
+    counts, _ = np.histogram(values, bins=BARS)
+    return [round(float(count / counts.max()), 3) for count in counts]
+
+
+def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
+    """A number of all runs with its unit, where the name is that of one variable."""
+    return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
+
+
+def _tile(finding: Finding) -> dict[str, Any]:
+    """An output in one line."""
+    value, ends, spread, unit = NONE, "no run has it", finding.spread, finding.display
+    if spread is not None:
+        value = unit.text(spread.median)
+        low, high = unit.text(spread.low, named=False), unit.text(spread.high)
+        ends = f"median; {low} to {high} in nine of ten runs"
+        ends = f"in all {spread.runs} runs" if finding.constant else ends
+    return {"name": finding.name, "value": value, "range": ends, "what": what(finding)}
+
+
+def _section(results: Results, output: Output, finding: Finding, place: int) -> dict[str, Any]:
+    """An output: figures and tables."""
+    sensitivity = finding.sensitivity
+    return {
+        "finding": finding,
+        "what": what(finding),
+        "sentences": sentences(finding),
+        "columns": _columns(results, output, finding, place),
+        "spreads": _spreads(finding),
+        "effects": sensitivity and _effects(sensitivity, finding.display).html(),
+        "apart": sensitivity and sensitivity.apart and _apart(sensitivity, finding.display).html(),
+    }
+
+
+def _spreads(finding: Finding) -> Markup | None:
+    """A row for all runs, then one for each option."""
+    spreads = [(Markup("all"), finding.spread)] if finding.spread else []
+    for choice, options in finding.by_choice.items():
+        name = Markup('<span class="soft">{}</span> {}')
+        spreads += [(name.format(choice, short(option)), found) for option, found in options.items()]
+    text = finding.display.text
+    rows = [
+        [name, str(s.runs)]
+        + [text(v, named=False) for v in (s.mean, s.sd, s.minimum, s.low, s.median, s.high, s.maximum)]
+        for name, s in spreads
+    ]
+    head = ["", "runs", "mean", "sd", "least", "5 %", "median", "95 %", "largest"]
+    return TextTable(head, rows).html() if rows else None
+
+
+def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
+    """A row per effect, in the order of the tornado, and a column for each measure that any effect has."""
+    known = {key for effect in sensitivity.effects for key in (*effect.estimates, *effect.more)}
+    columns = {key: words for key, words in HEADS.items() if key in known}
+    rows = []
+    for effect in sensitivity.effects:
+        trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
+        rows.append([_code(effect.label), *(_measure(effect, key, unit) for key in columns), trend])
+    return TextTable(["factor or choice", *columns.values(), "rank correlation"], rows)
+
+
+def _code(name: str) -> Markup:
+    return Markup("<code>{}</code>").format(name)
+
+
+def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
+    if key in effect.estimates:
+        return size(effect.estimates[key], key, unit)
+    if key not in effect.more:
+        return ""
+    return (unit if key in ("mu", "sigma") else PURE).text(effect.more[key])
+
+
+def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
+    """The ordering measure of each factor in each combination of choices."""
+    measure = sensitivity.measure
+    combinations = [{e.name: e.estimates[measure] for e in found} for found in sensitivity.apart.values()]
+    rows = [
+        [_code(effect.name)]
+        + [size(own[effect.name], measure, unit) if effect.name in own else NONE for own in combinations]
+        for effect in sensitivity.effects
+        if effect.kind == "factor"
+    ]
+    return TextTable(["factor", *sensitivity.apart], rows)
+
+
+def _columns(results: Results, output: Output, finding: Finding, place: int) -> list[list[Picture]]:
+    """The figures of an output in two columns of about the same height."""
+    sensitivity, left, right = finding.sensitivity, list[Picture](), list[Picture]()
+    if sensitivity is not None:
+        drawn = embed(tornado(finding, sensitivity), f"t{place}-", "tornado")
+        left.append(("What moves it", drawn, left_out(sensitivity, finding.display)))
+        dots = scatter(results, output, finding, sensitivity)
+        if dots is not None:
+            words = "A dot for each run" + ("; the line is the median." if has_line(results) else ".")
+            right.append(("The top factors", embed(dots, f"s{place}-", "scatter"), words))
+    if finding.spread is not None and not finding.constant:
+        figure = histogram(results, output, finding, colouring(results, sensitivity))
+        drawn = embed(figure, f"h{place}-", "histogram")
+        left.append(("How it spreads", drawn, "Dashed: 5, 50 and 95 % of the runs lie below."))
+    return [column for column in (left, right) if column]
+
+
+def left_out(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
+    """What a tornado does not show."""
+    rest = sensitivity.effects[MOST:]
+    if not rest:
+        return ""
+    largest = max(rest[0].estimates[sensitivity.measure].value, 0.0)
+    bound = unit.text(largest) if sensitivity.measure == MU_STAR else f"{math.ceil(100 * largest)} %"
+    return f"Not shown: {len(rest)} more, none with more than {bound}."
+
+
+def _bands(results: Results) -> list[tuple[str, list[tuple[str, Markup]]]]:
+    """Each kept signal: all runs, then a figure per choice."""
+    if results.bands is None or results.bands.empty or done(results).empty:
+        return []
+    found = []
+    for place, signal in enumerate(results.study.bands):
+        unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
+        pictures = [("all runs", embed(bands(results, signal, unit, None), f"b{place}-", signal))]
+        for k, choice in enumerate(results.study.compared):
+            title = f"by {choice.what}"
+            drawn = bands(results, signal, unit, choice)
+            pictures.append((title, embed(drawn, f"b{place}-{k}-", f"{signal} {title}")))
+        found.append((signal, pictures))
+    return found
