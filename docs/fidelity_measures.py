@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.machine.parts import parts, wiring
-from fmus.machine.scenarios import Move
+from fmus.machine.work_cycle import Move
 from fmus.monolith import join, simulate
 
 BAR = 1e5  # Pa

@@ -15,7 +15,7 @@ from fmpy import read_model_description
 
 from fmus.contract import quantities
 from fmus.machine.parts import ALL
-from fmus.machine.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
+from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.monolith import breakpoints
 from fmus.parameters import values
 

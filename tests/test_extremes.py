@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, WORK_SPACE, poses
-from fmus.machine.poses import parameter
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.reference import work_cycle
-from fmus.machine.scenarios import COMMANDS, WORK_CYCLE
+from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.monolith import join, simulate
 from fmus.parameters import values
 from orchestrator import Problem
@@ -47,7 +47,7 @@ def leaked(drop, joint):
     return BOOM_STICK["valve_leakage"] * drop / rod
 
 
-@pytest.mark.parametrize("pose", list(poses(3)))
+@pytest.mark.parametrize("pose", list(pose_grid(3)))
 def test_a_held_arm_sinks_as_its_leakage_says(pose):
     """In 5 s with closed valves each piston moves by what leaks into its chambers, no more, no less.
 

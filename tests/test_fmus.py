@@ -358,7 +358,7 @@ def test_reference_trace_is_what_the_monolith_gives():
 
 
 def test_shipped_work_cycle_is_what_its_moves_give():
-    """data/scenarios/work_cycle.csv is the list of moves in fmus/machine/scenarios.py, nothing else."""
+    """data/scenarios/work_cycle.csv is the list of moves in fmus/machine/work_cycle.py, nothing else."""
     from fmus.machine.build import data
 
     stored = np.loadtxt(data("scenarios/work_cycle.csv"), delimiter=",", skiprows=1)

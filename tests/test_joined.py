@@ -16,7 +16,8 @@ from fmus.composition import declared, flat_names, joined
 from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import pose_grid
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
@@ -237,7 +238,7 @@ def test_fmpy_finds_no_problem(fmu_dir):
 def test_machine_starts_at_rest_in_every_pose(fmu_dir, kind):
     """Pressures follow from the pose: no joint accelerates."""
     joints = ("swing", "boom", "stick")
-    for boom, stick in list(poses(3)):
+    for boom, stick in list(pose_grid(3)):
         pose = {"initial_boom_angle": boom, "initial_stick_angle": stick}
         with driving(fmu_dir / "harvester.fmu", kind, **pose) as fmu:
             assert [*fmu.get("boom_angle", "stick_angle")] == [boom, stick]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fmus.contract import quantities, symbolic
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
-from fmus.machine.poses import parameter
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import parameter, pose_grid
 from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
 
@@ -42,7 +42,7 @@ def test_holding_pressures_stay_between_tank_and_80_percent_of_supply(capsys):
     """Over the work space the arm is carried with pressure to spare; prints the map."""
     grid = 11
     rows = {}
-    for pose in poses(grid):
+    for pose in pose_grid(grid):
         p, x = start_at(*pose)
         y = MODEL.outputs(x, MODEL.u, p).full()[:, 0]
         rows[pose] = [float(column(y, name)) for name in PRESSURES]
@@ -57,7 +57,7 @@ def test_holding_pressures_stay_between_tank_and_80_percent_of_supply(capsys):
 
 def test_start_is_consistent_at_every_pose():
     """At the start nothing accelerates beyond what the leakage of the closed valves does."""
-    for pose in poses(7):
+    for pose in pose_grid(7):
         p, x = start_at(*pose)
         y = MODEL.outputs(x, MODEL.u, p).full()[:, 0]
         for joint in ("boom", "stick"):
@@ -70,7 +70,7 @@ def test_start_is_consistent_at_every_pose():
         assert abs(column(y, "manipulator.swing_acceleration")) < 1e-12
 
 
-@pytest.mark.parametrize("pose", list(poses(3)))
+@pytest.mark.parametrize("pose", list(pose_grid(3)))
 def test_closed_valves_hold_every_pose_for_5_s(pose):
     """No piston moves farther than its leakage flow times time over its area.
 

@@ -15,7 +15,7 @@ import pytest
 
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.machine.reference import TOLERANCE, work_cycle
-from fmus.machine.scenarios import COMMANDS
+from fmus.machine.work_cycle import COMMANDS
 from fmus.monolith import join, simulate
 from orchestrator import Problem
 from orchestrator.modelica import write_package

@@ -21,7 +21,7 @@ from fmus.composition import joined
 from fmus.contract import symbolic
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.scenarios import (
+from fmus.machine.work_cycle import (
     DEFAULT,
     PROGRAMS,
     WORK_CYCLE,
@@ -30,7 +30,7 @@ from fmus.machine.scenarios import (
     program,
     program_numbers,
 )
-from fmus.machine.scenarios import sample as sampled
+from fmus.machine.work_cycle import sample as sampled
 from fmus.operator.model import AHEAD, AXES, OPERATOR, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem

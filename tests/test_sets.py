@@ -3,7 +3,7 @@
 import pytest
 
 from fmus.contract import quantities
-from fmus.machine.build import parts
+from fmus.machine.build import numbered_parts
 from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
@@ -26,7 +26,7 @@ MASS = '[parameters.head_mass]\nvalue = 400.0\nunit = "kg"\nsource = "identified
 def machine(tmp_path):
     """All parts with a set of three numbers."""
     (tmp_path / "set.toml").write_text(VALVE + PRELOAD + MASS, encoding="utf-8")
-    usual, others = parts(tmp_path / "set.toml")
+    usual, others = numbered_parts(tmp_path / "set.toml")
     return {**usual, **{sub.name: sub for sub in others}}
 
 
@@ -102,7 +102,7 @@ def test_a_mistake_is_told_in_one_line(text, told, tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     (tmp_path / "set.toml").write_text(text, encoding="utf-8")
     with pytest.raises(Problem):
-        parts(tmp_path / "set.toml")
+        numbered_parts(tmp_path / "set.toml")
     assert main(["build", "--parameters", "set.toml"]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"harvester: set.toml: {told}")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import transcription
 
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS, poses
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import pose_grid
 from fmus.monolith import join, simulate
 
 DATA = Path(__file__).parents[1] / "data"
@@ -81,7 +82,7 @@ def test_observables_agree(model):
 def test_consistent_start_agrees(model):
     """From any pose of the work space both writings start with the same pressures, at rest."""
     rng = np.random.default_rng(9)
-    for boom, stick in poses(5):
+    for boom, stick in pose_grid(5):
         table, tank, angles = random_numbers(rng), rng.uniform(0.0, 5e5), [rng.uniform(-3, 3), boom, stick]
         table |= {f"manipulator.initial_{n}_angle": a for n, a in zip(JOINTS, angles, strict=True)}
         inputs = model.u.copy()

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.controller.geometry import joints
-from fmus.machine.files import write_csv
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
 
@@ -182,7 +182,7 @@ def write(folder: Path, paths: Mapping[str, Route] = PATHS) -> list[Path]:
         time, points, velocities = sample(path)
         rows = np.column_stack([time, inputs(points, velocities)])
         written.append(folder / f"{name}.csv")
-        write_csv(written[-1], ("time", *COLUMNS), rows, 10)
+        write_columns(written[-1], ("time", *COLUMNS), rows, 10)
     return written
 
 

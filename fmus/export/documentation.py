@@ -22,7 +22,6 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.reference_experiment import PAGE, proof
-from fmus.machine.files import shipped
 from fmus.parameters import SOURCES, Number, Tables, numbers
 from orchestrator.base.units import display
 from orchestrator.ssp.common import package_version
@@ -30,6 +29,12 @@ from orchestrator.ssp.common import package_version
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
+
+
+def shipped(name: str) -> Path | None:
+    """A file by its path in a checkout, such as data/x.csv; an installed package has a copy inside."""
+    package = Path(__file__).parents[1]
+    return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, sources
-from fmus.export.documentation import page
+from fmus.export.documentation import page, shipped
 from fmus.export.interface import Interface, interface
 from fmus.export.model_description import build_description, model_description, model_description3, terminals
 from fmus.export.reference_experiment import proof
-from fmus.machine.files import shipped
 from fmus.parameters import Values, document, values
 from fmus.parameters import numbers as numbers_of
 

@@ -12,12 +12,12 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.variables import OWN
 from fmus.export.build import build_all
-from fmus.machine.files import shipped
+from fmus.export.documentation import shipped
 from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.scenarios import WORK_CYCLE_STOP
 from fmus.machine.ssp import write_control, write_system
+from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Set, read, read_set, with_numbers
 from fmus.swing import SWING
@@ -48,7 +48,7 @@ def build_machine(
     platforms   names of `fmus.export.compile`; by default the one this runs on
     parameters  a set of numbers (`fmus.parameters`) in place of those of the parts
     """
-    own, others = parts(parameters)
+    own, others = numbered_parts(parameters)
     steering = controller_of(own, parameters)
     subs = [*own.values(), steering, whole({name: own[name] for name in SUBSYSTEMS}), *others]
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
@@ -66,7 +66,7 @@ def build_machine(
     return paths
 
 
-def parts(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Subsystem]]:
+def numbered_parts(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Subsystem]]:
     """The usual parts by name, and the other variants, all with the numbers of a set if one is given."""
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
     if parameters is None:

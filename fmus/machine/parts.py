@@ -1,11 +1,9 @@
-"""The machine: which subsystems there are, how they are wired, where the arm works."""
+"""The machine: which subsystems there are and how they are wired."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TypeAlias
-
-import numpy as np
 
 from fmus import boom_stick, manipulator, supply, swing
 from fmus.boom_stick import BOOM_STICK
@@ -124,14 +122,3 @@ def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Wires, Mapping[str, tuple[s
         return CONNECTIONS, INPUTS
     fed = {target for _, target in SUPPLY_WIRES}
     return CONNECTIONS + SUPPLY_WIRES, {n: ends for n, ends in INPUTS.items() if not fed & set(ends)}
-
-
-# joint angles [rad] between which the arm works; the strokes reach a little further
-WORK_SPACE: Mapping[str, tuple[float, float]] = {"boom_angle": (-0.45, 1.0), "stick_angle": (-2.15, -0.6)}
-
-
-def poses(count: int = 9) -> Iterator[tuple[float, float]]:
-    """A grid of count x count poses (boom angle, stick angle) [rad] over the work space."""
-    for boom in np.linspace(*WORK_SPACE["boom_angle"], count):
-        for stick in np.linspace(*WORK_SPACE["stick_angle"], count):
-            yield float(boom), float(stick)

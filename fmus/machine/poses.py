@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
@@ -23,6 +25,17 @@ class Pose:
     boom: float
     stick: float
     swing: float = 0.0
+
+
+# joint angles [rad] between which the arm works; the strokes reach a little further
+WORK_SPACE: Mapping[str, tuple[float, float]] = {"boom_angle": (-0.45, 1.0), "stick_angle": (-2.15, -0.6)}
+
+
+def pose_grid(count: int = 9) -> Iterator[tuple[float, float]]:
+    """A grid of count x count poses (boom angle, stick angle) [rad] over the work space."""
+    for boom in np.linspace(*WORK_SPACE["boom_angle"], count):
+        for stick in np.linspace(*WORK_SPACE["stick_angle"], count):
+            yield float(boom), float(stick)
 
 
 def parameter(joint: str) -> str:

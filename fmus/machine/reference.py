@@ -1,20 +1,22 @@
-"""The reference experiment of each subsystem: inputs from the machine at work, result from its equations.
+"""Reference results: the work cycle of the machine, and one experiment for each FMU, which carries it as its
+proof.
 
-At each communication point the inputs are set; within a step of length H input i moves as the FMU moves it,
+    python -m fmus.machine.reference DATA_FOLDER
+
+writes scenario and trace of the work cycle, the program of the operator, and the experiments. It is to be run
+whenever equations or numbers have changed.
+
+The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
+Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
+
+An experiment takes its inputs from the machine at work and its result from the equations of the subsystem
+alone. At each communication point the inputs are set; within a step input i moves as the FMU moves it,
 
     u_i(tau) = u_i + r_i tau + s_i tau^2 / 2 + ...      r, s: the inputs that carry its derivatives, as set
 
 (docs/design.md, "Inputs inside a step"), and CVODES solves dx/dt = f(x, u(tau), p) from step to step. So a
 tool that sets the inputs at the communication points and holds them reproduces the result, whatever the step
-does to the accuracy of a coupling. `python -m fmus.machine.reference` writes the files again, to be done
-whenever equations or numbers have changed.
-
-Makes work cycle, reference trace, operator's program, and the experiments that FMUs carry as their proof.
-
-    python -m fmus.machine.reference DATA_FOLDER
-
-The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
-Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
+does to the accuracy of a coupling.
 """
 
 from __future__ import annotations
@@ -34,7 +36,6 @@ from fmus.controller import CONTROLLER
 from fmus.controller.paths import spells
 from fmus.export.interface import interface
 from fmus.export.reference_experiment import STEP, data_file, reference_parameters
-from fmus.machine.files import write_csv
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
     COMMAND_WIRES,
@@ -45,17 +46,18 @@ from fmus.machine.parts import (
     SUBSYSTEMS,
     SUPPLY_WIRES,
 )
-from fmus.machine.scenarios import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
+from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
 from fmus.monolith import join, simulate
 from fmus.operator.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
+from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
 STOP = 8.0  # s: each lever moved both ways, or nearly
 EXPERIMENT_EVERY = 4  # steps between two rows of the result
 EXPERIMENT_TOLERANCE = 1e-11  # relative, and absolute times the nominal value
 INPUT_DIGITS, RESULT_DIGITS = 10, 9
-REST = 1e-6  # of the nominal value: a signal that moves less is none
+REST = 1e-6  # of the nominal value: a signal that moves less is at rest
 
 
 def machine() -> dict[str, Array]:
@@ -178,14 +180,14 @@ def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     time = np.arange(count + 1) * STEP
     if moving and sub.name == sub.component:
         rows = np.column_stack([time, *moving.values()])
-        write_csv(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
+        write_columns(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
     if not quantities(sub.states):
         return  # outputs that follow the inputs at once: nothing to solve, nothing to prove
     v = start_values(sub, moving)
     found = solve(sub, v, moving, count)
     shown = signals(sub, moving, found)
     rows = np.column_stack([time, *(found[n] for n in shown)])[::EXPERIMENT_EVERY]
-    write_csv(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
+    write_columns(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
     face = interface(sub, v)
     settable = {
         x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
@@ -193,8 +195,7 @@ def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     data_file(sub, "parameters.ssv").write_bytes(reference_parameters(sub, settable))
 
 
-if __name__ == "__main__":
-    write_experiments()
+# ---- the work cycle
 
 TOLERANCE = 1e-11  # relative, of CVODES
 EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (17 Hz)
@@ -243,14 +244,16 @@ def main(folder: Path) -> None:
     """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
     write(OPERATOR.values, program_numbers())
     time, commands = work_cycle()
-    write_csv(
+    write_columns(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10
     )
     time, signals = trace()
     kept = np.column_stack([time, signals])[::EVERY]
-    write_csv(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
+    write_columns(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
     write_experiments()
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
+        sys.exit("expected one argument, the folder data: python -m fmus.machine.reference data")
     main(Path(sys.argv[1]))

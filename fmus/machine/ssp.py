@@ -13,7 +13,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY_WIRES
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
-from fmus.machine.scenarios import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
+from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
 from fmus.operator.model import OPERATOR
 from orchestrator.ssp.assembly import assemble

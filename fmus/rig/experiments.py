@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.machine.poses import NOMINAL, POSES, Pose
-from fmus.machine.scenarios import RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move
+from fmus.machine.work_cycle import RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move
 from fmus.rig.benches import EDGES, detailed, locked_motor, stick_hose, valve
 from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Instrument
 from fmus.rig.recording import Array as Array_of_recording

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fmus.machine.parts import Wires, parts, wiring
 from fmus.machine.poses import JOINTS, Pose, parameter
-from fmus.machine.scenarios import COMMANDS, Move, sample
+from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.rig.benches import TOLERANCE
 from fmus.rig.instruments import Instrument, generator, read

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.machine.files import write_csv
 from fmus.rig import instruments
 from fmus.rig.benches import TOLERANCE
 from fmus.rig.experiments import MACHINES
 from fmus.rig.instruments import Instrument
 from fmus.rig.recording import Condition, Experiment, record
+from orchestrator.base.files import write_columns
 
 HEADING = "# Recordings of the virtual test rig"
 
@@ -85,7 +85,7 @@ def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
     """Write one recording; the paths of the table and of what describes it."""
     readings = record(experiment, seed)
     csv, toml = (folder / f"{experiment.name}.{ending}" for ending in ("csv", "toml"))
-    write_csv(csv, ("time", *readings), np.column_stack([experiment.time, *readings.values()]), DIGITS)
+    write_columns(csv, ("time", *readings), np.column_stack([experiment.time, *readings.values()]), DIGITS)
     text = "\n".join(description(experiment, seed))
     toml.write_text(f"{text}\n", encoding="utf-8", newline="\n")
     return csv, toml

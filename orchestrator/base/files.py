@@ -6,12 +6,17 @@ import io
 import os
 import shutil
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from orchestrator.base.errors import Problem
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,13 @@ def folder(path: Path) -> None:
         raise Problem(f"{path}: expected a folder, and none can be made: {error.strerror}") from None
     if not os.access(path, os.W_OK):
         raise Problem(f"{path}: expected a folder to write to, got no permission")
+
+
+def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], digits: int) -> None:
+    """Write rows, shape (n, m), as a CSV file with a header; `digits` significant digits."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    body = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
+    path.write_text("\n".join([",".join(names), *body, ""]), encoding="utf-8", newline="\n")
 
 
 def pack(path: Path, content: Mapping[str, bytes]) -> None:

@@ -27,7 +27,7 @@ def variants(
     With states, inputs and range of validity.
     """
     from fmus.machine.parts import FAMILIES
-    from fmus.machine.variants import lines, names
+    from fmus.machine.tables import variant_lines, variant_names
     from orchestrator.studies.variants import costs, table
 
     if combinations:
@@ -35,7 +35,7 @@ def variants(
         if not table(system, {part: list(family) for part, family in FAMILIES.items()}, joints, out):
             raise typer.Exit(1)
         return
-    print("\n".join(lines(costs(system, names()) if system.exists() else {})))
+    print("\n".join(variant_lines(costs(system, variant_names()) if system.exists() else {})))
     if not system.exists():
         print(f"{system} is not built: no costs measured; make it with: harvester build")
 
@@ -54,9 +54,9 @@ def parameters(
     ] = None,
 ) -> None:
     """Print the numbers of the model with unit and source."""
-    from fmus.machine.provenance import show
+    from fmus.machine.tables import print_parameters
 
-    show(subsystem, source)
+    print_parameters(subsystem, source)
 
 
 @app.command()

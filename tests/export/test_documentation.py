@@ -11,10 +11,9 @@ from lxml import etree, html
 
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
-from fmus.export.documentation import figure, pretty, prose, slug
+from fmus.export.documentation import figure, pretty, prose, shipped, slug
 from fmus.export.interface import interface
 from fmus.export.package import package
-from fmus.machine.files import shipped
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.parameters import numbers, values

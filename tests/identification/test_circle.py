@@ -7,7 +7,7 @@ import pytest
 from fmus.identification.outcome import beside, explanation, worst
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.machine.build import parts
+from fmus.machine.build import numbered_parts
 from fmus.parameters import values, write
 from fmus.rig.command import rig
 
@@ -34,7 +34,7 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     assert told is not None
     assert told.named == "swinging head"
     write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
-    usual, others = parts(tmp_path / "own.toml")
+    usual, others = numbered_parts(tmp_path / "own.toml")
     for sub in (*usual.values(), *others):
         own = values(sub).p
         for name, (estimate, _) in found.estimates.items():

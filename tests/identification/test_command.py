@@ -12,7 +12,7 @@ import pytest
 from fmus.identification.known import lookup, nominal, plain, targets_of, updated
 from fmus.identification.machine import FREE
 from fmus.identification.pipeline import PROCEDURES
-from fmus.machine.build import parts
+from fmus.machine.build import numbered_parts
 from fmus.parameters import values
 from fmus.rig.command import rig
 from orchestrator.__main__ import main
@@ -58,7 +58,7 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
         n: t["value"] for n, t in tables.items()
     }
     assert all(procedure in printed for procedure in PROCEDURES)
-    usual, _ = parts(Path("parameters.toml"))
+    usual, _ = numbered_parts(Path("parameters.toml"))
     assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
 

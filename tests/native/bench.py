@@ -19,7 +19,7 @@ import pytest
 
 from fmus.export.compile import HEADERS, PLATFORMS, host
 from fmus.machine.reference import work_cycle
-from fmus.machine.scenarios import COMMANDS
+from fmus.machine.work_cycle import COMMANDS
 
 CODE = Path(__file__).parent / "c"
 STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
 
-from fmus.machine.scenarios import WORK_CYCLE_STOP
+from fmus.machine.work_cycle import WORK_CYCLE_STOP
 
 GCC = {
     "O0": (3, "-O0"),

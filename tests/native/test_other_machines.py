@@ -13,7 +13,7 @@ from native.bench import assert_same, begin, cycle, drive, driver, moves, number
 from fmus.export.build import build_all
 from fmus.machine.build import STEP
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.scenarios import WORK_CYCLE_STOP
+from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.operator.model import OPERATOR
 
 WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")

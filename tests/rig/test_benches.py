@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fmus.machine.scenarios import RATE
+from fmus.machine.work_cycle import RATE
 from fmus.rig.experiments import GROUPS, HOLD, MOTOR_HOLD, PLANS, experiment
 from fmus.rig.recording import Experiment, record
 

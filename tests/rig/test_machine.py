@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmus.machine.scenarios import WORK_CYCLE
+from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.rig.experiments import MACHINE_PLANS, TRAINING, experiment
 
 TRACE = Path(__file__).parents[2] / "data/reference/work_cycle.csv"

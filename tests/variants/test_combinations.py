@@ -12,7 +12,7 @@ from any_fmu.edit import edited
 from every import EVERY, python
 
 from fmus.machine.parts import FAMILIES
-from fmus.machine.variants import names
+from fmus.machine.tables import variant_names
 from orchestrator import load, run
 from orchestrator.__main__ import main
 from orchestrator.studies.variants import combinations
@@ -28,10 +28,10 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
     rows = {line.split()[0]: line.split() for line in indented}
-    for _, variant in names():
+    for _, variant in variant_names():
         assert variant in rows
     assert rows["detailed"][1:3] == ["32", "15"]  # of boom_stick, the last one
-    assert printed.count("holds: ") == len(names())
+    assert printed.count("holds: ") == len(variant_names())
     costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
     assert costs["rigid"] == 1.0
     assert min(costs.values()) == 1.0  # the others do more; a ratio within one run
@@ -78,7 +78,7 @@ def test_a_combination_starts_and_moves(fmu_dir, chosen):
 def test_every_seventh_has_every_variant():
     """The sample above leaves no variant out."""
     met = {(part, variant) for chosen in ALL_COMBINATIONS[::7] for part, variant in chosen.items()}
-    assert met == set(names())
+    assert met == set(variant_names())
     assert len(ALL_COMBINATIONS) == 3 * 3 * 4 * 2
 
 

@@ -12,7 +12,7 @@ from every import MACHINES
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES, parts, wiring
-from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
+from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import breakpoints, join
 
 STOP = 5.0  # s: boom, swing and stick move and are braked

@@ -18,7 +18,8 @@ from scipy.special import ellipk
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
 from fmus.contract import quantities, symbolic
-from fmus.machine.parts import parts, poses, wiring
+from fmus.machine.parts import parts, wiring
+from fmus.machine.poses import pose_grid
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
 from fmus.monolith import join, simulate
@@ -128,7 +129,7 @@ def test_accelerations_are_the_slopes_of_the_velocities(name):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_arm_rests_under_the_holding_forces(name):
     """At any pose, head hanging and bristles relaxed, nothing moves; the forces are those of `rigid`."""
-    for boom, stick in poses(5):
+    for boom, stick in pose_grid(5):
         x = {"boom_angle": boom, "stick_angle": stick}
         _, usual = variant("rigid")(variant("rigid").start(**x))
         _, y = variant(name)(variant(name).start(**x))

@@ -15,7 +15,7 @@ from fmus.components import spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import FAMILIES, parts, wiring
-from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
+from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 

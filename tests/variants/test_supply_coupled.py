@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES, parts, wiring
-from fmus.machine.scenarios import COMMANDS, PROGRAMS, sample
+from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import join, simulate
 from orchestrator import load, run
 from orchestrator.ssp.power_bonds import find_bonds

@@ -16,7 +16,7 @@ from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.simulation import Model
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.scenarios import WORK_CYCLE
+from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.parameters import values
 from orchestrator.data.recording import Recording, Sensor
 

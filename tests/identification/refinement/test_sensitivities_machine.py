@@ -15,7 +15,7 @@ from properties import examples
 from fmus.contract import quantities, symbolic
 from fmus.identification.refinement.simulation import Model, Piece
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.scenarios import COMMANDS, Move, sample
+from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import breakpoints
 from fmus.parameters import values
 

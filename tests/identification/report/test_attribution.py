@@ -19,7 +19,7 @@ from fmus.identification.report.attribution import (
     without,
 )
 from fmus.identification.report.prediction import COMMANDS, Drive
-from fmus.machine.scenarios import Move
+from fmus.machine.work_cycle import Move
 
 STEP = 0.01  # s
 # every joint moves and stops again: each effect shows in a few seconds

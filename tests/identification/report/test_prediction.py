@@ -15,7 +15,7 @@ from properties import examples
 from fmus.identification.report.attribution import shown, slopes
 from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
 from fmus.machine.poses import NOMINAL, POSES
-from fmus.machine.scenarios import Move
+from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 

@@ -108,7 +108,7 @@ def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, N
     units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
     values = program(moves)
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
-    notes = {True: "work cycle, fmus/machine/scenarios.py", False: "stroke not used"}
+    notes = {True: "work cycle, fmus/machine/work_cycle.py", False: "stroke not used"}
     return {
         "parameters": {
             name: Number(value, units[name], "assumed", notes[name.rsplit("_", 1)[0] in used])
