@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace import Trace, read, write
+    from orchestrator.engine.job import Execution, Recording
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
@@ -27,9 +28,11 @@ if TYPE_CHECKING:
 _WHERE = {
     "Card": "engine.result",
     "Coupling": "base.coupling",
+    "Execution": "engine.job",
     "Interrupted": "engine.result",
     "Linear": "linear.model",
     "Problem": "base.errors",
+    "Recording": "engine.job",
     "Result": "engine.result",
     "RunFailed": "engine.result",
     "System": "ssp.system",
@@ -43,8 +46,8 @@ _WHERE = {
 }
 
 __all__ = [
-    "Card", "Coupling", "Interrupted", "Linear", "Problem", "Result", "RunFailed", "System", "Trace",
-    "assemble", "linearize", "load", "read", "run", "write",
+    "Card", "Coupling", "Execution", "Interrupted", "Linear", "Problem", "Recording", "Result", "RunFailed",
+    "System", "Trace", "assemble", "linearize", "load", "read", "run", "write",
 ]  # fmt: skip
 
 

@@ -98,7 +98,7 @@ class Coupling:
         if self.tolerance is not None and self.passes == 1:
             raise Problem("coupling tolerance: it ends the passes of a step, expected more of them than 1")
         if self.correct and self.master == "interface-jacobian":
-            raise Problem(f"correct: {self.master} foretells the inputs, expected another master")
+            raise Problem(f"correct: {self.master} predicts the inputs, expected another master")
         if self.correct and self.master == "hermite" and self.passes != 1:
             many = f"up to {self.rounds} passes"
             raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")

@@ -83,7 +83,7 @@ def _solve(slaves: Mapping[str, Slave], cycle: DependencyCycle, fed: Mapping[Por
 
 def _same(old: Value, new: Value) -> bool:
     """Equal up to the rounding of an FMU that iterates inside."""
-    return old == new or (isinstance(new, float) and math.isclose(old, new, rel_tol=1e-10))  # type: ignore[arg-type]
+    return old == new or (isinstance(new, float) and math.isclose(float(old), new, rel_tol=1e-10))
 
 
 def _carry(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -29,6 +29,49 @@ CAUTIOUS = 1e-3  # of the first adaptive step, where it cannot be repeated and s
 Opener = Callable[[Component], Slave]
 
 
+def open_slave(component: Component) -> Slave:
+    """An instance of the component's FMU."""
+    if component.source is None:
+        raise Problem(f"{component.name}: has no FMU file")
+    from orchestrator.fmi.cosimulation import FmuSlave
+
+    return FmuSlave(component.name, component.interface, component.source, component.start)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What is recorded of a run.
+
+    signals   names; default: all outputs, all inputs that are fed and all that are inputs of the system
+    step      interval between recorded points [s], a multiple of the communication step; adaptive runs hit
+              the points exactly; first and last are always recorded; default: every communication point
+    bonds     power bonds as pairs of input names, whose energy error is watched; default: found from the
+              units
+    """
+
+    signals: Sequence[str] | None = None
+    step: float | None = None
+    bonds: Sequence[tuple[str, str]] | None = None
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How a run is carried out.
+
+    tolerance        relative tolerance handed to the FMUs
+    error_estimate   run again at half and at twice the step, an adaptive run at a tenth of its tolerance, to
+                     estimate the error of each signal at the recorded points
+    progress         show a progress bar when the run takes longer than a second
+    open             opens a component: an FMU, or any object with the methods of
+                     `orchestrator.fmi.calls.Slave`
+    """
+
+    tolerance: float | None = None
+    error_estimate: bool = False
+    progress: bool = False
+    open: Opener = open_slave
+
+
 @dataclass
 class Opened:
     """What a run works with once all FMUs are initialised; notes: on what its master does without."""
@@ -48,14 +91,12 @@ class Job:
     system: System
     scenario: Scenario | None
     coupling: Coupling
-    record: Sequence[str] | None
-    bonds: Iterable[tuple[str, str]] | None
-    tolerance: float | None
-    open: Opener
+    recording: Recording = Recording()
+    execution: Execution = Execution()
 
-    def run(self, times: Grid, progress: bool) -> Result:
+    def run(self, times: Grid) -> Result:
         """Open all FMUs, run, close them whatever happens."""
-        with self.opened(times) as opened, Progress(times.stop - times.start, progress) as bar:
+        with self.opened(times) as opened, Progress(times.stop - times.start, self.execution.progress) as bar:
             began = time.perf_counter()
             try:
                 with DeferredInterrupts() as interrupts:
@@ -73,14 +114,15 @@ class Job:
             return self._result(opened, began, True)
 
     @contextmanager
-    def opened(self, times: Grid, recording: type[Recorder] = Recorder) -> Iterator[Opened]:
+    def opened(self, times: Grid, recorder_type: type[Recorder] = Recorder) -> Iterator[Opened]:
         """All FMUs open and initialised, ready for the first step; closed at the end whatever happens."""
-        chosen = None if self.record is None else [self.system.port(name) for name in self.record]
+        signals = self.recording.signals
+        chosen = None if signals is None else [self.system.port(name) for name in signals]
         _check_single(self.system)
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}
             for name, component in self.system.components.items():
-                slaves[name] = self.open(component)
+                slaves[name] = self.execution.open(component)
                 stack.callback(slaves[name].close)
             network = Network(self.system, slaves, self.scenario, chosen, self.coupling.factors)
             way = plan(self.system, self.coupling)
@@ -88,9 +130,9 @@ class Job:
             if way.prediction:
                 prediction = LinearPrediction(network, inputs, way.prediction, way.order)
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
-            initialise(self.system, slaves, driven, (times.start, times.stop), self.tolerance)
+            initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
             energy = EnergyMonitor(network, inputs.moving, self._bonds(network))
-            recorder = recording(network, times, chosen)
+            recorder = recorder_type(network, times, chosen)
             control = self._control(inputs, times)
             stack.callback(network.forget)
             loop = SimulationLoop(network, way, inputs, prediction, times, recorder, energy, control)
@@ -136,10 +178,10 @@ class Job:
 
     def _bonds(self, network: Network) -> list[Bond]:
         """The bonds that are asked for, or those over which energy goes: both inputs change something."""
-        if self.bonds is None:
+        if self.recording.bonds is None:
             found = find_bonds(self.system)
             return [b for b in found if network.matters(b.effort) and network.matters(b.flow)]
-        return [named_bond(self.system, *pair) for pair in self.bonds]
+        return [named_bond(self.system, *pair) for pair in self.recording.bonds]
 
     def _result(self, opened: Opened, began: float, complete: bool) -> Result:
         network, times, state = opened.network, opened.times, opened.loop.state
@@ -183,7 +225,7 @@ def _check_single(system: System) -> None:
             raise Problem(f"{other} and {name}: expected one instance, their FMU can have no more, got two")
 
 
-def estimated(job: Job, times: Grid, result: Result, progress: bool) -> Card:
+def estimated(job: Job, times: Grid, result: Result) -> Card:
     """The card of a complete run with error estimates; what happens to the other runs does not harm it."""
     if times.free:
         note = "no error estimate: two adaptive runs only meet at the points of a record step, give one"
@@ -191,10 +233,10 @@ def estimated(job: Job, times: Grid, result: Result, progress: bool) -> Card:
     adaptive = job.coupling.adaptive is not None
     try:
         finer = (job.stricter(), times) if adaptive else (job, times.finer())
-        fine, coarse = finer[0].run(finer[1], progress).trace, None
+        fine, coarse = finer[0].run(finer[1]).trace, None
         if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
-                coarse = job.run(times.coarser(), progress).trace
+                coarse = job.run(times.coarser()).trace
     except RunFailed as failed:
         which = "a tenth of the tolerance" if adaptive else "half the step"
         note = f"no error estimate, the run at {which} failed: {failed}"

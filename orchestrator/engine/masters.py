@@ -136,12 +136,12 @@ def hermite(system: System, coupling: Coupling) -> Plan:
     """At most `passes` passes, fewer when one changes all signals by less than the tolerance.
 
     Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
-    sources are extrapolated as Gauss-Seidel does it; each further pass starts again from the saved states, with
-    the cubics to where the pass before it ended. When passes change nothing any more the input of every
+    sources are extrapolated as Gauss-Seidel does it; each further pass starts again from the saved states,
+    with the cubics to where the pass before it ended. When passes change nothing any more the input of every
     component is its source up to h^4, so the order of convergence is 4.
 
-    A component whose sources have all stepped before it is right in the first pass already. When all others can
-    go back to a saved state the step is repeated, else it is computed once.
+    A component whose sources have all stepped before it is right in the first pass already. When all others
+    can go back to a saved state the step is repeated, else it is computed once.
     """
     order = order_of_components(system)
     repeated, components = unsettled(system, order), list(system.components.values())

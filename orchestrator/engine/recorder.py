@@ -7,8 +7,9 @@ that X takes differ:
     residual power = e_true f_used - e_used f_true            [W]
 
 Its integral over the run is the energy error of the coupling (+: energy from nowhere, -: lost energy), summed
-step by step with the trapezoidal rule. `used` at the end of a step is read back from the FMUs (or follows from
-the slope that the master gave), so inputs that an FMU moves by itself inside the step are judged as what they were.
+step by step with the trapezoidal rule. `used` at the end of a step is read back from the FMUs (or follows
+from the slope that the master gave), so inputs that an FMU moves by itself inside the step are judged as what
+they were.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
-"""What a run leaves behind, also when it ends early.
+"""What a run leaves behind, also when it ends early: the trace, the accuracy card, and its metadata.
 
-The accuracy card: how fast a run was, and how far its result can be trusted.
-
-What a run was and what it cost, in a file beside its trace: trace.csv has trace.run.json.
-
-A CSV has no room for it, nor for units; `harvester compare` reads both from there.
+The card says how fast a run was, and how far its result can be trusted. The metadata, units among them, stand
+in trace.run.json next to trace.csv, which has no room for them; `harvester compare` reads them from there.
 """
 
 from __future__ import annotations
@@ -14,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +22,9 @@ from orchestrator.data.trace import Trace
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import Message
 from orchestrator.ssp.system import System
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,16 @@ class Result:
     messages: tuple[Message, ...] = ()
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
+
+    def __getitem__(self, signal: str) -> NDArray[np.float64]:
+        """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""
+        return self.trace[signal]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One column for each recorded signal, over the time [s]."""
+        import pandas as pd
+
+        return pd.DataFrame(dict(self.trace.signals), index=pd.Index(self.trace.time, name="time"))
 
 
 class RunFailed(Problem):
@@ -94,7 +104,7 @@ class SignalError:
 
 @dataclass(frozen=True)
 class Card:
-    """Facts about one run. Times in [s].
+    """The accuracy card of one run. Times in [s].
 
     step        communication step, of adaptive runs the mean
     steps       that were taken and stand
@@ -130,35 +140,35 @@ class Card:
     @property
     def worst(self) -> list[SignalError]:
         """The largest change of each unit, in the order in which the signals were declared."""
-        found: dict[str, SignalError] = {}
+        worst: dict[str, SignalError] = {}
         for e in self.errors:
-            if e.unit not in found or e.change > found[e.unit].change:
-                found[e.unit] = e
-        return list(found.values())
+            if e.unit not in worst or e.change > worst[e.unit].change:
+                worst[e.unit] = e
+        return list(worst.values())
 
     def _steps(self) -> str:
         """How many steps, how long, and how often they were computed."""
         if self.adaptive is None:
-            told = f"step {self.step:.6g} s, {self.steps} steps"
+            text = f"step {self.step:.6g} s, {self.steps} steps"
         else:
             shortest, longest = (f"{1e3 * length:.3g}" for length in self.lengths)
-            told = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
+            text = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
         if (each := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
-            told += f", {each} passes each"
-        return told + (f", {self.repeated} repeated" if self.repeated else "")
+            text += f", {each} passes each"
+        return text + (f", {self.repeated} repeated" if self.repeated else "")
 
-    def _made_up(self) -> list[str]:
-        """Bonds whose coupling made up or lost so much that the run is not to be trusted."""
+    def _unreliable(self) -> list[str]:
+        """A warning of each bond whose energy error is too large for the result to be reliable."""
         most = max((b.exchanged for b in self.bonds), default=0.0)
         wrong = [b for b in self.bonds if b.exchanged >= LITTLE * most > 0 and abs(b.relative) > TOO_MUCH]
         return [
-            f"the coupling {'made up' if b.residual > 0 else 'lost'} {abs(b.relative):.1%} of the energy of"
-            f" {b.name}: the run is not to be trusted, take shorter steps"
+            f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
+            " reliable, take shorter steps"
             for b in wrong
         ]
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
-        """Energy that the coupling made up (+) or lost (-) [J], what it exchanged [J], and their ratio."""
+        """Energy error of the coupling [J], energy exchanged [J], and their ratio."""
         most = max(b.exchanged for b in self.bonds)
         if bond.exchanged <= max(REST, IDLE * most):
             return "", "", "no exchange"
@@ -180,10 +190,10 @@ class Card:
             lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
-            told, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
-            lines += ["", told, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
+            title, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
+            lines += ["", title, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
-        warnings = [*self._made_up(), *self.warnings]
+        warnings = [*self._unreliable(), *self.warnings]
         lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
         return "\n".join(lines)
 
@@ -262,7 +272,7 @@ SUFFIX = ".run.json"
 
 
 @dataclass(frozen=True)
-class Facts:
+class RunMetadata:
     """One run. Times in [s].
 
     step      communication step, of adaptive runs the mean
@@ -300,10 +310,10 @@ class Facts:
         return "adaptive" in self.coupling
 
 
-def facts(result: Result, given: Mapping[str, Any] | None = None) -> Facts:
-    """What there is to tell about a run."""
+def metadata(result: Result, given: Mapping[str, Any] | None = None) -> RunMetadata:
+    """What is written down of a run; given: what the user asked for."""
     system, card = result.system, result.card
-    return Facts(
+    return RunMetadata(
         system=str(system.source.path if system.source else system.name),
         master=card.master,
         step=card.step,
@@ -324,34 +334,37 @@ def facts(result: Result, given: Mapping[str, Any] | None = None) -> Facts:
     )
 
 
-def beside(trace: Path) -> Path:
+def metadata_file(trace: Path) -> Path:
     """The file that belongs to a trace."""
     return trace.with_suffix(SUFFIX)
 
 
-def write_facts(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
-    """Write the facts of a run beside its trace, which is there already."""
+def write_metadata(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
+    """Write the metadata of a run next to its trace, which is there already."""
     text = json.dumps(
-        {"sha256": _digest(trace)} | asdict(facts(result, given)), indent=1, ensure_ascii=False, default=str
+        {"sha256": _digest(trace)} | asdict(metadata(result, given)),
+        indent=1,
+        ensure_ascii=False,
+        default=str,
     )
-    beside(trace).write_text(text + "\n", encoding="utf-8", newline="\n")
-    return beside(trace)
+    metadata_file(trace).write_text(text + "\n", encoding="utf-8", newline="\n")
+    return metadata_file(trace)
 
 
 def _digest(trace: Path) -> str:
-    """By this the facts belong to their trace, also when both have got another name."""
+    """By this the metadata belong to their trace, also when both have got another name."""
     return hashlib.sha256(trace.read_bytes()).hexdigest()
 
 
-def read_facts(path: Path) -> Facts | None:
-    """The facts of the run that made a trace; None where there are none or they are of another trace."""
-    file = beside(path)
+def read_metadata(path: Path) -> RunMetadata | None:
+    """The metadata of the run that made a trace; None where there are none or they are of another trace."""
+    file = metadata_file(path)
     if not file.is_file():
         return None
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         digest = data.pop("sha256")
-        found = Facts(**{**data, "inputs": tuple(data["inputs"])})
+        found = RunMetadata(**{**data, "inputs": tuple(data["inputs"])})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise Problem(f"{file}: expected what harvester run writes beside a trace, got {error!r}") from None
+        raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
     return found if digest == _digest(path) else None

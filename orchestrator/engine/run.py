@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, folder, there
 from orchestrator.data.trace import Trace, check_suffix, read, write
-from orchestrator.engine.job import Job, Opener, estimated, guarded
-from orchestrator.engine.result import Interrupted, Result, RunFailed, write_facts
+from orchestrator.engine.job import Execution, Job, Recording, estimated, guarded, open_slave
+from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
 from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import RECORD, communication_step, divided, free_grid, grid, thinned
-from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameters import with_sets
-from orchestrator.ssp.system import Component, System
+from orchestrator.ssp.system import System
 
-__all__ = ["Interrupted", "Result", "RunFailed", "open_slave", "run"]  # what a caller of `run` needs
-
-
-def open_slave(component: Component) -> Slave:
-    """An instance of the component's FMU."""
-    if component.source is None:
-        raise Problem(f"{component.name}: has no FMU file")
-    from orchestrator.fmi.cosimulation import FmuSlave
-
-    return FmuSlave(component.name, component.interface, component.source, component.start)
+__all__ = [
+    "Execution", "Interrupted", "Recording", "Result", "RunFailed", "open_slave", "run",
+]  # what a caller of `run` needs  # fmt: skip
 
 
 def run(
@@ -43,42 +34,34 @@ def run(
     swap: Mapping[str, str | Path] | None = None,
     parameters: Sequence[str | Path] = (),
     set: Mapping[str, Value | str] | None = None,
-    record: Sequence[str] | None = None,
-    record_step: float | None = None,
-    bonds: Iterable[tuple[str, str]] | None = None,
-    tolerance: float | None = None,
-    error_estimate: bool = False,
-    progress: bool = False,
-    open: Opener = open_slave,
+    recording: Recording | None = None,
+    execution: Execution | None = None,
+    **single: Any,
 ) -> Result:
     """Co-simulate a system.
 
-    system          a System, or the path of an .ssp, .ssd or .fmu file
-    scenario        inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
-                    component.variable, or all component inputs of one name; a column replaces the connection
-                    to its input
-    master          a name, such as "hermite", or a Coupling, such as Coupling("hermite", passes=2); default:
-                    what the system suggests, see `System.coupling`, else "gauss-seidel"
-    step            communication step [s], of adaptive runs the first to try; default: with no `master` given
-                    what the system suggests, else the smallest that an FMU does, else 1e-3
-    start, stop     [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
-    swap            other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
-    parameters      parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
-    set             start values {name: value}, in the units of the FMU, before a swap, named like the columns
-                    of a scenario
-    record          names of the signals to record; default: all outputs, all inputs that are fed and all that
-                    are inputs of the system, fed or not
-    record_step     interval between recorded points [s], a multiple of the step; adaptive runs hit the points
-                    exactly; first and last are always recorded; default: every communication point
-    bonds           power bonds as pairs of input names; default: found from the units
-    tolerance       relative tolerance handed to the FMUs
-    error_estimate  run again at half and at twice the step, an adaptive run at a tenth of its tolerance, to
-                    estimate the error of each signal at the recorded points
-    progress        show a progress bar when the run takes longer than a second
-    open            makes the slave of a component (for tests and other kinds of components)
+    system       a System, or the path of an .ssp, .ssd or .fmu file
+    scenario     inputs over time: a Trace, or a .csv or .parquet file; columns name inputs of the system,
+                 component.variable, or all component inputs of one name; a column replaces the connection to
+                 its input
+    master       a name, such as "hermite", or a Coupling, such as Coupling("hermite", passes=2); default:
+                 what the system suggests, see `System.coupling`, else "gauss-seidel"
+    step         communication step [s], of adaptive runs the first to try; default: with no `master` given
+                 what the system suggests, else the smallest that an FMU does, else 1e-3
+    start, stop  [s]; default: stop at the end of the scenario, else what the system or the FMUs suggest
+    swap         other FMUs {component: name of a variant, or path of an .fmu file}; they are checked
+    parameters   parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
+    set          start values {name: value}, in the units of the FMU, before a swap, named like the columns of
+                 a scenario
+    recording    signals, step and power bonds of the record, see `Recording`
+    execution    tolerance of the FMUs, error estimate, progress bar, other kinds of components: see
+                 `Execution`
+    single       settings of the last two by themselves: record, record_step, bonds, tolerance,
+                 error_estimate, progress, open
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
+    recording, execution = _settings(recording, execution, single)
     whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
     if master is not None:
         whole = whole.coupled(master if isinstance(master, Coupling) else Coupling(master))
@@ -90,16 +73,28 @@ def run(
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
     coupling = whole.coupling or Coupling()
     coupling.check(whole.components)
-    trace, span = driven[1] if driven else None, (start, stop, record_step)
+    trace, span = driven[1] if driven else None, (start, stop, recording.step)
     if coupling.adaptive is None:
         times = grid(whole, trace, step, *span)
         if driven and guarded(whole, coupling):
             times = divided(times, driven[0].table.corners())
     else:
         times = free_grid(whole, trace, step, *span, driven[0].table.corners() if driven else ())
-    job = Job(whole, driven[0] if driven else None, coupling, record, bonds, tolerance, open)
-    result = job.run(times, progress)
-    return replace(result, card=estimated(job, times, result, progress)) if error_estimate else result
+    job = Job(whole, driven[0] if driven else None, coupling, recording, execution)
+    result = job.run(times)
+    return replace(result, card=estimated(job, times, result)) if execution.error_estimate else result
+
+
+RECORDING = {"record": "signals", "record_step": "step", "bonds": "bonds"}
+
+
+def _settings(
+    recording: Recording | None, execution: Execution | None, single: Mapping[str, Any]
+) -> tuple[Recording, Execution]:
+    """The settings, with those that were given by themselves."""
+    rest = {name: value for name, value in single.items() if name not in (*RECORDING, "native")}
+    record = {RECORDING[name]: value for name, value in single.items() if name in RECORDING}
+    return replace(recording or Recording(), **record), replace(execution or Execution(), **rest)
 
 
 def _scenario(
@@ -118,7 +113,7 @@ def run_to_file(system: Path, scenario: Path | None, out: Path, **options: Any) 
 
 
 def given(coupling: Mapping[str, Any] | None = None, **options: Any) -> dict[str, Any]:
-    """What the user asked for, in one mapping, to note beside a trace."""
+    """What the user asked for, in one mapping, to note next to a trace."""
     return {**options, **(coupling or {})}
 
 
@@ -160,9 +155,9 @@ def simulated(
 
 
 def save(result: Result, out: Path, given: Mapping[str, Any]) -> None:
-    """Write the trace and, beside it, what the run was; print the card."""
+    """Write the trace and, next to it, its metadata; print the card."""
     write(result.trace, out)
-    write_facts(result, out, given)
+    write_metadata(result, out, given)
     print(result.card.text())
     end = f"up to t = {result.trace.time[-1]:.6g} s " if len(result.trace.time) else ""
     kept = "" if result.complete else f"the run ended early; what was recorded {end}is kept in "

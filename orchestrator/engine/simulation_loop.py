@@ -1,7 +1,7 @@
 """A run in progress: what the loop in C works with, and blocks of its steps.
 
-native/simulation_loop.c goes from communication point to communication point, native/communication_step.c takes
-one communication step as the plan of the master says.
+native/simulation_loop.c goes from communication point to communication point, native/communication_step.c
+takes one communication step as the plan of the master says.
 """
 
 from __future__ import annotations

@@ -22,10 +22,9 @@ import numpy as np
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.engine.job import Job, Opener
+from orchestrator.engine.job import Execution, Job, Opener, Recording, open_slave
 from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import Recorder
-from orchestrator.engine.run import open_slave
 from orchestrator.engine.scenario import Scenario, Table, drive
 from orchestrator.engine.time_grid import Grid, communication_step
 from orchestrator.realtime.setup import Array, Axis, Setup
@@ -172,7 +171,7 @@ class Engine:
         system = driven.released(system) if driven else system
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, setup.signals, (), None, open)
+        job = Job(system, driven, coupling, Recording(setup.signals, bonds=()), Execution(open=open))
         with ExitStack() as stack:
             opened = stack.enter_context(job.opened(times, Latest))
             self._loop, self._latest = opened.loop, opened.recorder

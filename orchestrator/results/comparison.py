@@ -17,7 +17,7 @@ from orchestrator.base.units import linear, parse
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read
-from orchestrator.engine.result import FLOOR, Facts, Result, facts, read_facts
+from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_metadata
 from orchestrator.results.compare import Row, Validation
 from orchestrator.results.compare import compare as against_reference
 from orchestrator.results.metrics import constant
@@ -31,7 +31,7 @@ class Run:
 
     label: str
     trace: Trace
-    facts: Facts | None = None
+    facts: RunMetadata | None = None
     file: str = ""
 
     @property
@@ -61,14 +61,14 @@ def _named(files: Sequence[Path]) -> dict[str, Source]:
 
 def _run(label: str, source: Source) -> Run:
     if isinstance(source, Result):
-        return Run(label, source.trace, facts(source))
+        return Run(label, source.trace, metadata(source))
     if isinstance(source, Trace):
         return Run(label, source)
     path = Path(source)
     if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
         return Run(label, read_recording(path).trace(), None, str(path))
     trace = read(path)
-    found = read_facts(path)
+    found = read_metadata(path)
     units = {name: unit for name, unit in (found.units if found else {}).items() if name in trace.signals}
     return Run(label, replace(trace, units={**trace.units, **units}), found, str(path))
 

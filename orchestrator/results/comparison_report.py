@@ -16,7 +16,7 @@ from orchestrator.base.page import write_json
 from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, draw_traces, handle, png
 from orchestrator.base.text import NONE, TextTable, finer, number, share
 from orchestrator.base.units import convert, linear, shown
-from orchestrator.engine.result import Facts
+from orchestrator.engine.result import RunMetadata
 from orchestrator.results.compare import Row
 from orchestrator.results.comparison import CONSTANT, USUAL, Comparison, Run
 
@@ -147,13 +147,13 @@ def _cost(run: Run, reference: Run) -> list[str]:
     ]
 
 
-def _inside(known: Facts | None) -> dict[str, float]:
+def _inside(known: RunMetadata | None) -> dict[str, float]:
     """Component -> time in its steps [us] for each millisecond simulated."""
     length = (known.simulated if known else 0) or float("nan")
     return {name: 1e3 * spent / length for name, spent in known.inside.items()} if known else {}
 
 
-def _named(label: str, known: Facts) -> str:
+def _named(label: str, known: RunMetadata) -> str:
     """A run, with the FMUs that were swapped in."""
     swaps = ", ".join(f"{component}={Path(file).stem}" for component, file in known.swapped.items())
     return f"{label} ({swaps})" if swaps else label

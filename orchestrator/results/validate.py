@@ -20,7 +20,7 @@ from orchestrator.base.files import BUILT, there
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, bridged, read_recording
 from orchestrator.data.trace import Trace, write
-from orchestrator.engine.result import Card, Result, write_facts
+from orchestrator.engine.result import Card, Result, write_metadata
 from orchestrator.engine.run import contents, given, simulated
 from orchestrator.fmi.description import Variable
 from orchestrator.results import validation_report as reporting
@@ -247,7 +247,7 @@ def validate(
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
     write(result.trace, trace)
-    write_facts(result, trace, given(scenario=scenario, **options))
+    write_metadata(result, trace, given(scenario=scenario, **options))
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
         title = named or f"{(scenario or system).stem} against {against.title}"

@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator import Problem, Trace, assemble, run, write
 from orchestrator.__main__ import main
-from orchestrator.engine.result import read_facts
+from orchestrator.engine.result import read_metadata
 from orchestrator.results.comparison import compare, quantity
 from orchestrator.results.comparison_report import chosen, draw, text
 
@@ -205,9 +205,9 @@ def test_the_picture_shows_what_differs_most():
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["one (reference)", "two"]
 
 
-def test_a_run_leaves_its_facts(folder):
+def test_a_run_leaves_its_metadata(folder):
     """Beside the trace: system, settings, cost, units; only for the trace that it made."""
-    known = read_facts(Path("b.csv"))
+    known = read_metadata(Path("b.csv"))
     assert (known.system, known.step, known.simulated) == ("gain.fmu", 0.1, pytest.approx(8.0))
     assert known.given["set"] == {"gain.factor": "2"}
     assert known.units == {"gain.y": "m", "gain.u": "m"}
@@ -215,13 +215,13 @@ def test_a_run_leaves_its_facts(folder):
     assert 0 < known.inside["gain"] < known.wall
     for suffix in (".csv", ".run.json"):
         Path(f"b{suffix}").rename(f"renamed{suffix}")
-    assert read_facts(Path("renamed.csv")) == known
+    assert read_metadata(Path("renamed.csv")) == known
     other = Path("renamed.csv").read_text(encoding="utf-8").replace("8", "9")  # as many rows
     Path("renamed.csv").write_text(other, encoding="utf-8")
-    assert read_facts(Path("renamed.csv")) is None
+    assert read_metadata(Path("renamed.csv")) is None
     (folder / "b.run.json").write_text('{"sha256": "", "walls": 3}', encoding="utf-8")
-    with pytest.raises(Problem, match=r"b.run.json: expected what harvester run writes beside a trace"):
-        read_facts(Path("b.csv"))
+    with pytest.raises(Problem, match=r"b.run.json: expected what harvester run writes next to a trace"):
+        read_metadata(Path("b.csv"))
 
 
 @pytest.mark.usefixtures("folder")

@@ -63,7 +63,7 @@ def test_residual_is_the_energy_that_the_coupling_made(bounce, master):
 
 
 def test_residual_shrinks_with_the_step(bounce):
-    """Jacobi of order one: half the step, half the energy made up."""
+    """Jacobi of order one: half the step, half the energy error."""
     sizes = [run(bounce, step=h, stop=1.0).card.bonds[0].relative for h in (1e-3, 5e-4)]
     # the energy grows by about h omega^2 T; the next term is of the size of that, 5 % at these steps
     assert sizes[0] / sizes[1] == pytest.approx(2, rel=0.06)

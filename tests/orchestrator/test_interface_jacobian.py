@@ -13,7 +13,6 @@ from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.masters import interface_jacobian
-from orchestrator.engine.run import open_slave
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import FmuSlave
 from orchestrator.fmi.description import read_interface
@@ -115,7 +114,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
 
     def ends(rejected):
         coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
-        job = Job(open_oscillator, None, coupling, None, None, None, open_slave)
+        job = Job(open_oscillator, None, coupling)
         with job.opened(Grid(0.0, 0.5, 1, first=1e-2, free=True)) as opened:
             state, tries = opened.loop.state, 0
             size = engine_h().StepSize.from_address(state.step_size)

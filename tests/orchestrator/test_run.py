@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from orchestrator import Interrupted, Problem, RunFailed, Trace, assemble, run
+from orchestrator import Execution, Interrupted, Problem, Recording, RunFailed, Trace, assemble, run
 from orchestrator.engine.result import Card, compare
 from orchestrator.engine.simulation_loop import Progress
 from orchestrator.fmi.description import Interface, Variable
@@ -331,3 +331,26 @@ def test_notes_of_the_system_reach_the_card(fmus):
     files = {"s": fmus.make("source", "note_s", units={"y": "odd"}), "g": fmus["gain"]}
     card = run(assemble(files, ["s.y -> g.u"]), step=0.1, stop=0.2).card
     assert card.text().count("not both defined") == 1
+
+
+def test_a_result_by_its_signals(oscillator):
+    """The values of one signal, and all of them as a data frame over time."""
+    result = run(oscillator, step=0.1, stop=1.0, recording=Recording(["a.x", "b.x"], step=0.5))
+    np.testing.assert_array_equal(result["a.x"], result.trace["a.x"])
+    frame = result.to_pandas()
+    assert list(frame.columns) == ["a.x", "b.x"]
+    assert frame.index.name == "time"
+    np.testing.assert_array_equal(frame.index, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(frame["b.x"], result["b.x"])
+
+
+def test_settings_together_and_by_themselves(oscillator):
+    """The same record and the same estimate; a setting by itself goes before that of an object."""
+    together = {"recording": Recording(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
+    one = run(oscillator, step=0.1, stop=1.0, **together)
+    two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)
+    np.testing.assert_array_equal(one.trace.time, two.trace.time)
+    assert one.card.errors == two.card.errors != ()
+    assert len(run(oscillator, step=0.1, stop=1.0, record_step=0.5, **together).trace.time) == 3
+    with pytest.raises(TypeError, match="recrd"):
+        run(oscillator, step=0.1, stop=1.0, recrd=["a.x"])

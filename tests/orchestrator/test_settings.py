@@ -7,7 +7,7 @@ from orchestrator import Coupling, Problem, run
 from orchestrator.base.coupling import MASTERS, ORDERS, chosen
 from orchestrator.data.trace import write
 from orchestrator.engine.masters import MASTERS as MADE
-from orchestrator.engine.result import read_facts, write_facts
+from orchestrator.engine.result import read_metadata, write_metadata
 
 
 def test_every_master_has_a_name_and_an_order():
@@ -56,7 +56,7 @@ def test_a_wrong_value_is_told(choices, message):
         ),
         ({"master": "hermite", "passes": 1, "tolerance": 1e-3}, "coupling tolerance: it ends the passes"),
         ({"master": "hermite", "correct": True}, "correct: expected a single pass"),
-        ({"master": "interface-jacobian", "correct": True}, "correct: interface-jacobian foretells"),
+        ({"master": "interface-jacobian", "correct": True}, "correct: interface-jacobian predicts"),
         ({"master": "jacobi", "lag": 2}, "lag: only interface-jacobian keeps linearisations"),
         ({"control": "error"}, "control: of adaptive steps only, expected a tolerance for them (adaptive)"),
         ({"smallest": 1e-5}, "smallest: of adaptive steps only"),
@@ -149,8 +149,8 @@ def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, t
     assert card.passes > card.steps
     assert "passes each" in text
     write(result.trace, tmp_path / "o.csv")
-    write_facts(result, tmp_path / "o.csv")
-    facts = read_facts(tmp_path / "o.csv")
+    write_metadata(result, tmp_path / "o.csv")
+    facts = read_metadata(tmp_path / "o.csv")
     assert facts.coupling == result.coupling.settings
     assert (facts.steps, facts.passes, facts.repeated) == (card.steps, card.passes, card.repeated)
     assert tuple(facts.lengths) == card.lengths

@@ -117,7 +117,7 @@ def test_adaptive_steps(alike, oscillators, label, record_step, able):
 
 @pytest.mark.parametrize("control", ["error", "energy"])
 def test_energy_of_bonds(alike, fmus, control):
-    """What the coupling made up is summed in the same order, and controls steps in the same way."""
+    """The energy error of the coupling is summed in the same order, and controls steps in the same way."""
     files = {
         "mass": fmus.make("mass_b", "swinging", interpolates=True),
         "spring": fmus.make("spring", "pulling", interpolates=True),
