@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace import Trace, read, write
-    from orchestrator.engine.job import Execution, Recording
+    from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
@@ -32,7 +32,7 @@ _WHERE = {
     "Interrupted": "engine.result",
     "Linear": "linear.model",
     "Problem": "base.errors",
-    "Recording": "engine.job",
+    "Record": "engine.job",
     "Result": "engine.result",
     "RunFailed": "engine.result",
     "System": "ssp.system",
@@ -46,7 +46,7 @@ _WHERE = {
 }
 
 __all__ = [
-    "Card", "Coupling", "Execution", "Interrupted", "Linear", "Problem", "Recording", "Result", "RunFailed",
+    "Card", "Coupling", "Execution", "Interrupted", "Linear", "Problem", "Record", "Result", "RunFailed",
     "System", "Trace", "assemble", "linearize", "load", "read", "run", "write",
 ]  # fmt: skip
 

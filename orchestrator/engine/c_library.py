@@ -116,7 +116,7 @@ class Binding:
     """A `Simulation` of engine.h, and what it is filled with: addresses, instructions, and calls into Python.
 
     simulation   the structure
-    components   what C asks to step, save and restore, or whose steps it reports, by number; see `Component`
+    components   what C asks to step, save and restore, or whose steps it reports, see `RunningComponent`
     withdraw     called when a step is going to be repeated
 
     It keeps alive what C has the addresses of.

@@ -25,7 +25,7 @@ def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: Make
     return made
 
 
-class Component:
+class RunningComponent:
     """A component as masters see it; C has it as `Component` of engine.h.
 
     inputs         the numbers of its coupling inputs, one after the other

@@ -18,7 +18,7 @@ from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.result import Card, Interrupted, Result, RunFailed, compare
 from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.simulation_loop import Progress, SimulationLoop, StepControl
+from orchestrator.engine.simulation_loop import ProgressBar, SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.ssp.power_bonds import Bond, find_bonds, named_bond
@@ -39,7 +39,7 @@ def open_slave(component: Component) -> Slave:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Record:
     """What is recorded of a run.
 
     signals   names; default: all outputs, all inputs that are fed and all that are inputs of the system
@@ -91,20 +91,15 @@ class Job:
     system: System
     scenario: Scenario | None
     coupling: Coupling
-    recording: Recording = Recording()
+    record: Record = Record()
     execution: Execution = Execution()
 
     def run(self, times: Grid) -> Result:
         """Open all FMUs, run, close them whatever happens."""
-        with self.opened(times) as opened, Progress(times.stop - times.start, self.execution.progress) as bar:
+        with self.opened(times) as opened:
             began = time.perf_counter()
             try:
-                with DeferredInterrupts() as interrupts:
-                    opened.loop.look = interrupts.check
-                    opened.loop.begin()
-                    while opened.loop.state.done < times.steps:
-                        opened.loop.advance()
-                        bar.update(opened.loop.state.t - times.start)
+                self._go(opened)
             except KeyboardInterrupt:
                 raise Interrupted(self._result(opened, began, False)) from None
             except Ended as wish:
@@ -113,10 +108,25 @@ class Job:
                 raise RunFailed(problem, self._result(opened, began, False)) from problem
             return self._result(opened, began, True)
 
+    def _go(self, opened: Opened) -> None:
+        """From the start to the stop time."""
+        loop, times = opened.loop, opened.times
+        shown = ProgressBar(times.stop - times.start, self.execution.progress)
+        with shown as bar, DeferredInterrupts() as interrupts:
+            loop.look = interrupts.check
+            loop.begin()
+            while loop.state.done < times.steps:
+                try:
+                    loop.advance()
+                except Problem:
+                    opened.recorder.settle()  # a number that is not finite may be why a later step failed
+                    raise
+                bar.update(loop.state.t - times.start)
+
     @contextmanager
     def opened(self, times: Grid, recorder_type: type[Recorder] = Recorder) -> Iterator[Opened]:
         """All FMUs open and initialised, ready for the first step; closed at the end whatever happens."""
-        signals = self.recording.signals
+        signals = self.record.signals
         chosen = None if signals is None else [self.system.port(name) for name in signals]
         _check_single(self.system)
         with ExitStack() as stack:
@@ -178,10 +188,10 @@ class Job:
 
     def _bonds(self, network: Network) -> list[Bond]:
         """The bonds that are asked for, or those over which energy goes: both inputs change something."""
-        if self.recording.bonds is None:
+        if self.record.bonds is None:
             found = find_bonds(self.system)
             return [b for b in found if network.matters(b.effort) and network.matters(b.flow)]
-        return [named_bond(self.system, *pair) for pair in self.recording.bonds]
+        return [named_bond(self.system, *pair) for pair in self.record.bonds]
 
     def _result(self, opened: Opened, began: float, complete: bool) -> Result:
         network, times, state = opened.network, opened.times, opened.loop.state

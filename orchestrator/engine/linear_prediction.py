@@ -138,7 +138,7 @@ NO_DERIVATIVES = "gives no directional derivatives, so its outputs are extrapola
 
 
 @dataclass(frozen=True)
-class Row:
+class LinearInput:
     """One input of the linear system.
 
     maker    number of the component that feeds it, or DRIVEN
@@ -173,7 +173,7 @@ class LinearPrediction:
         self.joined = JoinedSystem(0, len(self.rows))
         self.notes: tuple[str, ...] = ()
 
-    def _found(self) -> Iterator[Row]:
+    def _found(self) -> Iterator[LinearInput]:
         """All continuous inputs of the components that do not lead."""
         network = self._network
         ports = {place: port for port, place in network.real.index.items()}
@@ -181,10 +181,12 @@ class LinearPrediction:
             for i in self._components[k].inputs:
                 s = self._inputs.inputs[i]
                 if s.wanted:
-                    yield Row(ports[s.target], ports.get(s.source), s.factor, s.source_component, i)
+                    yield LinearInput(ports[s.target], ports.get(s.source), s.factor, s.source_component, i)
             for c in network.connections:
                 if c.target.component == self._names[k] and c.target in self._inputs.self_moving:
-                    yield Row(c.target, c.source, c.map.factor, self._names.index(c.source.component), None)
+                    yield LinearInput(
+                        c.target, c.source, c.map.factor, self._names.index(c.source.component), None
+                    )
 
     def begin(self) -> list[int]:
         """Linearise the components, which are initialised; returns the order in which all step.

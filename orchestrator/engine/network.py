@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.engine.algebraic_loop import AlgebraicLoop
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import Component
+from orchestrator.engine.component import RunningComponent
 from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Buffer, Call, Slave, access
 from orchestrator.ssp.dependencies import OutputOrder, output_order
@@ -122,7 +122,9 @@ class Network:
         factors: how many steps components take in one communication step.
         """
         self.system, self.slaves, self.binding = system, slaves, Binding()
-        self.components = {name: Component(s, (factors or {}).get(name, 1)) for name, s in slaves.items()}
+        self.components = {
+            name: RunningComponent(s, (factors or {}).get(name, 1)) for name, s in slaves.items()
+        }
         self.order: OutputOrder = output_order(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.real, self.whole = Bank(np.float64), Bank(np.int32)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.files import Location, folder, there
 from orchestrator.data.trace import Trace, check_suffix, read, write
-from orchestrator.engine.job import Execution, Job, Recording, estimated, guarded, open_slave
+from orchestrator.engine.job import Execution, Job, Record, estimated, guarded, open_slave
 from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
 from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import RECORD, communication_step, divided, free_grid, grid, thinned
@@ -20,7 +20,7 @@ from orchestrator.ssp.parameters import with_sets
 from orchestrator.ssp.system import System
 
 __all__ = [
-    "Execution", "Interrupted", "Recording", "Result", "RunFailed", "open_slave", "run",
+    "Execution", "Interrupted", "Record", "Result", "RunFailed", "open_slave", "run",
 ]  # what a caller of `run` needs  # fmt: skip
 
 
@@ -34,7 +34,7 @@ def run(
     swap: Mapping[str, str | Path] | None = None,
     parameters: Sequence[str | Path] = (),
     set: Mapping[str, Value | str] | None = None,
-    recording: Recording | None = None,
+    record: Record | Sequence[str] | None = None,
     execution: Execution | None = None,
     **single: Any,
 ) -> Result:
@@ -53,15 +53,15 @@ def run(
     parameters   parameter sets: names of those in the SSP's resources, or .ssv files; later ones win
     set          start values {name: value}, in the units of the FMU, before a swap, named like the columns of
                  a scenario
-    recording    signals, step and power bonds of the record, see `Recording`
+    record       names of the signals to record, or a `Record`, which has step and power bonds, too
     execution    tolerance of the FMUs, error estimate, progress bar, other kinds of components: see
                  `Execution`
-    single       settings of the last two by themselves: record, record_step, bonds, tolerance,
+    single       settings of the last two by themselves: record_step, bonds, tolerance,
                  error_estimate, progress, open
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
-    recording, execution = _settings(recording, execution, single)
+    record, execution = _settings(record, execution, single)
     whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
     if master is not None:
         whole = whole.coupled(master if isinstance(master, Coupling) else Coupling(master))
@@ -73,28 +73,30 @@ def run(
         whole = replace(whole, notes=whole.notes + driven[0].overruled(whole, set or {}))
     coupling = whole.coupling or Coupling()
     coupling.check(whole.components)
-    trace, span = driven[1] if driven else None, (start, stop, recording.step)
+    trace, span = driven[1] if driven else None, (start, stop, record.step)
     if coupling.adaptive is None:
         times = grid(whole, trace, step, *span)
         if driven and guarded(whole, coupling):
             times = divided(times, driven[0].table.corners())
     else:
         times = free_grid(whole, trace, step, *span, driven[0].table.corners() if driven else ())
-    job = Job(whole, driven[0] if driven else None, coupling, recording, execution)
+    job = Job(whole, driven[0] if driven else None, coupling, record, execution)
     result = job.run(times)
     return replace(result, card=estimated(job, times, result)) if execution.error_estimate else result
 
 
-RECORDING = {"record": "signals", "record_step": "step", "bonds": "bonds"}
-
-
 def _settings(
-    recording: Recording | None, execution: Execution | None, single: Mapping[str, Any]
-) -> tuple[Recording, Execution]:
+    record: Record | Sequence[str] | None, execution: Execution | None, single: Mapping[str, Any]
+) -> tuple[Record, Execution]:
     """The settings, with those that were given by themselves."""
-    rest = {name: value for name, value in single.items() if name not in (*RECORDING, "native")}
-    record = {RECORDING[name]: value for name, value in single.items() if name in RECORDING}
-    return replace(recording or Recording(), **record), replace(execution or Execution(), **rest)
+    known = {"record_step", "bonds", "native", *(f.name for f in fields(Execution))}
+    if unknown := sorted(single.keys() - known):
+        raise TypeError(f"run() got an unexpected keyword argument {unknown[0]!r}")
+    whole = record if isinstance(record, Record) else Record(record)
+    own = {"record_step": "step", "bonds": "bonds"}
+    changed = {own[name]: value for name, value in single.items() if name in own}
+    rest = {name: value for name, value in single.items() if name not in (*own, "native")}
+    return replace(whole, **changed), replace(execution or Execution(), **rest)
 
 
 def _scenario(

@@ -21,7 +21,7 @@ MUCH, LEAST = 1e-3, 1e-6  # of the range of a column: change of its slope, times
 SHARPER = 10.0  # times as much as at the samples around it
 
 
-class Table:
+class ScenarioTable:
     """Columns over time: linear between the samples, held before the first and after the last."""
 
     def __init__(self, time: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
@@ -71,7 +71,7 @@ class Table:
 class Scenario:
     """Which input follows which column of a table, through which linear map."""
 
-    table: Table
+    table: ScenarioTable
     columns: Mapping[Port, tuple[int, Linear]]
 
     def released(self, system: System) -> System:
@@ -141,7 +141,7 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():
         _whole(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
-    return Scenario(Table(trace.time, table), columns)
+    return Scenario(ScenarioTable(trace.time, table), columns)
 
 
 def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:

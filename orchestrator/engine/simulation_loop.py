@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.base.errors import Problem
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.engine.masters import Plan
@@ -95,11 +94,7 @@ class SimulationLoop:
     def advance(self) -> None:
         """Go on until as many points are recorded as fit into a block, for PATIENCE, or to the end."""
         self.look()
-        try:
-            self._binding.call("simulation_advance")
-        except Problem:
-            self._recorder.settle()  # a number that is not finite may be why a later step failed
-            raise
+        self._binding.call("simulation_advance")
         self._recorder.settle()
         if self._decides and self.state.steps >= SAMPLE:
             self._use_threads()
@@ -178,7 +173,7 @@ class SimulationLoop:
         sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)
 
 
-class Progress:
+class ProgressBar:
     """Shows how much of `total` [s] is simulated; silent when not wanted or when the run is short."""
 
     shown_after = 1.0  # [s]
@@ -189,7 +184,7 @@ class Progress:
         self._bar: Any = None
         self._task: Any = None
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(

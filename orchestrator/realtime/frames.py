@@ -22,10 +22,10 @@ import numpy as np
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.engine.job import Execution, Job, Opener, Recording, open_slave
+from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
 from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import Recorder
-from orchestrator.engine.scenario import Scenario, Table, drive
+from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, communication_step
 from orchestrator.realtime.setup import Array, Axis, Setup
 from orchestrator.realtime.shared_memory import Orders
@@ -34,7 +34,7 @@ from orchestrator.ssp.parameters import with_sets
 from orchestrator.ssp.system import Port, System
 
 
-class Ramp(Table):
+class Ramp(ScenarioTable):
     """A table of two rows that is written anew for each frame, in place, because C has its address."""
 
     def __init__(self, begin: float, end: float, values: Array) -> None:
@@ -171,7 +171,7 @@ class Engine:
         system = driven.released(system) if driven else system
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, Recording(setup.signals, bonds=()), Execution(open=open))
+        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
         with ExitStack() as stack:
             opened = stack.enter_context(job.opened(times, Latest))
             self._loop, self._latest = opened.loop, opened.recorder

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestrator import Problem, Trace
-from orchestrator.engine.scenario import Table
+from orchestrator.engine.scenario import ScenarioTable
 from orchestrator.realtime import shared_memory
 from orchestrator.realtime.frames import Hand, Limits, Linger, Ramp, check
 from orchestrator.realtime.pace import BINS, bin_of, quantile
@@ -162,7 +162,7 @@ def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
     """Bit for bit at any time of a frame, at its ends too."""
     rows = [np.zeros(2), *values]
     times = 0.25 + 0.01 * np.arange(len(rows))
-    table = Table(times, np.array(rows))
+    table = ScenarioTable(times, np.array(rows))
     ramp = Ramp(times[0], times[1], rows[0])
     for begin, end, value in zip(times, times[1:], values, strict=False):
         ramp.aim(begin, end, value)

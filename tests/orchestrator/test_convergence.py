@@ -273,7 +273,10 @@ def test_options_of_a_run_reach_the_runs():
         (["--steps", ","], "steps: expected at least one, got none"),
         (["--masters", "jakobi"], "masters jakobi: no setting of that name; did you mean jacobi"),
         (["--repeats", "0"], "repeats: expected at least 1, got 0"),
-        (["--reference", "none.csv"], "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file"),
+        (
+            ["--reference", "none.csv"],
+            "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file",
+        ),
         (["--reference", "exact.csv", "--signals", "*q"], "signals *q: no signal fits; there are a.x, b.x"),
         (["--signals", "a.y"], "signals a.y: no signal fits; did you mean"),
         (

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from orchestrator import Execution, Interrupted, Problem, Recording, RunFailed, Trace, assemble, run
+from orchestrator import Execution, Interrupted, Problem, Record, RunFailed, Trace, assemble, run
 from orchestrator.engine.result import Card, compare
-from orchestrator.engine.simulation_loop import Progress
+from orchestrator.engine.simulation_loop import ProgressBar
 from orchestrator.fmi.description import Interface, Variable
 from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
@@ -320,7 +320,7 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     """Nothing before the patience is over, a bar on stderr after that."""
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert capsys.readouterr().err == ""
-    monkeypatch.setattr(Progress, "shown_after", 0.0)
+    monkeypatch.setattr(ProgressBar, "shown_after", 0.0)
     monkeypatch.setenv("FORCE_COLOR", "1")
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert "10 s simulated" in capsys.readouterr().err
@@ -335,7 +335,7 @@ def test_notes_of_the_system_reach_the_card(fmus):
 
 def test_a_result_by_its_signals(oscillator):
     """The values of one signal, and all of them as a data frame over time."""
-    result = run(oscillator, step=0.1, stop=1.0, recording=Recording(["a.x", "b.x"], step=0.5))
+    result = run(oscillator, step=0.1, stop=1.0, record=Record(["a.x", "b.x"], step=0.5))
     np.testing.assert_array_equal(result["a.x"], result.trace["a.x"])
     frame = result.to_pandas()
     assert list(frame.columns) == ["a.x", "b.x"]
@@ -346,7 +346,7 @@ def test_a_result_by_its_signals(oscillator):
 
 def test_settings_together_and_by_themselves(oscillator):
     """The same record and the same estimate; a setting by itself goes before that of an object."""
-    together = {"recording": Recording(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
+    together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
     one = run(oscillator, step=0.1, stop=1.0, **together)
     two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)
     np.testing.assert_array_equal(one.trace.time, two.trace.time)

@@ -356,13 +356,13 @@ import os
 import numpy as np
 from orchestrator.engine import job
 sizes, looks = np.ones(100_000, int), 0
-class Scale(job.Progress):
+class Scale(job.ProgressBar):
     def update(self, done):
         global looks
         with open("/proc/self/statm") as file:
             sizes[looks] = int(file.read().split()[1])  # pages
         looks += 1
-job.Progress = Scale
+job.ProgressBar = Scale
 steps, master = int(sys.argv[4]), Coupling(**eval(sys.argv[3]))
 run(system, master=master, step=1e-3, stop=steps * 1e-3, record_step=steps * 1e-3 / int(sys.argv[5]))
 early = looks // 10
