@@ -1,16 +1,18 @@
-"""harvester check: what is wrong with an FMU, and which tool will refuse it."""
+"""harvester check: what is wrong with an FMU, and which tool will refuse it.
+
+Functions import what they need when they are called: the child processes of a check import this package, too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from orchestrator.base.errors import Problem
-from orchestrator.check.finding import Finding, Rule
-from orchestrator.check.report import ANY, TOOLS, Report
-from orchestrator.check.rules.description import without_repeats
-from orchestrator.check.subject import Subject, opened
-from orchestrator.fmi.model_description import INTERFACES
+if TYPE_CHECKING:
+    from orchestrator.check.finding import Finding, Rule
+    from orchestrator.check.report import Report
+    from orchestrator.check.subject import Subject
 
 DEFECT = "check.defect"
 
@@ -24,13 +26,17 @@ def all_rules() -> tuple[Rule, ...]:
     return (*STATIC, *PROBES, EXPERIMENT)
 
 
-def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
+def check(path: Path, tool: str = "any", run: bool = True) -> Report:
     """Check one FMU.
 
     tool   id of the tool that shall take it; any: all findings
     run    also load and run it, in child processes
     """
+    from orchestrator.base.errors import Problem
+    from orchestrator.check.report import ANY, TOOLS, Report
     from orchestrator.check.rules import STATIC
+    from orchestrator.check.rules.description import without_repeats
+    from orchestrator.check.subject import opened
 
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
@@ -38,13 +44,15 @@ def check(path: Path, tool: str = ANY, run: bool = True) -> Report:
         what = "expected an .fmu file, got a folder" if path.is_dir() else "no such file"
         raise Problem(f"{path}: {what}")
     with opened(path) as subject:
-        found = [f for rule in (all_rules() if run else STATIC) for f in _applied(rule, subject)]
-        title = _title(subject)
-    return Report(path, title, without_repeats(found), tool)
+        rules = all_rules() if run else STATIC
+        findings = [finding for rule in rules for finding in _applied(rule, subject)]
+        return Report(path, _title(subject), without_repeats(findings), tool)
 
 
 def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
     """The findings of a rule; one that fails on a strange FMU must not hide those of the others."""
+    from orchestrator.check.finding import Finding
+
     try:
         yield from rule(subject)
     except Exception as problem:
@@ -54,10 +62,12 @@ def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
 
 def _title(subject: Subject) -> str:
     """What the file is, in a few words."""
+    from orchestrator.fmi.model_description import INTERFACES
+
     model = subject.model
-    if subject.root is None or not model.interfaces:
+    if not model.interfaces:
         return "not an FMU that can be read"
     offered = " and ".join(INTERFACES[k].title() for k in model.interfaces)
-    maker = subject.root.get("generationTool") or "unknown tool"
+    maker = model.attributes.get("generationTool") or "unknown tool"
     platforms = ", ".join(dict.fromkeys(b.platform for b in subject.binaries)) or "no binaries"
     return f"FMI {subject.version}, {offered}, {len(model.variables)} variables, by {maker}; {platforms}"

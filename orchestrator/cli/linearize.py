@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -80,22 +81,39 @@ def linearize(
     harvester linearize build/harvester_control.ssp --pose reach --time 2 --set engaged=1
     --set radial_velocity=-0.3 --set swing_velocity=0.3
     """
-    from orchestrator.base.files import there
-    from orchestrator.linear import command
+    from orchestrator.base.files import folder, there
+    from orchestrator.linear.linearize import linearize as run_linearize
 
     if time is None and (scenario or step):
         raise Problem("--scenario, --step: expected --time with them, the operating point is the start else")
-    command.run(
+    if out.suffix != ".npz":
+        raise Problem(f"--out {out}: expected a file name ending in .npz")
+    speeds = _speeds(speed or [])
+    folder(out.parent)
+    linear = run_linearize(
         there(system),
-        out,
         parameters=pose or (),
         inputs=input_ or (),
         outputs=output or (),
         steady=steady,
-        speeds=command.speeds(speed or []),
+        speeds=speeds,
         time=time,
         scenario=scenario,
         step=step,
         swap=swaps(swap or []),
         set=assignments(set_ or []),
     )
+    print(linear.text())
+    arrays, names = linear.save(out)
+    print(f"\nA, B, C, D: {arrays}\nnames and modes: {names}")
+
+
+def _speeds(texts: Sequence[str]) -> dict[str, float]:
+    """{joint: speed} from the texts 'joint=speed'."""
+    found = assignments(texts, "--speed", "joint=speed, such as boom=0.1")
+    for name, value in found.items():
+        try:
+            float(value)
+        except ValueError:
+            raise Problem(f"--speed {name}={value}: expected a number, got {value!r}") from None
+    return {name: float(value) for name, value in found.items()}

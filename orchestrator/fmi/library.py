@@ -7,7 +7,6 @@ all FMUs come in by one function for each version of FMI and go to the log of th
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 import platform
 import sys
@@ -140,6 +139,8 @@ def _receive2(
     elif "fmpy.fmi1" in sys.modules and 0 <= status <= 5:  # the proxy below is FMPy's, and so is the FMU
         sys.modules["fmpy.fmi1"].printLogMessage(None, name, status, category, text or b"")
     else:
+        import logging  # late: it takes as long to import as all the rest
+
         logging.getLogger(__name__).warning("%s: %s: %s", _text(name), label(status), _text(text))
 
 
@@ -162,13 +163,18 @@ class Callbacks2(ctypes.Structure):
 
 def callbacks2(environment: int) -> Callbacks2:
     """The callbacks of one FMI 2.0 instance; memory functions go straight to the C library."""
-    library = ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
-    calls = [ctypes.cast(f, _P) for f in (_logger2, library["calloc"], library["free"])]
-    made = Callbacks2(*calls, None, environment)
+    made = Callbacks2(ctypes.cast(_logger2, _P), *_memory(), None, environment)
     proxy = _proxy()
     if proxy:
         proxy(ctypes.byref(made))
     return made
+
+
+@cache
+def _memory() -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
+    """Addresses of the C library's calloc and free."""
+    library = ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
+    return ctypes.cast(library.calloc, _P), ctypes.cast(library.free, _P)
 
 
 @cache

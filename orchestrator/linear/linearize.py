@@ -17,8 +17,9 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
-from orchestrator.linear.model import Linear, Named, choose
-from orchestrator.linear.model import outputs as chosen_outputs
+from orchestrator.linear.choice import choose
+from orchestrator.linear.choice import outputs as chosen_outputs
+from orchestrator.linear.model import Linear, Named
 from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import steady as find_steady
 from orchestrator.ssp.load import load

@@ -1,14 +1,11 @@
-"""A linear model with names and units: what it is, what its modes are, and what others take it as.
-
-Which inputs and outputs a linear model has, and the system that is left when its wires to them are cut.
-"""
+"""A linear model with names and units, its modes, and how it is printed, saved and handed to other tools."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,12 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.errors import Problem
+from orchestrator.base.text import TextTable
 from orchestrator.base.units import DeclaredUnit
-from orchestrator.fmi.description import Interface
 from orchestrator.linear.modes import Mode, modes
-from orchestrator.ssp.system import Inlet, Port, System
 
+HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
+ROUNDING = 1e-12
+AT_REST = 1e-4  # of its size per second: a state that moves no faster counts as steady in the text
+AT_ONCE = 1e-3  # s: a state that settles so soon does not count as moving ...
+LITTLE = 1e-2  # ... if it goes no further than this share of its size
 Array = NDArray[np.float64]
 
 
@@ -63,6 +64,15 @@ class Linear:
         """Eigenvalues, slowest first, with the states that take part in each."""
         return modes(self.a, self.states)
 
+    def text(self) -> str:
+        """Operating point and modes."""
+        groups = {"state": self.states, "input": self.inputs, "output": self.outputs}
+        count = ", ".join(f"{len(group)} {word}{'s' * (len(group) != 1)}" for word, group in groups.items())
+        lines = [f"{self.name} at t = {self.time:g} s: {count}", *_point(self)]
+        lines += [_stability(self.modes), ""] if self.modes else [""]
+        lines += TextTable(HEAD, [_row(m) for m in self.modes], left=(3, 4)).lines()
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
     def control(self) -> Any:
         """A StateSpace of the package python-control; names have _ where it does not allow a dot."""
         try:
@@ -76,18 +86,18 @@ class Linear:
         return control.StateSpace(self.a, self.b, self.c, self.d, name=self.name, **names)
 
     def save(self, path: Path) -> tuple[Path, Path]:
-        """Write the arrays to `path` (.npz) and the names and modes beside it (.json)."""
+        """Write the arrays to `path` (.npz) and the names and modes next to it (.json)."""
         if path.suffix != ".npz":
             raise Problem(f"--out {path}: expected a name that ends in .npz")
         arrays = {"A": self.a, "B": self.b, "C": self.c, "D": self.d}
         points = {"x0": self.x0, "u0": self.u0, "y0": self.y0, "f0": self.f0}
         np.savez(path, allow_pickle=False, **arrays, **points)
-        beside = path.with_suffix(".json")
-        beside.write_text(json.dumps(self._described(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        return path, beside
+        names = path.with_suffix(".json")
+        names.write_text(json.dumps(self._described(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        return path, names
 
     def _described(self) -> dict[str, Any]:
-        def told(group: tuple[Named, ...], values: Array) -> list[dict[str, Any]]:
+        def described(group: tuple[Named, ...], values: Array) -> list[dict[str, Any]]:
             return [
                 {"name": n.name, "unit": n.unit.name if n.unit else "", "text": n.text, "value": float(v)}
                 for n, v in zip(group, values, strict=True)
@@ -96,139 +106,52 @@ class Linear:
         return {
             "system": self.name,
             "time": self.time,
-            "states": told(self.states, self.x0),
-            "inputs": told(self.inputs, self.u0),
-            "outputs": told(self.outputs, self.y0),
+            "states": described(self.states, self.x0),
+            "inputs": described(self.inputs, self.u0),
+            "outputs": described(self.outputs, self.y0),
             "modes": [m.described() for m in self.modes],
             "notes": list(self.notes),
         }
 
 
-FEW = 8  # names in a message
+def _point(linear: Linear) -> list[str]:
+    """The inputs, and what is not at rest."""
+    inputs = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
+    rate = _rates(linear)
+    fastest = [(linear.states[i], linear.f0[i]) for i in np.argsort(-rate)[:3] if rate[i] > AT_REST]
+    moving = [f"{state.name} by {f:.3g}{_unit(state)} per s" for state, f in fastest]
+    return [f"inputs: {', '.join(inputs) or 'none'}", f"not at rest: {', '.join(moving) or 'nothing'}"]
 
 
-@dataclass(frozen=True)
-class Choice:
-    """What is linearised.
+def _rates(linear: Linear) -> Array:
+    """How fast each state moves, of its size per second; 0 where it settles at once, as the flow in a line.
 
-    system   without the wires to the inputs, and without components that fed nothing but them
-    inputs   from outside, each with the component inputs that it feeds
-    asked    how many of them, the first ones, are inputs of the linear model; others only hold joints
-    notes    remarks for the user
+    By itself a state of time constant T = -1 / A_ii goes f0 T further.
     """
-
-    system: System
-    inputs: tuple[Inlet, ...]
-    asked: int
-    notes: tuple[str, ...]
+    rate = np.abs(linear.f0) / np.array([s.size for s in linear.states])
+    own = -np.diag(linear.a)
+    return np.where((own > 1.0 / AT_ONCE) & (rate <= LITTLE * own), 0.0, rate)
 
 
-def choose(system: System, names: Sequence[str] = (), steady: bool = False) -> Choice:
-    """The inputs of these names, as `System.targets` knows them; a wire to one of them is cut.
-
-    Default: what components without inputs feed, such as levers, and all inputs of the system. A steady state
-    needs these in any case: whoever asks for the supply pressure only still wants the joints held.
-    """
-    asked = tuple(_named(system, name) for name in dict.fromkeys(names)) or _usual(system)
-    taken = {port for inlet in asked for port, _ in inlet.targets}
-    free = (i for i in _usual(system) if not taken & {port for port, _ in i.targets})
-    inlets = (*asked, *free) if steady else asked
-    ports = [port for inlet in inlets for port, _ in inlet.targets]
-    for port in ports:
-        if ports.count(port) > 1:
-            both = " and ".join(i.name for i in inlets if port in dict(i.targets))
-            raise Problem(f"--input {both}: expected inputs apart from each other, both feed {port}")
-    gone = {*ports, *_rates(system, ports)}
-    cut = {c.source.component for c in system.connections if c.target in gone}
-    kept = tuple(c for c in system.connections if c.target not in gone)
-    fed = {c.source.component for c in kept}
-    idle = sorted(cut - fed)
-    rest = {name: c for name, c in system.components.items() if name not in idle}
-    wires = tuple(c for c in kept if c.target.component in rest)
-    notes = (f"left out, because it feeds only what is an input here: {', '.join(idle)}",) if idle else ()
-    return Choice(replace(system, components=rest, connections=wires), inlets, len(asked), notes)
+def _stability(modes: Sequence[Mode]) -> str:
+    """What does not come back."""
+    grows = [m.name for m in modes if m.value.real > 0.0]
+    stays = [m.name for m in modes if m.value.real == 0.0]
+    result = f"unstable: {', '.join(grows)}" if grows else "stable"
+    return f"{result}; on the limit: {', '.join(stays)}" if stays else result
 
 
-def rate_only(face: Interface, name: str) -> str:
-    """The input whose time derivative this one carries and does nothing else with; empty for the others.
-
-    Such a rate input moves the value inside a communication step, and it makes rate outputs exact. No time
-    derivative of a state depends on it, so to a linear model it is no input.
-    """
-    of = next((u for u, rate in face.rates.items() if rate == name), "")
-    told = [face.knowns.get(rate) for rate in face.states.values()]
-    moves = any(known is None or name in known for known in told)
-    return "" if moves else of
+def _value(value: float, named: Named) -> str:
+    """With 6 digits; 0 for what is rounding next to its usual magnitude."""
+    return f"{0.0 if abs(value) < ROUNDING * named.size else value:.6g}"
 
 
-def _rates(system: System, ports: Iterable[Port]) -> Iterable[Port]:
-    """The rate inputs that go with inputs."""
-    for port in ports:
-        face = system.components[port.component].interface
-        rate = face.rates.get(port.variable, "")
-        if rate and rate_only(face, rate):
-            yield Port(port.component, rate)
+def _unit(named: Named) -> str:
+    return f" {named.unit.name}" if named.unit and named.unit.name != "1" else ""
 
 
-def outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]:
-    """The outputs that fit the patterns, or all of them; those that are no numbers never do."""
-    ports = [p for p in system.ports("output") if system.variable(p).is_continuous]
-    names = [str(p) for p in ports]
-    for pattern in patterns:
-        if not any(map(_fits(pattern), names)):
-            raise Problem(f"--output {pattern}: no output fits{suggest(pattern, names) or _some(names)}")
-    return [p for p in ports if not patterns or any(_fits(x)(str(p)) for x in patterns)]
-
-
-def _some(names: Sequence[str]) -> str:
-    """All names, or the first of many."""
-    if len(names) <= FEW:
-        return f"; there are {', '.join(names) or 'none'}"
-    return f"; there are {len(names)} outputs, such as {', '.join(names[:FEW])}"
-
-
-def _fits(pattern: str) -> Callable[[str], bool]:
-    return lambda name: fnmatchcase(name, pattern) or fnmatchcase(name.rpartition(".")[2], pattern)
-
-
-def _named(system: System, name: str) -> Inlet:
-    """The input that a user names."""
-    targets = system.targets(name)
-    for port, _ in targets:
-        variable, face = system.variable(port), system.components[port.component].interface
-        if variable.causality != "input" or not variable.is_continuous:
-            kind = f"{variable.variability} {variable.causality} of type {variable.kind}"
-            raise Problem(f"--input {name}: expected a continuous input, got a {kind}")
-        if of := rate_only(face, port.variable):
-            only = f"it only carries the time derivative of {of}, which no state depends on"
-            raise Problem(f"--input {name}: {only}; expected {of}")
-    unit = system.inputs[name].unit if name in system.inputs else system.unit(targets[0][0])
-    return Inlet(name, unit, targets)
-
-
-def _usual(system: System) -> tuple[Inlet, ...]:
-    """Inputs of the system, inputs that nothing feeds, and those fed by components without inputs."""
-    sources = {n for n, c in system.components.items() if not c.interface.of("input")}
-    fed = [c.target for c in system.connections if c.source.component in sources]
-    found = [*system.inputs.values(), *system.open.values()]
-    found += [_named(system, name) for name in _names(system, _moving(system, fed))]
-    return tuple(i for i in found if list(_moving(system, (p for p, _ in i.targets))))
-
-
-def _moving(system: System, ports: Iterable[Port]) -> Iterable[Port]:
-    """Inputs that something can depend on in a linear model."""
-    for port in ports:
-        face = system.components[port.component].interface
-        free = system.variable(port).is_continuous and port.variable not in face.inert
-        if free and not rate_only(face, port.variable):
-            yield port
-
-
-def _names(system: System, ports: Iterable[Port]) -> list[str]:
-    """Bare names where they stand for these ports only, else component.variable."""
-    there = list(ports)
-    found = dict[str, None]()
-    for port in there:
-        same = [p for p in system.ports("input") if p.variable == port.variable]
-        found[port.variable if set(same) <= set(there) else str(port)] = None
-    return list(found)
+def _row(mode: Mode) -> tuple[str, ...]:
+    frequency = f"{mode.frequency:.4g}" if mode.oscillates else ""
+    lasts = f"{mode.time_constant:.4g}" if math.isfinite(mode.time_constant) else ""
+    damping = f"{mode.damping:.3f}" if mode.oscillates else ""
+    return frequency, damping, lasts, mode.name, ", ".join(mode.members)

@@ -24,7 +24,7 @@ from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.fmi.calls import Call, Slave
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
-from orchestrator.linear.model import Choice
+from orchestrator.linear.choice import Choice
 from orchestrator.ssp.system import Port
 
 Array = NDArray[np.float64]

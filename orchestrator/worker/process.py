@@ -34,7 +34,7 @@ WORDS = {
     "SIGILL": "illegal instruction",
     "SIGKILL": "killed by the system (out of memory?)",
 }
-# Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also shares
+# Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also parts
 # processors between the two first, so a browser with many threads takes less from a machine in real time.
 APART: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":

@@ -14,7 +14,15 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.reference_experiment import BOUND, PAGE, PLACE, TOLERANCE, data_file, proof, reference_parameters
+from fmus.export.reference_experiment import (
+    BOUND,
+    PAGE,
+    PLACE,
+    TOLERANCE,
+    data_file,
+    proof,
+    reference_parameters,
+)
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli

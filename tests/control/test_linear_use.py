@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, linearize
-from orchestrator.linear.command import text
 
 
 def test_modes_are_named_by_their_states(fmu_dir):
@@ -15,7 +14,7 @@ def test_modes_are_named_by_their_states(fmu_dir):
     assert named["swing stays where it is"].value == 0.0
     assert named["boom returns to its place"].members == ("boom_angle",)
     assert named["swing on its oil"].members[0] == "swing_speed"
-    assert "stable; on the limit: swing stays where it is" in text(linear)
+    assert "stable; on the limit: swing stays where it is" in linear.text()
     assert any("no state depends here on swing_command" in note for note in linear.notes)
 
 
@@ -55,7 +54,7 @@ def test_a_flow_that_settles_at_once_is_not_told_as_moving(fmu_dir):
     linear = linearize(fmu_dir / "harvester.ssp", ["reach"])
     rates = {state.name: abs(rate) for state, rate in zip(linear.states, linear.f0, strict=True)}
     assert rates["swing.swing_flow_b"] > 1.0  # m3/s2: what is not told is not zero
-    line = next(line for line in text(linear).splitlines() if line.startswith("not at rest: "))
+    line = next(line for line in linear.text().splitlines() if line.startswith("not at rest: "))
     assert "swing.swing_pressure_b" in line
     assert "_flow" not in line
 
