@@ -37,10 +37,9 @@ def sweep(
 ) -> None:
     """Run a study on all cores; started again it goes on. Exit status 1 if no run came to its end."""
 
-    from orchestrator.studies.parameter_study import Where, run
+    from orchestrator.studies.parameter_study import run
 
     if workers and scheduler:
         raise Problem("--workers: expected none with --scheduler, which runs on the workers that it has")
-    where = Where(workers, scheduler)
-    if not run(study, out, where, fresh, report=not no_report):
+    if not run(study, out, workers, scheduler, fresh, report=not no_report):
         raise typer.Exit(1)

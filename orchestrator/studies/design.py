@@ -1,4 +1,4 @@
-"""The design of a study: samples in the unit cube, the numbers they stand for, one row per run.
+"""The design of a study: samples in the unit cube, the numbers they stand for, and what each run is run with.
 
 Samples of each dimension are uniform on 0..1; a factor's number is the inverse of its distribution there, so
 all methods know all distributions. Latin hypercube: McKay, Beckman and Conover, Technometrics 21 (1979);
@@ -8,100 +8,88 @@ Sobol: Joe and Kuo, SIAM J. Sci. Comput. 30 (2008), scrambled after Owen; Saltel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
-from math import prod
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats import qmc
 
-from orchestrator.studies.study import Choice, Factor, Study
+from orchestrator.base.units import Linear
+from orchestrator.fmi.description import Value
+from orchestrator.ssp.system import Port, System, coerce
+from orchestrator.studies.cases import Options, StudyCase, is_real, nominals
+from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
 LEVELS = 4  # of morris: as in its paper, with jumps of two thirds of the range
 EDGE = 2.0**-53  # nearer to 0 or 1 an unbounded distribution would give infinite numbers
 INNER = 0.01  # the lowest level of morris where the distribution has no least number: its 1 % quantile
 UNBOUNDED = ("normal", "lognormal")
+TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Enumeration": pa.int64(), "Boolean": pa.bool_()}
 
-Unit = NDArray[np.float64]
-
-
-def table(study: Study) -> pd.DataFrame:
-    """All runs, one row each in the order of their numbers; the same study has the same table.
-
-    Rows of one combination of crossed choices stand together, in the order of the samples.
-    """
-    cube = samples(study)
-    once = {d.column: _numbers(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
-    same = {c.column: c.options[0] for c in study.settled}
-    parts = []
-    for options in product(*(c.options for c in study.crossed)):
-        given = {c.column: [o] * len(cube) for c, o in zip(study.crossed, options, strict=True)}
-        parts.append(pd.DataFrame({**same, **given, **once}, index=range(len(cube))))
-    whole = pd.concat(parts, ignore_index=True)
-    columns = [*(f.column for f in study.factors), *(c.column for c in study.choices)]
-    return whole[columns].rename_axis("run")
+Array = NDArray[np.float64]
 
 
-def count(study: Study) -> int:
-    """How many runs the table has."""
-    k, options = len(study.dimensions), prod(len(c.options) for c in study.crossed)
-    if study.method == "grid" or not k:
-        return options * prod(_count(d) for d in study.dimensions)
-    return options * study.runs * {"saltelli": k + 2, "morris": k + 1}.get(study.method, 1)
+@dataclass(frozen=True)
+class Sample:
+    """What a run is run with: its number, its options and the numbers of its factors, those it has."""
+
+    run: int
+    options: Options
+    factors: Mapping[str, Value]
 
 
-def samples(study: Study) -> Unit:
+# ---- samples in the unit cube
+
+
+def samples(study: Study) -> Array:
     """Samples in the unit cube, shape (samples, dimensions of the study)."""
     if not study.dimensions:
         return np.zeros((1, 0))
     return METHODS[study.method](study)
 
 
-def problem(study: Study) -> dict[str, Any]:
-    """The dimensions as SALib wants to know them, in the unit cube."""
-    names = [d.column for d in study.dimensions]
-    return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+def problem(names: Sequence[str]) -> dict[str, Any]:
+    """Dimensions in the form of SALib, in the unit cube."""
+    return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
-# ---- methods
+def _latin(study: Study) -> Array:
+    rng = np.random.default_rng(study.seed)
+    return np.asarray(qmc.LatinHypercube(len(study.dimensions), rng=rng).random(study.runs))
 
 
-def _latin(study: Study) -> Unit:
-    found: Unit = qmc.LatinHypercube(len(study.dimensions), rng=_rng(study)).random(study.runs)
-    return found
+def _sobol(study: Study) -> Array:
+    rng = np.random.default_rng(study.seed)
+    return np.asarray(qmc.Sobol(len(study.dimensions), scramble=True, rng=rng).random(study.runs))
 
 
-def _sobol(study: Study) -> Unit:
-    found: Unit = qmc.Sobol(len(study.dimensions), scramble=True, rng=_rng(study)).random(study.runs)
-    return found
+def _grid(study: Study) -> Array:
+    """Each value in the middle of its share of 0..1; the last dimension varies fastest."""
+    counts = [levels(d) for d in study.dimensions]
+    return np.array(list(product(*((np.arange(n) + 0.5) / n for n in counts))))
 
 
-def _grid(study: Study) -> Unit:
-    """Each value in the middle of its share of 0..1; the last dimension goes fastest."""
-    counts = [_count(d) for d in study.dimensions]
-    axes = [(np.arange(n) + 0.5) / n for n in counts]
-    return np.array(list(product(*axes)))
-
-
-def _saltelli(study: Study) -> Unit:
+def _saltelli(study: Study) -> Array:
     from SALib.sample import sobol
 
-    found: Unit = sobol.sample(problem(study), study.runs, calc_second_order=False, seed=study.seed)
-    return found
+    dimensions = problem([d.column for d in study.dimensions])
+    return np.asarray(sobol.sample(dimensions, study.runs, calc_second_order=False, seed=study.seed))
 
 
-def _morris(study: Study) -> Unit:
+def _morris(study: Study) -> Array:
     from SALib.sample import morris
 
-    found: Unit = morris.sample(problem(study), study.runs, num_levels=LEVELS, seed=study.seed)
-    return found
+    dimensions = problem([d.column for d in study.dimensions])
+    return np.asarray(morris.sample(dimensions, study.runs, num_levels=LEVELS, seed=study.seed))
 
 
-METHODS: Mapping[str, Callable[[Study], Unit]] = {
+METHODS: Mapping[str, Callable[[Study], Array]] = {
     "latin": _latin,
     "sobol": _sobol,
     "grid": _grid,
@@ -110,23 +98,27 @@ METHODS: Mapping[str, Callable[[Study], Unit]] = {
 }
 
 
-def _rng(study: Study) -> np.random.Generator:
-    return np.random.default_rng(study.seed)
+# ---- the numbers they stand for
 
 
-# ---- from 0..1 to numbers
+def table(study: Study) -> pd.DataFrame:
+    """All runs, one row each in the order of their numbers; the same study has the same table.
+
+    Rows of one combination of crossed choices stand together, in the order of the samples.
+    """
+    cube = samples(study)
+    sampled = {d.column: _numbers(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
+    constant = {c.column: c.options[0] for c in study.settled}
+    parts = []
+    for options in product(*(c.options for c in study.crossed)):
+        crossed = {c.column: o for c, o in zip(study.crossed, options, strict=True)}
+        parts.append(pd.DataFrame({**constant, **crossed, **sampled}, index=range(len(cube))))
+    whole = pd.concat(parts, ignore_index=True)
+    columns = [*(f.column for f in study.factors), *(c.column for c in study.choices)]
+    return whole[columns].rename_axis("run")
 
 
-def _count(dimension: Factor | Choice) -> int:
-    """How many values a dimension of a grid has."""
-    if isinstance(dimension, Choice):
-        return len(dimension.options)
-    values = dimension.numbers["values"]
-    assert isinstance(values, tuple)
-    return len(values)
-
-
-def _numbers(study: Study, dimension: Factor | Choice, u: Unit) -> Any:
+def _numbers(study: Study, dimension: Factor | Choice, u: Array) -> Any:
     """The numbers or options that samples of one dimension stand for."""
     if isinstance(dimension, Choice):
         return [dimension.options[i] for i in _index(u, len(dimension.options))]
@@ -135,16 +127,14 @@ def _numbers(study: Study, dimension: Factor | Choice, u: Unit) -> Any:
     return quantile(dimension, u)
 
 
-def quantile(factor: Factor, u: Unit) -> Unit:
+def quantile(factor: Factor, u: Array) -> Array:
     """Numbers of a factor below which a share u of them lies, shape as u."""
     n = factor.numbers
     if factor.distribution == "values":
-        values = np.asarray(n["values"], dtype=np.float64)
-        return values[_index(u, len(values))]
+        return np.asarray(n["values"], np.float64)[_index(u, len(n["values"]))]
     if factor.distribution in UNBOUNDED:
         u = np.clip(u, EDGE, 1 - EDGE)
-    found: Unit = _distribution(factor.distribution, n).ppf(u)
-    return found
+    return np.asarray(_distribution(factor.distribution, n).ppf(u), np.float64)
 
 
 def _distribution(name: str, n: Mapping[str, Any]) -> Any:
@@ -159,6 +149,72 @@ def _distribution(name: str, n: Mapping[str, Any]) -> Any:
     return stats.triang((n["mode"] - n["minimum"]) / width, n["minimum"], width)
 
 
-def _index(u: Unit, count: int) -> NDArray[np.intp]:
+def _index(u: Array, count: int) -> NDArray[np.intp]:
     """Which of `count` equal shares of 0..1 each sample lies in."""
     return np.minimum((u * count).astype(np.intp), count - 1)
+
+
+# ---- what each run is run with
+
+
+def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) -> list[Sample]:
+    """The runs of a study in the order of its table; shares become values."""
+    shares = {o: nominals(study, case.system) for o, case in cases.items()}
+    whole = {o: {n for n in shares[o] if not is_real(case.system, n)} for o, case in cases.items()}
+    options = list(zip(*(table[c.column] for c in study.choices), strict=True)) or [()] * len(table)
+    columns = {f.name: table[f.column].to_numpy() for f in study.factors}
+    samples = []
+    for index, chosen in enumerate(options):
+        numbers = {n: float(columns[n][index]) * share for n, share in shares[chosen].items()}
+        samples.append(Sample(index, chosen, numbers | {n: int(numbers[n]) for n in whole[chosen]}))
+    return samples
+
+
+def starts(
+    study: Study, cases: Mapping[Options, StudyCase], samples: Sequence[Sample]
+) -> tuple[pa.Table, dict[str, str]]:
+    """The start values and parameters of each run, and the units of those that have one.
+
+    One row per sample; a column `start:component.variable` of each variable that can be set in some case.
+    Inputs that a connection or a scenario feeds are left out; null is what a variant does not have.
+    """
+    rows: dict[Options, list[int]] = {options: [] for options in cases}
+    for i, sample in enumerate(samples):
+        rows[sample.options].append(i)
+    types: dict[str, pa.DataType] = {}
+    columns: dict[str, list[Any]] = {}
+    units: dict[str, str] = {}
+    for options, case in cases.items():
+        varied = _varied(study, case.system)
+        for port in _settable(case):
+            variable, name = case.system.variable(port), f"{START}{port}"
+            types[name] = TYPES.get(variable.kind, pa.string())
+            if variable.unit:
+                units[name] = variable.unit.name
+            column = columns.setdefault(name, [None] * len(samples))
+            if port in varied:
+                factor, linear = varied[port]
+                for i in rows[options]:
+                    column[i] = coerce(str(port), variable, samples[i].factors[factor], linear)
+            else:
+                constant = case.system.components[port.component].value(port.variable)
+                known = None if isinstance(constant, float) and np.isnan(constant) else constant
+                for i in rows[options]:
+                    column[i] = known
+    return pa.table({name: pa.array(columns[name], types[name]) for name in columns}), units
+
+
+def _settable(case: StudyCase) -> list[Port]:
+    """The variables of a case that have a start value of their own."""
+    system = case.system
+    names = () if case.scenario is None else case.scenario.signals
+    fed = {c.target for c in system.connections}
+    fed |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
+    ports = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
+    return [port for port in ports if system.variable(port).settable and port not in fed]
+
+
+def _varied(study: Study, system: System) -> dict[Port, tuple[str, Linear]]:
+    """Variable -> the factor that sets it, and from its unit to that of the FMU."""
+    names = [f.name for f in study.factors if system.has(f.name)]
+    return {port: (name, linear) for name in names for port, linear in system.targets(name)}

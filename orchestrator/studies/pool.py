@@ -1,17 +1,17 @@
-"""A Dask cluster of this process: its workers are threads, and nothing listens on the network.
+"""Where the runs of a study take place: on the cores of this machine, or on a Dask cluster that exists.
 
-`distributed.LocalCluster` would open a page of the scheduler and one of each worker to the network, also
-without a dashboard.
-
-Where the runs take place: all cores of this machine, or a Dask cluster that is there already.
+On this machine it is a Dask cluster whose workers are threads of this process, and nothing listens on the
+network. `distributed.LocalCluster` would open a page of the scheduler and one of each worker to the network,
+also without a dashboard.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import pickle
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -22,8 +22,25 @@ from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies.single_run import Row, Sample, failed
-from orchestrator.studies.worker import Crew, Packet, digest, dumps, work
+from orchestrator.studies.design import Sample
+from orchestrator.studies.processes import Payload, ProcessPool, digest, run_batch
+from orchestrator.studies.single_run import RunOutcome, failed
+from orchestrator.studies.study import Study
+
+PATIENCE = 10.0  # [s] to reach a scheduler, and for its first worker
+LOST = 60.0  # [s] that a cluster may be without workers: time to start others
+POLL = 0.01  # [s] between two looks for a batch that has ended
+KEPT = "what is finished is kept, the same command goes on"
+LENGTH = 1.5  # [s] of a batch: long compared with Dask's 10 ms for it, little to lose by a kill
+MOST, FIRST = 50, 2  # runs of a batch; of the first ones, before it is known how long a run takes
+WAITING = 2  # batches per core: one that runs, one that waits
+# of batches, of what is asked of the scheduler, of a client that has given up
+GONE = (CancelledError, OSError, ClosedClientError)
+QUIET = {
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+}
 
 
 class _Private:
@@ -53,27 +70,11 @@ def local(workers: int) -> SpecCluster:
     )
 
 
-PATIENCE = 10.0  # [s] to reach a scheduler, and for its first worker
-LOST = 60.0  # [s] that a cluster may be without workers: time to start others
-LOOK = 0.01  # [s] between two looks for a batch that has ended
-KEPT = "what is finished is kept, the same command goes on"
-LENGTH = 1.5  # [s] of a batch: long beside the 10 ms that Dask takes for it, little to lose by a kill
-MOST, FIRST = 50, 2  # runs of a batch; of the first ones, before it is known how long a run takes
-WAITING = 2  # batches per core: one at work, one that waits for it
-# of batches, of what is asked of the scheduler, of a client that has given up
-GONE = (CancelledError, OSError, ClosedClientError)
-QUIET = {
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-}
-
-
 class _Client(Client):  # type: ignore[misc]  # Dask has no types
-    """Leaves nothing behind where it cannot connect.
+    """A client that leaves nothing behind where it cannot connect.
 
-    Dask's own is then left half made, in a reference cycle, with a running loop. When the garbage collector
-    finds it while another client starts its loop, its destructor waits for the lock that this start holds.
+    Dask's own is then left half initialised, in a reference cycle, with a running loop. When the garbage
+    collector finds it while another client starts its loop, its destructor waits for the lock of that start.
     """
 
     def __init__(self, address: Any, **settings: Any) -> None:
@@ -102,7 +103,11 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
         except (OSError, ValueError, TimeoutError) as error:
             raise Problem(f"--scheduler {scheduler}: expected a Dask scheduler, got {_line(error)}") from None
         with remote:
-            _wait(remote, scheduler)
+            try:
+                remote.wait_for_workers(1, timeout=PATIENCE)
+            except TimeoutError:
+                expected = f"expected workers, got none in {PATIENCE:g} s"
+                raise Problem(f"--scheduler {scheduler}: {expected}") from None
             yield remote
 
 
@@ -111,49 +116,49 @@ def available() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def rows(
-    connection: Client, packet: Packet, samples: Sequence[Sample], look: Callable[[], None] = lambda: None
-) -> Generator[list[Row], None, None]:
+def outcomes(
+    connection: Client, payload: Payload, samples: Sequence[Sample], poll: Callable[[], None] = lambda: None
+) -> Generator[list[RunOutcome], None, None]:
     """Run samples, in batches as they are done: in any order, each sample once.
 
-    look   called all the time while this waits; what it raises ends the runs
+    poll  called all the time while this waits; an exception that it raises ends the runs
     """
-    data = dumps(packet)
-    crew = Crew(f"sweep-{digest(data)[:16]}", data)
+    data = pickle.dumps(payload, protocol=pickle.HIGHEST_PROTOCOL)
+    pool = ProcessPool(f"sweep-{digest(data)[:16]}", data)
     try:
-        connection.register_plugin(crew, name=crew.name)
-        yield from Batches(connection, crew.name, packet, list(samples), look).done()
+        connection.register_plugin(pool, name=pool.name)
+        yield from Batches(connection, pool.name, payload.study, samples, poll).done()
     finally:
         with suppress(Exception):  # the cluster may be gone
-            connection.unregister_worker_plugin(crew.name)
+            connection.unregister_worker_plugin(pool.name)
 
 
 class Batches:
-    """Samples on their way through a cluster."""
+    """The samples of a study as tasks of a cluster."""
 
     def __init__(
         self,
         connection: Client,
         name: str,
-        packet: Packet,
-        samples: list[Sample],
-        look: Callable[[], None],
+        study: Study,
+        samples: Sequence[Sample],
+        poll: Callable[[], None],
     ) -> None:
-        self._connection, self._name, self._packet, self._left = connection, name, packet, samples[::-1]
-        self._look = look
-        self._away: dict[Future, list[Sample]] = {}
-        self._size, self._began = FIRST, time.perf_counter()
-        self._suspects: list[Sample] = []
+        self._connection, self._name, self._study, self._poll = connection, name, study, poll
+        self._waiting = list(samples)[::-1]
+        self._retried: list[Sample] = []  # of batches whose worker died: one by one
+        self._running: dict[Future, list[Sample]] = {}
+        self._size = FIRST
 
-    def done(self) -> Iterator[list[Row]]:
-        """The rows of each batch that is done."""
+    def done(self) -> Iterator[list[RunOutcome]]:
+        """The outcomes of each batch that is done."""
         queue = as_completed()
         try:
             self._fill(queue)
-            while self._away:
+            while self._running:
                 self._wait(queue)
                 future = next(queue)
-                found = self._found(future, self._away.pop(future))
+                found = self._outcomes(future, self._running.pop(future))
                 self._fill(queue)
                 if found:
                     yield found
@@ -161,15 +166,15 @@ class Batches:
             raise Problem(f"the Dask scheduler is gone; {KEPT}") from None
         finally:
             with suppress(Exception):  # the cluster may be gone
-                self._connection.cancel(list(self._away), force=True)
+                self._connection.cancel(list(self._running), force=True)
 
     def _wait(self, queue: Any) -> None:
-        """Until a batch has ended."""
+        """Until a batch is done."""
         began = time.perf_counter()
-        self._look()
+        self._poll()
         while not queue.has_ready():
-            self._look()
-            time.sleep(LOOK)
+            self._poll()
+            time.sleep(POLL)
             if time.perf_counter() - began > LOST:
                 if not self._connection.nthreads():
                     raise Problem(f"no worker is left in the Dask cluster; {KEPT}")
@@ -177,43 +182,29 @@ class Batches:
 
     def _fill(self, queue: Any) -> None:
         """Keep all cores busy, and no more than that in memory."""
-        room = WAITING * max(sum(self._connection.nthreads().values()), 1)
-        while len(self._away) < room and (self._left or self._suspects):
-            batch = self._next()
-            future = self._connection.submit(work, self._name, batch, pure=False, retries=0)
-            self._away[future] = batch
+        most = WAITING * max(sum(self._connection.nthreads().values()), 1)
+        while len(self._running) < most and (self._waiting or self._retried):
+            source, size = (self._retried, 1) if self._retried else (self._waiting, self._size)
+            batch = [source.pop() for _ in range(min(size, len(source)))]
+            future = self._connection.submit(run_batch, self._name, batch, pure=False, retries=0)
+            self._running[future] = batch
             queue.add(future)
 
-    def _next(self) -> list[Sample]:
-        if self._suspects:
-            return [self._suspects.pop()]
-        return [self._left.pop() for _ in range(min(self._size, len(self._left)))]
-
-    def _found(self, future: Future, batch: list[Sample]) -> list[Row]:
-        """The rows of a batch; one whose worker died is split."""
-        problem = future.exception()
-        if problem is None:
-            found: list[Row] = future.result()
-            self._learn(found)
+    def _outcomes(self, future: Future, batch: list[Sample]) -> list[RunOutcome]:
+        """Those of a batch; one whose worker died is split."""
+        error = future.exception()
+        if error is None:
+            found: list[RunOutcome] = future.result()
+            each = sum(r.wall for r in found) / len(found)
+            if each > 0:
+                self._size = max(1, min(MOST, round(LENGTH / each)))
             return found
-        if not isinstance(problem, KilledWorker):
-            raise problem if isinstance(problem, Problem) else Problem(f"Dask: {_line(problem)}")
+        if not isinstance(error, KilledWorker):
+            raise error if isinstance(error, Problem) else Problem(f"Dask: {_line(error)}")
         if len(batch) > 1:
-            self._suspects += batch
+            self._retried += batch
             return []
-        return [failed(self._packet.study, batch[0].run, "the Dask worker died")]
-
-    def _learn(self, found: list[Row]) -> None:
-        """How many runs take as long as a batch should."""
-        each = sum(r.wall for r in found) / len(found)
-        self._size = max(1, min(MOST, round(LENGTH / each))) if each > 0 else self._size
-
-
-def _wait(remote: Client, scheduler: str) -> None:
-    try:
-        remote.wait_for_workers(1, timeout=PATIENCE)
-    except TimeoutError:
-        raise Problem(f"--scheduler {scheduler}: expected workers, got none in {PATIENCE:g} s") from None
+        return [failed(self._study, batch[0].run, "the Dask worker died")]
 
 
 def _line(error: BaseException) -> str:
@@ -222,11 +213,11 @@ def _line(error: BaseException) -> str:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """What Dask remarks on its own work, or on a scheduler that is gone, is of no use beside a Problem."""
+    """What Dask logs about its own work, or about a scheduler that is gone, is useless next to a Problem."""
     # some of them have levels of their own
     known = [n for n in logging.root.manager.loggerDict if n.startswith("distributed.")]
     names = ("distributed", *known, "tornado", "asyncio")
-    loggers: Mapping[str, int] = {n: logging.getLogger(n).level for n in names}
+    loggers = {n: logging.getLogger(n).level for n in names}
     for name in loggers:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

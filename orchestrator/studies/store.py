@@ -1,4 +1,4 @@
-"""The folder of a study: what was run, what is finished, and the results.
+"""The folder of a study: what was run, what is finished, the results, and what determines them.
 
     study.toml     the file of the study, as it was read
     study.json     the study as it was understood, and digests of all that determines its results
@@ -7,9 +7,8 @@
     runs.parquet   one row per run: run, status, reason, then columns named as in `study`
     log.csv        run, status, and the seconds that it took; not part of the results, and not the same twice
 
-The results are there when all runs are done, and do not depend on how often the study was started.
-
-What is finished while a study runs: files that are there as a whole or not at all.
+Each file is written as a whole or not at all. The results are written when all runs are done, and do not
+depend on how often the study was started.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,23 +29,30 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies import fingerprint
-from orchestrator.studies.fingerprint import changes
-from orchestrator.studies.single_run import Row, band_times
-from orchestrator.studies.study import Study
+from orchestrator.base.toml import quoted
+from orchestrator.studies.processes import Payload, digest
+from orchestrator.studies.single_run import RunOutcome, band_times
+from orchestrator.studies.study import Choice, Factor, Output, Study
 
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
 LOG = "run,status,seconds\n"  # first line of log.csv
 GROUP = 64  # runs in a row group of the signals: few megabytes
+OPEN = 8  # part files in memory while the signals of all runs are put in order
+HALF = ".half"  # of a file that is being written
+LONG = 120  # characters of two lists that are shown as a whole
+KEYS = ("name", "what")  # keys that name an item of a list
+INNER = ("numbers", "options")  # keys that the file of a study does not have
+DECIDES = ("distribution", "signal", "measure")  # keys that the rest of an item follows from
+BAND = "band:"  # of a column of a part: the samples of a signal, one list per run
 
 
 @dataclass(frozen=True)
 class Results:
     """A finished study.
 
-    table   one row per run
-    bands   the signals that are kept; None if none are
-    units   column of the table, or signal -> unit
+    table  one row per run
+    bands  the signals that are kept; None if none are
+    units  column of the table, or signal -> unit
     """
 
     study: Study
@@ -55,67 +61,34 @@ class Results:
     units: Mapping[str, str]
 
 
-class Store:
-    """The folder of a study that is being run."""
+def read(folder: str | Path) -> Results:
+    """The results of a finished study."""
+    folder = Path(folder)
+    if not finished(folder):
+        raise Problem(f"{folder}: expected a finished study, runs.parquet is missing")
+    known = _json(folder / "study.json")
+    runs, bands = pq.read_table(folder / "runs.parquet"), None
+    units = _units(runs.schema)
+    if (folder / "bands.parquet").exists():
+        bands = pq.read_table(folder / "bands.parquet")
+        units |= _units(bands.schema)
+    study = from_json(known["study"], known["title"])
+    return Results(study, runs.to_pandas(), None if bands is None else bands.to_pandas(), units)
 
-    def __init__(self, folder: Path, study: Study, text: bytes, prints: Mapping[str, Any]) -> None:
-        """text: of the study's file; prints: its fingerprint. Refuses a folder with runs of another study."""
-        self.folder, self.study = folder, study
-        self._accept(prints)
-        told = {"title": study.title, **prints}  # first what says whose the rest is
-        put(folder / "study.json", lambda f: f.write_text(json.dumps(told, indent=1), encoding="utf-8"))
-        put(folder / "study.toml", lambda f: f.write_bytes(text))
-        self._parts = Parts(folder / "parts", study)
 
-    def _accept(self, prints: Mapping[str, Any]) -> None:
-        file = self.folder / "study.json"
-        if not file.exists():
-            if others := [name for name in NAMES if (self.folder / name).exists()]:
-                raise Problem(f"{self.folder}: expected a folder for this study alone, got {others[0]} too")
-            return
-        if changed := changes(_json(file), prints):
-            raise Problem(f"{self.folder}: holds runs of another study: {changed}; --fresh deletes them")
+def finished(folder: Path) -> bool:
+    """All runs of a study are done, and the results are written."""
+    return (folder / "runs.parquet").exists()
 
-    @property
-    def complete(self) -> bool:
-        """All runs are done, and the results are written."""
-        return finished(self.folder)
 
-    def done(self) -> set[int]:
-        """The numbers of the runs that are done."""
-        return self._parts.done()
-
-    def add(self, rows: Sequence[Row]) -> None:
-        """Keep a batch."""
-        self._parts.add(rows)
-        with (self.folder / "log.csv").open("a", encoding="utf-8") as log:
-            if not log.tell():
-                log.write(LOG)
-            log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in rows)
-
-    def finish(self, table: pa.Table, units: Mapping[str, str]) -> None:
-        """Write the results: `table` has all that is known before a run, in the order of the runs."""
-        units = {**units, **{o.column: o.unit for o in self.study.outputs}}
-        if self.study.bands:
-            put(self.folder / "bands.parquet", self._write_bands)
-        rows = self._parts.runs()
-        for column in table.column_names:
-            rows = rows.append_column(column, table[column])
-        put(self.folder / "runs.parquet", lambda file: pq.write_table(_with(rows, units), file))
-        self._parts.clear()
-
-    def _write_bands(self, file: Path) -> None:
-        units = {o.signal: o.signal_unit for o in self.study.outputs if o.band} | {"time": "s"}
-        schema = _with(self._parts.band_schema.empty_table(), units).schema
-        with pq.ParquetWriter(file, schema) as writer:
-            group: list[pa.Table] = []
-            for one in self._parts.bands():
-                group.append(one)
-                if len(group) == GROUP:
-                    writer.write_table(pa.concat_tables(group).cast(schema))
-                    group = []
-            if group:
-                writer.write_table(pa.concat_tables(group).cast(schema))
+def clear(folder: Path) -> None:
+    """Remove all that a study left in its folder; nothing where there was none."""
+    if not (folder / "study.json").exists():
+        return
+    files = [folder / name for name in NAMES]
+    # study.json last, as it says whose the rest is: after a kill nothing passes for another study's
+    for file in [*(folder / "parts").glob("*"), *files, folder / "study.json"]:
+        file.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -135,135 +108,92 @@ def locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def finished(folder: Path) -> bool:
-    """All runs of a study are done, and the results are written."""
-    return (folder / "runs.parquet").exists()
+class Store:
+    """The folder of a study that is being run: finished batches, and at the end the results.
 
+    A batch is one file in parts/, a row for each run; a signal that is kept is a column of lists there.
+    """
 
-def clear(folder: Path) -> None:
-    """Remove all that a study left in its folder; nothing where there was none."""
-    if not (folder / "study.json").exists():
-        return
-    files = [folder / name for name in NAMES]
-    # last what says whose the rest is: a kill in between leaves nothing that could pass for another study's
-    for file in [*(folder / "parts").glob("*"), *files, folder / "study.json"]:
-        file.unlink(missing_ok=True)
-
-
-def read(folder: Path) -> Results:
-    """The results of a finished study."""
-    if not finished(folder):
-        raise Problem(f"{folder}: expected a finished study, runs.parquet is missing")
-    known = _json(folder / "study.json")
-    runs, bands = pq.read_table(folder / "runs.parquet"), None
-    units = _units(runs.schema)
-    if (folder / "bands.parquet").exists():
-        bands = pq.read_table(folder / "bands.parquet")
-        units |= _units(bands.schema)
-    return Results(
-        fingerprint.study(known["study"], known["title"]),
-        runs.to_pandas(),
-        None if bands is None else bands.to_pandas(),
-        units,
-    )
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        found["study"], found["files"], found["title"]
-    except (ValueError, TypeError, KeyError):
-        raise Problem(f"{file}: expected that of a study, got something else; --fresh deletes it") from None
-    return found
-
-
-def _with(table: pa.Table, units: Mapping[str, str]) -> pa.Table:
-    """The table with units of its columns."""
-    fields = [f.with_metadata({"unit": units[f.name]}) if units.get(f.name) else f for f in table.schema]
-    return table.cast(pa.schema(fields))
-
-
-def _units(schema: pa.Schema) -> dict[str, str]:
-    return {f.name: f.metadata[b"unit"].decode() for f in schema if f.metadata and b"unit" in f.metadata}
-
-
-RUNS, BANDS, HALF = "runs-", "bands-", ".half"
-OPEN = 8  # part files in memory while all are put in order
-
-
-class Parts:
-    """Rows of finished batches in a folder, one file each, with another one for the signals that are kept."""
-
-    def __init__(self, folder: Path, study: Study) -> None:
-        self._folder, self._study = folder, study
-        for half in folder.glob(f"*{HALF}"):
+    def __init__(self, folder: Path, study: Study, prints: Mapping[str, Any]) -> None:
+        """prints: the fingerprint of the study. Refuses a folder with runs of another study."""
+        self.folder, self.study, self._parts = folder, study, folder / "parts"
+        file = folder / "study.json"
+        if not file.exists() and (others := [name for name in NAMES if (folder / name).exists()]):
+            raise Problem(f"{folder}: expected a folder for this study alone, got {others[0]} too")
+        if file.exists() and (changed := changes(_json(file), prints)):
+            raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
+        # first study.json, which says whose the rest is
+        text = json.dumps({"title": study.title, **prints}, indent=1)
+        put(file, lambda half: half.write_text(text, encoding="utf-8"))
+        if study.source:
+            data = Path(study.source).read_bytes()
+            put(folder / "study.toml", lambda half: half.write_bytes(data))
+        for half in self._parts.glob(f"*{HALF}"):
             half.unlink()
 
-    def add(self, rows: Sequence[Row]) -> None:
-        """Keep the rows of a batch."""
-        self._folder.mkdir(exist_ok=True)
-        rows = sorted(rows, key=lambda r: r.run)
-        name = f"{rows[0].run:09}.parquet"
-        if self._study.bands:
-            put(self._folder / f"{BANDS}{name}", lambda file: pq.write_table(self._bands(rows), file))
-        put(self._folder / f"{RUNS}{name}", lambda file: pq.write_table(self._runs(rows), file))
-
-    def runs(self) -> pa.Table:
-        """All rows, in the order of their numbers."""
-        files = self._files(RUNS)
-        if not files:
-            return self._runs([])
-        return pa.concat_tables([_read(f) for f in files]).sort_by("run")
-
     def done(self) -> set[int]:
-        """The numbers of the runs that are kept."""
-        return {n for f in self._files(RUNS) for n in _read(f, ["run"])["run"].to_pylist()}
+        """The numbers of the runs that are done."""
+        return {n for file in self._files() for n in _read(file, ["run"])["run"].to_pylist()}
 
-    def bands(self) -> Iterator[pa.Table]:
-        """The signals of one run after the other, in the order of their numbers."""
-        place: dict[int, Path] = {}
-        for file in map(_beside, self._files(RUNS)):
-            place |= dict.fromkeys(_read(file, ["run"])["run"].to_pylist(), file)
-        read = lru_cache(maxsize=OPEN)(_by_run)
-        for run in sorted(place):
-            yield read(place[run])[run]
-
-    def clear(self) -> None:
-        """Remove all."""
-        for file in self._folder.glob("*"):
-            file.unlink()
-        if self._folder.exists():
-            self._folder.rmdir()
-
-    @property
-    def band_schema(self) -> pa.Schema:
-        """The columns of the signals."""
-        columns = [("run", pa.int64()), ("time", pa.float64())]
-        return pa.schema([*columns, *((name, pa.float64()) for name in self._study.bands)])
-
-    def _files(self, kind: str) -> list[Path]:
-        """Of one kind; runs whose signals are lost do not count."""
-        files = sorted(self._folder.glob(f"{kind}*.parquet"))
-        return [f for f in files if _beside(f).exists()] if self._study.bands else files
-
-    def _runs(self, rows: Sequence[Row]) -> pa.Table:
+    def add(self, batch: Sequence[RunOutcome]) -> None:
+        """Keep the outcomes of a batch."""
+        self._parts.mkdir(exist_ok=True)
+        batch = sorted(batch, key=lambda r: r.run)
         columns = {
-            "run": pa.array([r.run for r in rows], pa.int64()),
-            "status": pa.array([r.status for r in rows], pa.string()),
-            "reason": pa.array([r.reason for r in rows], pa.string()),
+            "run": pa.array([r.run for r in batch], pa.int64()),
+            "status": pa.array([r.status for r in batch], pa.string()),
+            "reason": pa.array([r.reason for r in batch], pa.string()),
         }
-        for i, output in enumerate(self._study.outputs):
-            columns[output.column] = pa.array([float(r.outputs[i]) for r in rows], pa.float64())
-        return pa.table(columns)
+        for i, output in enumerate(self.study.outputs):
+            columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
+        columns["start"] = pa.array([r.start for r in batch], pa.float64())
+        for i, name in enumerate(self.study.bands):
+            lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
+            columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))
+        table = pa.table(columns)
+        put(self._parts / f"batch-{batch[0].run:09}.parquet", lambda file: pq.write_table(table, file))
+        with (self.folder / "log.csv").open("a", encoding="utf-8") as log:
+            if not log.tell():
+                log.write(LOG)
+            log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in batch)
 
-    def _bands(self, rows: Sequence[Row]) -> pa.Table:
-        none = np.zeros((len(self._study.bands), 0))
-        kept = [none if r.bands is None else r.bands for r in rows]
-        counts = [bands.shape[1] for bands in kept]
-        times = [band_times(self._study, r.start, n) for r, n in zip(rows, counts, strict=True)]
-        runs = np.repeat(np.array([r.run for r in rows], np.int64), counts)
-        columns = [runs, np.concatenate(times), *np.concatenate(kept, axis=1)]
-        return pa.Table.from_arrays([pa.array(c) for c in columns], schema=self.band_schema)
+    def finish(self, known: pa.Table, units: Mapping[str, str]) -> None:
+        """Write the results; `known`: all that is known before a run, in the order of the runs."""
+        if self.study.bands:
+            put(self.folder / "bands.parquet", self._write_bands)
+        names = ["run", "status", "reason", *(o.column for o in self.study.outputs)]
+        runs = pa.concat_tables([_read(file, names) for file in self._files()]).sort_by("run")
+        for column in known.column_names:
+            runs = runs.append_column(column, known[column])
+        units = {**units, **{o.column: o.unit for o in self.study.outputs}}
+        put(self.folder / "runs.parquet", lambda file: pq.write_table(_with(runs, units), file))
+        for file in self._parts.glob("*"):
+            file.unlink()
+        self._parts.rmdir()
+
+    def _write_bands(self, file: Path) -> None:
+        """The signals of one run after the other, in the order of their numbers."""
+        where = {n: part for part in self._files() for n in _read(part, ["run"])["run"].to_pylist()}
+        names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
+        columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
+        schema = _with(pa.schema(columns).empty_table(), units).schema
+        load = lru_cache(maxsize=OPEN)(_by_run)
+        runs = sorted(where)
+        with pq.ParquetWriter(file, schema) as writer:
+            for first in range(0, len(runs), GROUP):
+                rows = [load(where[run])[run] for run in runs[first : first + GROUP]]
+                writer.write_table(pa.concat_tables([self._long(row) for row in rows]).cast(schema))
+
+    def _long(self, row: pa.Table) -> pa.Table:
+        """The signals of one run as columns."""
+        signals = [row[f"{BAND}{name}"].combine_chunks().flatten() for name in self.study.bands]
+        count = len(signals[0])
+        time = pa.array(band_times(self.study, row["start"][0].as_py(), count))
+        run = pa.array(np.full(count, row["run"][0].as_py(), np.int64))
+        return pa.table([run, time, *signals], names=["run", "time", *self.study.bands])
+
+    def _files(self) -> list[Path]:
+        return sorted(self._parts.glob("batch-*.parquet"))
 
 
 def put(path: Path, write: Callable[[Path], object]) -> None:
@@ -278,21 +208,139 @@ def put(path: Path, write: Callable[[Path], object]) -> None:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _beside(file: Path) -> Path:
-    """The signals that belong to the runs of a file."""
-    return file.with_name(file.name.replace(RUNS, BANDS))
-
-
 def _read(file: Path, columns: list[str] | None = None) -> pa.Table:
     try:
         return pq.read_table(file, columns=columns)
     except (OSError, pa.ArrowException) as error:
-        told = " ".join(str(error).split())
-        raise Problem(f"{file}: cannot be read ({told}); without this file its runs are run again") from None
+        message = " ".join(str(error).split())
+        raise Problem(
+            f"{file}: cannot be read ({message}); without this file its runs are run again"
+        ) from None
 
 
 def _by_run(file: Path) -> dict[int, pa.Table]:
-    """The rows of each run; those of one run stand together."""
     table = _read(file)
-    runs, first, counts = np.unique(table["run"].to_numpy(), return_index=True, return_counts=True)
-    return {int(r): table.slice(f, n) for r, f, n in zip(runs, first, counts, strict=True)}
+    return {run: table.slice(i, 1) for i, run in enumerate(table["run"].to_pylist())}
+
+
+def _with(table: pa.Table, units: Mapping[str, str]) -> pa.Table:
+    """The table with units of its columns."""
+    fields = [f.with_metadata({"unit": units[f.name]}) if units.get(f.name) else f for f in table.schema]
+    return table.cast(pa.schema(fields))
+
+
+def _units(schema: pa.Schema) -> dict[str, str]:
+    return {f.name: f.metadata[b"unit"].decode() for f in schema if f.metadata and b"unit" in f.metadata}
+
+
+# ---- what determines the results
+
+
+def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
+    """The study, and digests of the files that it names and of its samples; for JSON."""
+    study, files = payload.study, dict[str, str]()
+    for options, case in payload.cases.items():
+        chosen = {c.what: f" {o}" for c, o in zip(study.choices, options, strict=True)}
+        each = ", ".join(f"{c.what}={o}" for c, o in zip(study.choices, options, strict=True))
+        among = f" with {each}" if each else ""
+        for name, component in case.system.components.items():
+            if component.source is not None:
+                files[f"the FMU of {name}{chosen.get(name, '')}"] = payload.sources[component.source]
+            starts = repr(sorted(component.start.items())).encode()
+            files[f"the start values of {name}{among}"] = digest(starts)
+        if case.scenario is not None:
+            signals = (np.ascontiguousarray(v).tobytes() for v in case.scenario.signals.values())
+            names = "\n".join(case.scenario.signals).encode()
+            data = names + case.scenario.time.tobytes() + b"".join(signals)
+            files[f"the scenario{chosen.get('scenario', '')}"] = digest(data)
+        wires = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
+        files[f"the connections{among}"] = digest(wires)
+    samples = digest(table.to_csv(float_format="%.17g").encode())
+    return {"study": to_json(study), "files": {**files, "the samples": samples}}
+
+
+def to_json(study: Study) -> dict[str, Any]:
+    """A study for JSON, without what does not change its results."""
+    fields = asdict(study)
+    for name in ("folder", "source", "title"):
+        del fields[name]
+    plain: dict[str, Any] = json.loads(json.dumps(fields))
+    return plain
+
+
+def from_json(fields: Mapping[str, Any], title: str) -> Study:
+    """The study that `to_json` wrote."""
+    items = {
+        "factors": tuple(Factor(**f) for f in fields["factors"]),
+        "choices": tuple(Choice(**c) for c in fields["choices"]),
+        "outputs": tuple(Output(**o) for o in fields["outputs"]),
+    }
+    return Study(title=title, **{**fields, **items})
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        known["study"], known["files"], known["title"]
+    except (ValueError, TypeError, KeyError):
+        raise Problem(f"{file}: expected that of a study, got something else; --fresh deletes it") from None
+    return known
+
+
+def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """The first difference of two fingerprints and how many others there are; empty if there is none."""
+    differences = list(_differences("", old["study"], new["study"]))
+    if not differences:
+        files = dict.fromkeys([*old["files"], *new["files"]])
+        differences = [f"{f} changed" for f in files if old["files"].get(f) != new["files"].get(f)]
+    more = f", and {len(differences) - 1} more changed" if len(differences) > 1 else ""
+    return f"{differences[0]}{more}" if differences else ""
+
+
+def _differences(where: str, old: Any, new: Any, unit: str = "") -> Iterator[str]:
+    """In the order of the study; where: what is compared, such as `factors."supply.pressure_setting"`."""
+    before, after = _items(old), _items(new)
+    if before is None or after is None:
+        yield _difference(where, old, new, unit)
+        return
+    for key in dict.fromkeys([*before, *after]):
+        if before.get(key) == after.get(key):
+            continue
+        inner = where if key in INNER else f"{where}.{quoted(key)}".lstrip(".")
+        if key not in after:
+            yield f"{inner} is no longer there"
+        elif key not in before:
+            yield f"{inner} is new"
+        else:
+            yield from _differences(inner, before[key], after[key], unit or _unit(key, before, after))
+        if key in DECIDES:
+            return
+    if list(before) != list(after) and set(before) == set(after):
+        yield f"the order of {where} was {', '.join(before)}, is {', '.join(after)}"
+
+
+def _items(value: Any) -> Mapping[str, Any] | None:
+    """A table, or a list of named items by their names; none of what has no parts with a name."""
+    if isinstance(value, Mapping):
+        return value
+    for key in KEYS if isinstance(value, list) else ():
+        if all(isinstance(item, Mapping) and key in item for item in value):
+            return {item[key]: item for item in value}
+    return None
+
+
+def _unit(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Of the numbers of a factor; shares have none."""
+    plain = key == "numbers" and not new["relative"] and old["unit"] == new["unit"]
+    return str(new["unit"]) if plain else ""
+
+
+def _difference(where: str, old: Any, new: Any, unit: str) -> str:
+    """Two values; of a long list the first item that differs."""
+    if isinstance(old, list) and isinstance(new, list) and len(json.dumps([old, new])) > LONG:
+        if len(old) != len(new):
+            return f"{where} had {len(old)} items, has {len(new)}"
+        place = next(i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1])
+        return _difference(f"{where}[{place}]", old[place], new[place], unit)
+    was, now = (f"{json.dumps(value).removesuffix('.0')} {unit}".rstrip() for value in (old, new))
+    return f"{where} was {was}, is {now}"

@@ -1,66 +1,120 @@
-"""A study as data: what is varied, what is run, what is kept of each run.
+"""A parameter study as data: what is varied, what is run, what is kept of each run.
 
-The columns of the results, and of `design.table`, are named by what they hold: `factor:swing.gear_ratio` is a
-sample of a factor, `choice:boom_stick` an option, `start:swing.gear_ratio` a number as the run used it, in
-the unit of the FMU, `output:peak` an output.
+A study is built in Python or read from a TOML file; docs/sweep.md shows a complete one. Its systems are not
+opened here: `cases.resolve` does so, checks names and limits, and converts numbers to the units of the FMUs.
 
-Factors from their tables: which numbers a distribution needs, what they have to be, in which unit.
+Columns of a table of runs are named by what they hold: `factor:swing.gear_ratio` is a sample of a factor,
+`choice:boom_stick` an option, `start:swing.gear_ratio` a number as the run used it, in the unit of the FMU,
+`output:peak` an output.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import log2, prod
+from pathlib import Path
 from typing import Any, Literal, get_args
 
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import Table
-from orchestrator.base.units import linear
+from orchestrator.base.toml import Table, is_number, quoted
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
 METHODS: tuple[Method, ...] = get_args(Method)
 MEASURES: tuple[Measure, ...] = get_args(Measure)
+POWERS = ("sobol", "saltelli")  # methods whose samples are balanced for powers of two only
 START = "start:"  # of a column with the start value of a component.variable
+MOST = 1_000_000  # runs: some gigabytes, when their numbers are put into one table
+NUMBERS: Mapping[str, tuple[str, ...]] = {  # of each distribution
+    "uniform": ("minimum", "maximum"),
+    "normal": ("mean", "sd"),
+    "lognormal": ("mean", "sd"),
+    "triangular": ("minimum", "mode", "maximum"),
+    "values": ("values",),
+}
 
 
 @dataclass(frozen=True)
 class Factor:
     """A number that differs from run to run.
 
-    name           as of `run(set=...)`
-    distribution   uniform (minimum, maximum), normal (mean, sd), lognormal (mean, sd), triangular (minimum,
-                   mode, maximum), values (a list, each as likely)
-    numbers        of the distribution, in `unit`; of a grid, `values`. Mean and sd of a lognormal factor are
-                   its own, not those of its logarithm
-    relative       the numbers are shares of the value that the FMU or the system has
-    unit           the unit of the FMU
+    name          as of `run(set=...)`
+    distribution  uniform (minimum, maximum), normal (mean, sd), lognormal (mean, sd), triangular (minimum,
+                  mode, maximum), values (a list, each as likely)
+    numbers       of the distribution, in `unit`; of a grid, `values`. Mean and sd of a lognormal factor are
+                  its own, not those of its logarithm
+    relative      the numbers are shares of the value that the FMU or the system has
+    unit          default: that of the FMU
     """
 
     name: str
     distribution: str
-    numbers: Mapping[str, float | tuple[float, ...]]
+    numbers: Mapping[str, Any]
     relative: bool = False
     unit: str = ""
 
+    def __post_init__(self) -> None:
+        Table(self.key, {"distribution": self.distribution}).one_of("distribution", NUMBERS)
+        numbers = Table(self.key, dict(self.numbers)).only(NUMBERS[self.distribution])
+        plain: dict[str, Any] = {}
+        for name in NUMBERS[self.distribution]:
+            numbers.need(name, "a list of numbers" if name == "values" else "a number")
+            value = self.numbers[name]
+            plain[name] = tuple(map(float, value)) if name == "values" else float(value)
+        object.__setattr__(self, "numbers", plain)
+        if fault := _fault(self.distribution, plain):
+            raise self.wrong(*fault)
+
+    @property
+    def key(self) -> str:
+        """Where the file of a study has it."""
+        return f"factors.{quoted(self.name)}"
+
     @property
     def column(self) -> str:
-        """Of the samples; of a relative factor they are shares."""
+        """Of the samples; those of a relative factor are shares."""
         return f"factor:{self.name}"
+
+    def wrong(self, name: str, expected: str) -> Problem:
+        """What to raise for an impossible number."""
+        value = self.numbers[name]
+        got = f"[{', '.join(f'{v:g}' for v in value)}]" if isinstance(value, tuple) else f"{value:g}"
+        return Problem(f"{self.key}: {name}: expected {expected}, got {got}")
+
+
+def _fault(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The first impossible number of a distribution, and what is expected."""
+    if distribution in ("uniform", "triangular") and not n["minimum"] < n["maximum"]:
+        return "maximum", f"more than the minimum {n['minimum']:g}"
+    if distribution == "triangular" and not n["minimum"] <= n["mode"] <= n["maximum"]:
+        return "mode", f"a number from {n['minimum']:g} to {n['maximum']:g}"
+    if distribution == "lognormal" and not n["mean"] > 0:
+        return "mean", "a positive number"
+    if "sd" in n and not n["sd"] > 0:
+        return "sd", "a positive number"
+    if distribution == "values" and len(set(n["values"])) < len(n["values"]):
+        return "values", "different numbers"
+    return None
 
 
 @dataclass(frozen=True)
 class Choice:
     """A scenario, a parameter set or a variant of a component that differs from run to run.
 
-    what      "scenario", "parameters", or the name of a component
-    options   files or names; each is run with every sample of the factors
-    sampled   no: it is a factor of the samples itself, each option as likely
+    what     "scenario", "parameters", or the name of a component
+    options  files or names; each is run with every sample of the factors
+    sampled  the choice is a dimension of the samples instead, each option as likely
     """
 
     what: str
     options: tuple[str, ...]
     sampled: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "options", tuple(self.options))
 
     @property
     def column(self) -> str:
@@ -70,11 +124,11 @@ class Choice:
 
 @dataclass(frozen=True)
 class Output:
-    """One number per run: a measure of a signal over a window of time [s]; with `band` the signal is kept.
+    """One number per run: a measure of a signal over a window of time [s].
 
-    start, stop   None: from the beginning, to the end of the run
-    unit          of the number
-    signal_unit   of the signal
+    start, stop  default: from the beginning, to the end of the run
+    band         the signal itself is kept, too
+    unit         of the number; from the FMU, as is `signal_unit`
     """
 
     name: str
@@ -99,27 +153,34 @@ class Study:
     system       path of an .ssp, .ssd or .fmu file
     runs         samples of the factors; of a grid it follows (0); of saltelli the N of N (k + 2); of morris
                  the trajectories, N (k + 1) runs
-    stop         of each run [s]
+    stop, step   of each run [s]; default, also of `master`: as of `run`
+    fixed        start values of all runs: a number in the unit of the FMU, or (number, unit)
+    band_step    interval at which signals are kept [s]
     record_step  interval at which the measures see a signal [s]; default: every communication point
-    fixed        start values of all runs
     folder       paths are relative to it; it does not count when studies are compared
+    source       the file of the study, named in messages; does not count either
     """
 
-    title: str
-    system: str
-    method: Method
-    runs: int
-    seed: int
-    stop: float | None
-    step: float | None
-    master: str | None
-    factors: tuple[Factor, ...]
-    choices: tuple[Choice, ...]
-    outputs: tuple[Output, ...]
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    title: str = ""
+    system: str = ""
+    method: Method = "latin"
+    runs: int = 0
+    seed: int = 0
+    stop: float | None = None
+    step: float | None = None
+    master: str | None = None
+    factors: tuple[Factor, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    outputs: tuple[Output, ...] = ()
+    fixed: Mapping[str, Any] = field(default_factory=dict)
     band_step: float = 0.05
     record_step: float | None = None
     folder: str = field(default=".", compare=False)
+    source: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("factors", "choices", "outputs"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def dimensions(self) -> tuple[Factor | Choice, ...]:
@@ -128,7 +189,7 @@ class Study:
 
     @property
     def compared(self) -> tuple[Choice, ...]:
-        """The choices that differ from run to run; one option alone says what all runs have."""
+        """The choices that differ from run to run; one option alone holds for all runs."""
         return tuple(c for c in self.choices if len(c.options) > 1)
 
     @property
@@ -146,63 +207,160 @@ class Study:
         """The signals that are kept, once each."""
         return tuple(dict.fromkeys(o.signal for o in self.outputs if o.band))
 
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        k, options = len(self.dimensions), prod(len(c.options) for c in self.crossed)
+        if self.method == "grid" or not k:
+            return options * prod(levels(d) for d in self.dimensions)
+        return options * self.runs * {"saltelli": k + 2, "morris": k + 1}.get(self.method, 1)
 
-NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "uniform": ("minimum", "maximum"),
-    "normal": ("mean", "sd"),
-    "lognormal": ("mean", "sd"),
-    "triangular": ("minimum", "mode", "maximum"),
-    "values": ("values",),
-}
-SPREADS = ("sd",)  # differences: an offset between units does not count
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """A Problem inside names the study, once."""
+        source = self.source or f"study {self.title!r}"
+        try:
+            yield
+        except Problem as problem:
+            raise Problem(f"{source}: {str(problem).removeprefix(f'{source}: ')}") from None
 
-Rule = tuple[Callable[[Mapping[str, Any]], bool], str, str]
-RULES: Mapping[str, tuple[Rule, ...]] = {
-    "uniform": ((lambda n: n["minimum"] < n["maximum"], "maximum", "more than the minimum {minimum:g}"),),
-    "normal": ((lambda n: n["sd"] > 0, "sd", "a positive number"),),
-    "lognormal": (
-        (lambda n: n["mean"] > 0, "mean", "a positive number"),
-        (lambda n: n["sd"] > 0, "sd", "a positive number"),
-    ),
-    "triangular": (
-        (lambda n: n["minimum"] < n["maximum"], "maximum", "more than the minimum {minimum:g}"),
-        (
-            lambda n: n["minimum"] <= n["mode"] <= n["maximum"],
-            "mode",
-            "a number from {minimum:g} to {maximum:g}",
-        ),
-    ),
-    "values": ((lambda n: len(set(n["values"])) == len(n["values"]), "values", "different numbers"),),
-}
+    def check(self) -> None:
+        """Raise a Problem where the study contradicts itself, whatever its system."""
+        if self.method not in METHODS:
+            raise Problem(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if not self.outputs:
+            raise Problem("outputs: expected at least one, got none")
+        if not self.dimensions and not self.crossed:
+            raise Problem("expected factors, or choices of two options and more, got neither")
+        if not self.dimensions and self.method != "grid":
+            raise Problem(f"method: expected grid, as nothing is sampled, got {self.method!r}")
+        if fault := self._runs_expected():
+            raise Problem(f"runs: expected {fault}, got {self.runs}")
+        for factor in self.factors if self.method == "grid" else ():
+            if factor.distribution != "values":
+                got = f"got {factor.distribution!r}"
+                raise Problem(f"{factor.key}: distribution: expected values, as the method is grid, {got}")
+        for output in self.outputs:
+            where = f"outputs.{quoted(output.name)}"
+            Table(where, vars(output)).one_of("measure", MEASURES)
+            if output.start is not None and output.stop is not None and not output.start <= output.stop:
+                expected = f"at least the start {output.start:g} s"
+                raise Problem(f"{where}: stop: expected {expected}, got {output.stop:g} s")
+        if self.count > MOST:
+            raise Problem(f"expected at most {MOST:,} runs, got {self.count:,}")
+
+    def _runs_expected(self) -> str:
+        """What `runs` should be; empty if it is."""
+        if self.method == "grid":
+            return "none, as those of a grid follow from its values" if self.runs else ""
+        if self.runs < 1:
+            return "a whole number of at least 1"
+        if self.method in POWERS and self.runs & (self.runs - 1):
+            near = 2 ** int(log2(self.runs))
+            return f"a power of two, such as {near} or {2 * near}, as the method is {self.method}"
+        return ""
 
 
-def factor(name: str, table: Table, unit: str, method: str) -> Factor:
-    """A factor; unit: the one of the FMU, to which numbers in the unit of the table are converted."""
+def levels(dimension: Factor | Choice) -> int:
+    """How many values a dimension of a grid has."""
+    return len(dimension.options if isinstance(dimension, Choice) else dimension.numbers["values"])
+
+
+def measure_unit(measure: str, unit: str) -> str:
+    """The unit of a measure of a signal with this unit."""
+    if measure == "time_of_maximum":
+        return "s"
+    if measure != "integral":
+        return unit
+    return f"{unit}.s" if unit and unit != "1" else "s"
+
+
+# ---- the file
+
+
+KEYS = (
+    *("title", "system", "method", "runs", "seed", "stop", "step", "master", "record_step", "band_step"),
+    *("factors", "choices", "outputs", "fixed"),
+)
+
+
+def read(file: str | Path) -> Study:
+    """The study in a TOML file; paths in it are relative to the file."""
+    file = Path(file)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise Problem(f"{file}: cannot be read: {error.strerror}") from None
+    table = toml.read(file, data).only(KEYS)
+    table.need("system", "an .ssp, .ssd or .fmu file")
+    method = table.one_of("method", METHODS)
+    if method != "grid":
+        table.need("runs", "a whole number")
+    with Study(source=str(file)).located():
+        study = Study(
+            title=table.text("title") or file.stem,
+            system=table.text("system") or "",
+            method=method,
+            runs=table.whole("runs", 1) or 0,
+            seed=table.whole("seed", 0) or 0,
+            stop=table.number("stop"),
+            step=table.number("step", positive=True),
+            master=table.text("master"),
+            factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
+            choices=tuple(_choice(table.inside("choices"), what) for what in table.inside("choices").data),
+            outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),
+            fixed={name: _start(table.inside("fixed"), name) for name in table.inside("fixed").data},
+            band_step=table.number("band_step", positive=True) or Study.band_step,
+            record_step=table.number("record_step", positive=True),
+            folder=str(file.parent),
+            source=str(file),
+        )
+        study.check()
+    return study
+
+
+def _factor(name: str, table: Table) -> Factor:
     kind = table.one_of("distribution", NUMBERS)
     table.only(("distribution", "relative", "unit", *NUMBERS[kind]))
-    if method == "grid" and kind != "values":
-        raise table.wrong("distribution", "values, as the method is grid")
-    relative, given = table.truth("relative"), table.text("unit")
-    if relative and given:
-        raise Problem(f"{table.where}: unit: expected none, as the numbers are shares, got {given!r}")
-    numbers = {key: _number(table, key) for key in NUMBERS[kind]}
-    for holds, key, expected in RULES[kind]:
-        if not holds(numbers):
-            raise table.wrong(key, expected.format(**numbers))
-    if given:
-        factor, offset = linear(given, unit, f"{table.where}: unit")
-        numbers = {k: _converted(v, factor, 0.0 if k in SPREADS else offset) for k, v in numbers.items()}
-    return Factor(name, kind, numbers, relative, unit)
+    relative, unit = table.truth("relative"), table.text("unit")
+    if relative and unit:
+        raise table.wrong("unit", "none, as the numbers are shares")
+    numbers = {k: table.numbers(k) if k == "values" else table.number(k) for k in NUMBERS[kind]}
+    known = {key: number for key, number in numbers.items() if number is not None}
+    return Factor(name, kind, known, relative, unit or "")
 
 
-def _number(table: Table, key: str) -> Any:
-    if key == "values":
-        return table.numbers(key)
-    table.need(key, "a number")
-    return table.number(key)
+def _choice(table: Table, what: str) -> Choice:
+    """A list of options, or a table of options and sampled."""
+    if not isinstance(table.data[what], dict):
+        return Choice(what, table.texts(what))
+    inner = Table(f"{table.where}.{what}", table.data[what]).only(("options", "sampled"))
+    inner.need("options", "a list of texts")
+    return Choice(what, inner.texts("options"), inner.truth("sampled"))
 
 
-def _converted(value: Any, factor: float, offset: float) -> Any:
-    if isinstance(value, tuple):
-        return tuple(factor * v + offset for v in value)
-    return factor * value + offset
+def _start(table: Table, name: str) -> float | tuple[float, str]:
+    """A number, or a table of value and unit."""
+    value = table.data[name]
+    if isinstance(value, dict):
+        inner = Table(f"{table.where}.{name}", value).only(("value", "unit"))
+        inner.need("value", "a number")
+        number, unit = inner.number("value"), inner.text("unit")
+        assert number is not None
+        return (number, unit) if unit else number
+    if not is_number(value):
+        raise table.wrong(name, "a number, or a table of value and unit")
+    return float(value)
+
+
+def _output(name: str, table: Table) -> Output:
+    table.only(("signal", "measure", "start", "stop", "band"))
+    table.need("signal", "the name of a signal")
+    return Output(
+        name,
+        table.text("signal") or "",
+        table.one_of("measure", MEASURES),
+        table.number("start"),
+        table.number("stop"),
+        table.truth("band"),
+    )

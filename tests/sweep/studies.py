@@ -7,9 +7,8 @@ from pathlib import Path
 
 from distributed import Client
 
-from orchestrator.studies.parameter_study import Where, sweep
-from orchestrator.studies.progress import Watch
-from orchestrator.studies.single_run import Row
+from orchestrator.studies.parameter_study import sweep
+from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results
 
 GAIN = """
@@ -56,16 +55,6 @@ band = true
 """
 
 
-class Count(Watch):
-    """Notes which runs took place."""
-
-    def __init__(self) -> None:
-        self.runs: list[int] = []
-
-    def see(self, rows: Sequence[Row]) -> None:
-        self.runs += [row.run for row in rows]
-
-
 def study(folder: Path, text: str, fmu: Path) -> Path:
     """The file of a study, with its FMU beside it."""
     (folder / fmu.name).write_bytes(fmu.read_bytes())
@@ -76,9 +65,13 @@ def study(folder: Path, text: str, fmu: Path) -> Path:
 
 def run(file: Path, client: Client, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:
     """The results of a study, and the runs that took place for them now."""
-    count = Count()
-    results = sweep(file, file.parent / folder, Where(client=client), fresh, count)
-    return results, sorted(count.runs)
+    runs: list[int] = []
+
+    def note(_total: int, _done: int, batch: Sequence[RunOutcome]) -> None:
+        runs.extend(outcome.run for outcome in batch)
+
+    results = sweep(file, file.parent / folder, client=client, fresh=fresh, watch=note)
+    return results, sorted(runs)
 
 
 def content(folder: Path) -> Mapping[str, bytes]:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from sweep.studies import GAIN, study
 
-from orchestrator.studies import study_file
-from orchestrator.studies.fingerprint import changes, told
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.store import changes, to_json
+from orchestrator.studies.study import read
 
 MORE = (
     GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
@@ -36,7 +37,7 @@ def _changes(folder: Path, fmu: Path, one: str, other: str) -> str:
     """What is told of two texts of a study."""
     for name in ("up", "down"):
         (folder / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
-    old, new = (told(study_file.read(study(folder, text, fmu))) for text in (one, other))
+    old, new = (to_json(resolve(read(study(folder, text, fmu)))[0]) for text in (one, other))
     return changes({"study": old, "files": {}}, {"study": new, "files": {}})
 
 

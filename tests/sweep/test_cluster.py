@@ -17,9 +17,9 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import pool
-from orchestrator.studies.parameter_study import Where, sweep
-from orchestrator.studies.progress import Watch
-from orchestrator.studies.single_run import Row, Sample
+from orchestrator.studies.design import Sample
+from orchestrator.studies.parameter_study import sweep
+from orchestrator.studies.single_run import RunOutcome
 
 LONG = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many batches
 
@@ -34,14 +34,14 @@ def address() -> Iterator[str]:
         yield there.scheduler_address
 
 
-class Killer(Watch):
+class Killer:
     """Kills the worker, once, when the first batch is done."""
 
     def __init__(self, address: str) -> None:
         self._address, self.killed = address, 0
 
-    def see(self, rows: Sequence[Row]) -> None:  # noqa: ARG002  a watch is told them
-        if not self.killed:
+    def __call__(self, _total: int, _done: int, batch: Sequence[RunOutcome]) -> None:
+        if batch and not self.killed:
             with Client(self._address) as client:
                 self.killed = next(iter(client.run(os.getpid).values()))
             os.kill(self.killed, signal.SIGKILL)
@@ -64,14 +64,14 @@ def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
     file = study(tmp_path, LONG, gain)
     run(file, one, "here")
     killer = Killer(address)
-    sweep(file, tmp_path / "there", Where(scheduler=address), watch=killer)
+    sweep(file, tmp_path / "there", scheduler=address, watch=killer)
     assert killer.killed
     assert content(tmp_path / "there") == content(tmp_path / "here")
 
 
 def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
     """The processes of a study end with it."""
-    sweep(study(tmp_path, GAIN, gain), tmp_path / "out", Where(scheduler=address))
+    sweep(study(tmp_path, GAIN, gain), tmp_path / "out", scheduler=address)
     with Client(address) as client:
         children = client.run(lambda: [" ".join(p.cmdline()) for p in psutil.Process().children()])
     assert not [line for lines in children.values() for line in lines if "sweep.child" in line]
@@ -119,7 +119,7 @@ def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp
     file, out = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out"
     before = content(out) if kept and run(file, one, "deep/out") else {}
     with pytest.raises(Problem, match=r"^--scheduler tcp://127.0.0.1:1: expected a Dask scheduler"):
-        sweep(file, out, Where(scheduler="tcp://127.0.0.1:1"), fresh=kept)
+        sweep(file, out, scheduler="tcp://127.0.0.1:1", fresh=kept)
     assert (tmp_path / "deep").exists() is kept
     assert content(out) == before
     assert bool(before) is kept
@@ -129,7 +129,7 @@ def test_a_finished_study_needs_no_scheduler(gain, one, tmp_path):
     """It is only read."""
     file = study(tmp_path, GAIN, gain)
     results, _ = run(file, one)
-    again = sweep(file, tmp_path / "out", Where(scheduler="tcp://127.0.0.1:1"))
+    again = sweep(file, tmp_path / "out", scheduler="tcp://127.0.0.1:1")
     assert again.table.equals(results.table)
 
 

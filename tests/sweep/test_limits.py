@@ -10,7 +10,8 @@ from sweep.studies import GAIN, study
 
 from orchestrator import Problem
 from orchestrator.ssp.load import load
-from orchestrator.studies import study_file
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.study import read
 
 FACTOR = '[factors."gain.factor"]\ndistribution = "uniform"\nminimum = 1\nmaximum = 3\n'
 TYPE = '<TypeDefinitions><SimpleType name="Few"><Real max="5"/></SimpleType></TypeDefinitions>'
@@ -76,7 +77,7 @@ def test_numbers_outside_are_refused(
     """In one line, in the unit of the FMU, whatever that of the study; shares are of the start value 1."""
     file = _file(tmp_path, bounded, name, numbers)
     with pytest.raises(Problem) as wrong:
-        study_file.read(file)
+        resolve(read(file))[0]
     assert str(wrong.value).startswith(f"{file}: factors.")
     assert str(wrong.value).endswith(expected)
 
@@ -93,20 +94,20 @@ def test_numbers_outside_are_refused(
 )
 def test_numbers_up_to_the_ends_are_accepted(bounded: Path, tmp_path: Path, name: str, numbers: str) -> None:
     """Also where a unit is converted; tails of distributions without ends are not looked at."""
-    assert study_file.read(_file(tmp_path, bounded, name, numbers)).factors[0].name == f"gain.{name}"
+    assert resolve(read(_file(tmp_path, bounded, name, numbers)))[0].factors[0].name == f"gain.{name}"
 
 
 def test_fixed_numbers_count_themselves_and_for_shares(bounded: Path, tmp_path: Path) -> None:
     """One outside is refused; a share is of the fixed number, not of the start value 0 of the offset."""
     file = _file(tmp_path, bounded, "factor", _uniform(1, 2), '"gain.offset" = 0.05')
     with pytest.raises(Problem, match=r"fixed: gain.offset: expected at most 0.02 m, got 0.05 m$"):
-        study_file.read(file)
+        resolve(read(file))[0]
     shares = _uniform(1, 3, ", relative = true")
     file = _file(tmp_path, bounded, "offset", shares, '"gain.offset" = 0.005')
-    assert study_file.read(file).factors[0].relative
+    assert resolve(read(file))[0].factors[0].relative
     file = _file(tmp_path, bounded, "offset", shares, '"gain.offset" = 0.01')
     with pytest.raises(Problem, match=r"maximum: expected at most 0.02 m, got 0.03 m \(3 of 0.01\)$"):
-        study_file.read(file)
+        resolve(read(file))[0]
 
 
 @pytest.mark.parametrize(
@@ -126,4 +127,4 @@ def test_the_machine_refuses_what_cannot_be(
     file = tmp_path / "study.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(Problem, match=expected):
-        study_file.read(file)
+        resolve(read(file))[0]

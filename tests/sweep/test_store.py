@@ -10,7 +10,10 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import store
+from orchestrator.studies.parameter_study import prepare
+from orchestrator.studies.pool import outcomes
 from orchestrator.studies.store import HALF
+from orchestrator.studies.study import read
 
 
 @pytest.fixture
@@ -36,7 +39,7 @@ def test_only_missing_runs_take_place(file, one):
     out, ready = file.parent / "out", store_of(file, file.parent / "out")
     rows = [rows_of(file, one)[n] for n in (7, 2, 3)]
     ready.add(rows)
-    (out / "parts" / f"runs-000000000.parquet{HALF}").write_bytes(b"half a file")
+    (out / "parts" / f"batch-000000000.parquet{HALF}").write_bytes(b"half a file")
     _, runs = run(file, one)
     assert runs == [0, 1, 4, 5, 6, 8, 9, 10, 11]
     assert content(out) == content(file.parent / "whole")
@@ -44,22 +47,16 @@ def test_only_missing_runs_take_place(file, one):
 
 
 def rows_of(file, client):
-    """Run -> row, computed apart from any folder."""
-    from orchestrator.studies.parameter_study import plan
-    from orchestrator.studies.pool import rows
-
-    ready = plan(file)
-    return {r.run: r for batch in rows(client, ready.packet, ready.samples) for r in batch}
+    """Run -> outcome, computed apart from any folder."""
+    ready = prepare(read(file))
+    return {r.run: r for batch in outcomes(client, ready.payload, ready.samples) for r in batch}
 
 
 def store_of(file, folder):
-    """The folder of a study, ready to take rows."""
-    from orchestrator.studies.fingerprint import fingerprint
-    from orchestrator.studies.parameter_study import plan
-
+    """The folder of a study, ready to take outcomes."""
     folder.mkdir()
-    ready = plan(file)
-    return store.Store(folder, ready.study, file.read_bytes(), fingerprint(ready.packet, ready.table))
+    ready = prepare(read(file))
+    return store.Store(folder, ready.payload.study, store.fingerprint(ready.payload, ready.table))
 
 
 @pytest.mark.parametrize(
@@ -130,21 +127,21 @@ def test_the_log_stands_apart(file, one):
 
 
 def test_a_broken_part_is_named_and_its_runs_are_run_again_without_it(file, one):
-    """One line; nothing of it is taken for a result. So it is where only the signals of a part are lost."""
+    """One line; nothing of it is taken for a result."""
     run(file, one, "whole")
     out = file.parent / "out"
     ready = store_of(file, out)
     rows = rows_of(file, one)
     ready.add([rows[0], rows[1]])
     ready.add([rows[2]])
-    broken = out / "parts" / "runs-000000000.parquet"
+    broken = out / "parts" / "batch-000000000.parquet"
     broken.write_bytes(broken.read_bytes()[:100])
     with pytest.raises(
-        Problem, match=r"runs-000000000.parquet: cannot be read [^\n]+; without this file its"
+        Problem, match=r"batch-000000000.parquet: cannot be read [^\n]+; without this file its"
     ):
         run(file, one)
     broken.unlink()
-    (out / "parts" / "bands-000000002.parquet").unlink()
+    (out / "parts" / "batch-000000002.parquet").unlink()
     assert run(file, one)[1] == list(range(12))
     assert content(out) == content(file.parent / "whole")
 

@@ -49,7 +49,7 @@ def command(file: Path, out: Path, **environment: str) -> subprocess.Popen[str]:
 def started(file: Path, out: Path) -> subprocess.Popen[str]:
     """The same, after its first batch is kept."""
     process = command(file, out)
-    while not list(out.glob("parts/runs-*.parquet")):
+    while not list(out.glob("parts/batch-*.parquet")):
         assert process.poll() is None, process.communicate()
         time.sleep(0.01)
     return process
@@ -75,7 +75,7 @@ def stopped(
 
 def kept(out: Path) -> set[int]:
     """The runs that are finished."""
-    return {n for f in out.glob("parts/runs-*.parquet") for n in pq.read_table(f)["run"].to_pylist()}
+    return {n for f in out.glob("parts/batch-*.parquet") for n in pq.read_table(f)["run"].to_pylist()}
 
 
 def test_killed_and_started_again_the_content_is_the_same(long, one):

@@ -9,8 +9,10 @@ from sweep.studies import FAILS, GAIN, run, study
 
 from orchestrator import Problem
 from orchestrator.ssp import system
-from orchestrator.studies import fingerprint, parameter_study, study_file
-from orchestrator.studies.study import Choice, Factor, Output, Study
+from orchestrator.studies import store
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.parameter_study import prepare
+from orchestrator.studies.study import Choice, Factor, Output, Study, read
 
 FACTOR = '[factors."gain.factor"]\ndistribution = "uniform"\nminimum = 1\nmaximum = 3\n'
 
@@ -25,13 +27,13 @@ def told(file: Path, text: str) -> str:
     """What is wrong with a study of this text."""
     file.write_text(text, encoding="utf-8")
     with pytest.raises(Problem) as wrong:
-        study_file.read(file)
+        resolve(read(file))[0]
     return str(wrong.value)
 
 
 def test_a_file_is_understood(file):
     """Every key has its place; reading it again gives the same study."""
-    found = study_file.read(file)
+    found = resolve(read(file))[0]
     assert found == Study(
         title="A gain",
         system="gain.fmu",
@@ -46,13 +48,13 @@ def test_a_file_is_understood(file):
         outputs=(Output("end", "gain.y", "final", band=True, unit="m", signal_unit="m"),),
         fixed={"gain.u": 2.0},
     )
-    assert study_file.read(file) == found
+    assert resolve(read(file))[0] == found
 
 
 def test_a_study_survives_its_file(file):
     """What stands in study.json is the study, but for the folder, which does not count."""
-    found = study_file.read(file)
-    assert fingerprint.study(fingerprint.told(found), found.title) == found
+    found = resolve(read(file))[0]
+    assert store.from_json(store.to_json(found), found.title) == found
 
 
 def test_numbers_are_converted_to_the_unit_of_the_fmu(file):
@@ -60,7 +62,7 @@ def test_numbers_are_converted_to_the_unit_of_the_fmu(file):
     text = GAIN.replace(FACTOR, FACTOR.replace("gain.factor", "gain.offset") + 'unit = "mm"\n')
     text = text.replace('"gain.u" = 2', '"gain.u" = { value = 2, unit = "cm" }')
     file.write_text(text, encoding="utf-8")
-    found = study_file.read(file)
+    found = resolve(read(file))[0]
     assert found.factors[0].numbers == {"minimum": 1e-3 * 1.0, "maximum": 1e-3 * 3.0}
     assert found.factors[0].unit == "m"
     assert found.fixed == {"gain.u": 1e-2 * 2.0}
@@ -69,7 +71,7 @@ def test_numbers_are_converted_to_the_unit_of_the_fmu(file):
 def test_an_integral_has_the_unit_of_its_signal_times_seconds(file):
     """As the report shows it."""
     file.write_text(GAIN.replace('"final"', '"integral"'), encoding="utf-8")
-    assert study_file.read(file).outputs[0].unit == "m.s"
+    assert resolve(read(file))[0].outputs[0].unit == "m.s"
 
 
 def test_shares_are_of_the_value_that_the_system_has(file, one):
@@ -89,7 +91,7 @@ def test_a_scenario_and_a_variant_are_choices(workshop, tmp_path, one):
     text = GAIN.replace("gain.factor", "gain.offset").replace('"gain.u" = 2', "").replace("= 12", "= 2")
     choices = '[choices]\nscenario = ["up.csv", "down.csv"]\ngain = ["gain.fmu", "bent.fmu"]\n'
     file.write_text(text + choices, encoding="utf-8")
-    found = study_file.read(file)
+    found = resolve(read(file))[0]
     assert found.choices == (
         Choice("scenario", ("up.csv", "down.csv")),
         Choice("gain", ("gain.fmu", "bent.fmu")),
@@ -214,5 +216,5 @@ def test_a_name_that_a_variant_lacks_costs_no_search(workshop, tmp_path, monkeyp
     (tmp_path / "bent.fmu").write_bytes(workshop["bent"].read_bytes())
     file.write_text(file.read_text() + '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n', encoding="utf-8")
     monkeypatch.setattr(system, "suggest", lambda *_: pytest.fail("a search"))
-    table, _ = parameter_study.plan(file).known()
+    table, _ = prepare(read(file)).known()
     assert table["start:gain.offset"].null_count == 12

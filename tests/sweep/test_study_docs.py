@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from sweep.studies import run
 
-from orchestrator.studies import study_file
+from orchestrator.studies.cases import resolve
 from orchestrator.studies.report import study_page
+from orchestrator.studies.study import read
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
@@ -57,7 +58,7 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     file.write_text(_block("toml", 1), encoding="utf-8")
     (tmp_path / "levers.csv").write_text("time,swing_command\n0,0\n1,3\n")
     file.write_text(file.read_text().replace("../build", fmu_dir.as_posix()))
-    found = study_file.read(file)
+    found = resolve(read(file))[0]
     assert [f.distribution for f in found.factors] == ["uniform", "normal", "values"]
     assert found.fixed["manipulator.head_mass"] == pytest.approx(
         340.0, rel=1e-15

@@ -6,7 +6,8 @@ import pytest
 from sweep.studies import GAIN, study
 
 from orchestrator import Problem
-from orchestrator.studies import study_file
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.study import read
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def _told(file, text):
     """What is wrong with a study of this text."""
     file.write_text(text, encoding="utf-8")
     with pytest.raises(Problem) as wrong:
-        study_file.read(file)
+        resolve(read(file))[0]
     return str(wrong.value)
 
 
@@ -40,4 +41,4 @@ def test_a_window_may_end_with_the_runs(file):
     """At the stop of the study, also where that is no whole number of steps."""
     for end in ("0.2", "0.1999"):
         file.write_text(GAIN.replace("stop = 0.2", f"stop = {end}") + f"stop = {end}\n", encoding="utf-8")
-        assert study_file.read(file).outputs[0].stop == float(end)
+        assert resolve(read(file))[0].outputs[0].stop == float(end)

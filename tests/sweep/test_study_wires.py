@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from orchestrator import Problem
-from orchestrator.studies import study_file
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.study import read
 
 STUDY = """
 system = "{system}"
@@ -35,7 +36,7 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
     """In one line, and without --cut, which `sweep` has not got."""
     file = _file(tmp_path, fmu_dir, name)
     with pytest.raises(Problem) as wrong:
-        study_file.read(file)
+        resolve(read(file))[0]
     key = f'"{name}"' if "." in name else name
     wire = "operator.boom_command -> boom_stick.boom_command"
     assert str(wrong.value) == (
@@ -46,8 +47,8 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
 
 def test_what_the_refusal_advises_is_accepted(fmu_dir: Path, tmp_path: Path) -> None:
     """A number of the levers is a factor; a scenario drives the wired input itself."""
-    assert study_file.read(_file(tmp_path, fmu_dir, "operator.boom_1_command")).factors
+    assert resolve(read(_file(tmp_path, fmu_dir, "operator.boom_1_command")))[0].factors
     file = _file(tmp_path, fmu_dir, "manipulator.head_mass")
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     file.write_text(file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n', encoding="utf-8")
-    assert study_file.read(file).settled[0].options == ("rest.csv",)
+    assert resolve(read(file))[0].settled[0].options == ("rest.csv",)

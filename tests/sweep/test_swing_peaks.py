@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.studies import study_file
-from orchestrator.studies.parameter_study import Where, sweep
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.report import study_page
+from orchestrator.studies.study import read
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
 
@@ -28,7 +29,7 @@ def _copy(name: str, fmus: Path, folder: Path, *changes: tuple[str, str]) -> Pat
 @pytest.mark.parametrize("name", ["study.toml", "small.toml"])
 def test_names_and_units_of_the_studies_are_right(name: str, fmu_dir: Path, tmp_path: Path) -> None:
     """Every factor and signal is in the machine, and peaks are in Pa."""
-    study = study_file.read(_copy(name, fmu_dir, tmp_path))
+    study = resolve(read(_copy(name, fmu_dir, tmp_path)))[0]
     assert {output.unit for output in study.outputs} == {"Pa"}
     # the levers play nothing but the strokes of the study
     played = {n for n, value in study.fixed.items() if n.endswith("_command") and value}
@@ -44,7 +45,7 @@ def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> No
         ("start = 2.8, stop = 6.9", "start = 1.0"),
     )
     file = _copy("small.toml", fmu_dir, tmp_path, *short)
-    results = sweep(file, tmp_path / "out", Where(workers=1))
+    results = sweep(file, tmp_path / "out", workers=1)
     assert (results.table["status"] == "ok").all()
     assert results.table["output:start_left"].between(1e6, 2.07e7).all()
     assert study_page.report(tmp_path / "out").exists()

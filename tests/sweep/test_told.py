@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
-from orchestrator.studies import progress
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import alike
+from orchestrator.studies.parameter_study import summary
 from orchestrator.studies.report.study_page import PAGE, write
 from orchestrator.studies.store import Results
 
@@ -27,7 +27,7 @@ def _failed(reasons: dict[int, str]) -> Results:
 def test_runs_that_ended_come_first(failed: int) -> None:
     """However many failed."""
     found = _failed(dict.fromkeys(range(failed), "it broke"))
-    assert progress.text(found).splitlines()[0] == f"40 runs: {40 - failed} ok, {failed} failed"
+    assert summary(found).splitlines()[0] == f"40 runs: {40 - failed} ok, {failed} failed"
 
 
 def test_an_early_end_stands_between() -> None:
@@ -35,14 +35,14 @@ def test_an_early_end_stands_between() -> None:
     found = _failed({0: "it broke", 1: "it broke", 2: "it broke"})
     status = found.table["status"].where(found.table["run"] != 2, "early")
     found = replace(found, table=found.table.assign(status=status))
-    assert progress.text(found).splitlines()[0] == "40 runs: 37 ok, 1 early, 2 failed"
+    assert summary(found).splitlines()[0] == "40 runs: 37 ok, 1 early, 2 failed"
 
 
 def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
     """The first run of a kind is the example; a reason that is always the same is told as it is."""
     reasons = {n: f"operator: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
     found = _failed({**reasons, 30: "the process ended by signal 11 (SIGSEGV)"})
-    assert progress.text(found).splitlines()[-2:] == [
+    assert summary(found).splitlines()[-2:] == [
         "6 failed, such as: operator: swing_1_rise is -0.3, expected at least 0",
         "1 failed: the process ended by signal 11 (SIGSEGV)",
     ]
@@ -51,7 +51,7 @@ def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
 def test_other_kinds_are_counted() -> None:
     """Five are told, as kinds and not as reasons."""
     found = _failed({n: f"part {'abcdefg'[n % 7]} broke at {n} s" for n in range(14)})
-    lines = progress.text(found).splitlines()
+    lines = summary(found).splitlines()
     assert lines[-1] == "... and for 2 other reasons"
     assert lines[-6] == "2 failed, such as: part a broke at 0 s"
 

@@ -11,9 +11,9 @@ import pytest
 from sweep.synthetic import finding, results, uniform
 
 from orchestrator.base.text import display_unit
-from orchestrator.studies import progress
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.parameter_study import summary
 from orchestrator.studies.report.study_figures import scatter
 from orchestrator.studies.report.study_page import NUMBERS, PAGE, factor_words, write
 
@@ -70,7 +70,7 @@ def test_a_factor_is_told_in_one_unit_too() -> None:
 
 def test_the_command_line_prints_bar() -> None:
     """And never powers of ten of Pa."""
-    text = progress.text(results(lambda x: 1.2631e7 + 1e3 * x["x1"], SPACE, "latin", 20))
+    text = summary(results(lambda x: 1.2631e7 + 1e3 * x["x1"], SPACE, "latin", 20))
     name, low, mean, high, unit = text.splitlines()[-1].split()
     assert (name, unit) == ("peak", "bar")
     assert 126.31 <= float(low) <= float(mean) <= float(high) <= 126.32

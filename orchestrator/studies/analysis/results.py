@@ -1,9 +1,4 @@
-"""Reasons of failed runs that say the same but for the numbers in them.
-
-The results of an analysis as data; all numbers in the unit of the output or shares of a variance.
-
-The runs of a study as arrays: factors by sample, outputs by sample and combination of choices.
-"""
+"""The results of an analysis as data; all numbers are in the unit of the output, or shares of a variance."""
 
 from __future__ import annotations
 
@@ -29,7 +24,7 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def alike(reasons: pd.Series) -> pd.Series:
-    """Each reason with its numbers masked: equal ones are of one kind."""
+    """Each reason with its numbers masked: equal ones differ by their numbers alone."""
     return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
 
 
@@ -93,13 +88,13 @@ def short(option: str) -> str:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How an output moves with factors and choices.
+    """How an output depends on factors and choices.
 
     method    in words
     measure   the one that orders the effects; they stand in that order, the largest first
     samples   independent samples that it rests on
     variance  of the output [unit squared], over factors and choices
-    reliable  whether the order may be told; false where a linear model does not hold
+    reliable  whether the order means anything; false where a linear model does not hold
     apart     effects of the factors in each combination of choices
     notes     what to know before the numbers are read
     """
@@ -187,7 +182,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Samples:
+class OutputSamples:
     """One output, sample by sample.
 
     dimensions   factors and sampled choices
@@ -216,17 +211,24 @@ class Samples:
         """Which samples have the output in every combination, shape (n,)."""
         return np.asarray(np.isfinite(self.y).all(axis=1))
 
-    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Samples:
+    def blocks(self, width: int) -> tuple[OutputSamples, int]:
+        """The blocks of `width` samples that all have the output, and the number of all blocks."""
+        count = len(self.y) // width
+        complete = self.complete[: count * width].reshape(count, width).all(axis=1)
+        kept = np.flatnonzero(complete)[:, None] * width + np.arange(width)
+        return self.at(kept.ravel()), count
+
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> OutputSamples:
         """Some of the samples."""
         return replace(self, x=self.x[rows], y=self.y[rows])
 
-    def alone(self, column: int) -> Samples:
+    def alone(self, column: int) -> OutputSamples:
         """One combination of choices."""
         return replace(self, y=self.y[:, [column]], crossed=())
 
 
 def done(results: Results) -> pd.DataFrame:
-    """The runs that came to their end: only they count, others are told with their reason."""
+    """The runs that came to their end: only they count, the others are reported with their reasons."""
     return results.table[results.table["status"] == OK]
 
 
@@ -240,7 +242,7 @@ def kind(dimension: Factor | Choice) -> str:
     return "factor" if isinstance(dimension, Factor) else "choice"
 
 
-def samples(results: Results, output: Output) -> Samples:
+def samples(results: Results, output: Output) -> OutputSamples:
     """The runs of a study; each sample was run in each combination of crossed choices, in the same order."""
     study, runs = results.study, results.table.sort_values("run", kind="stable")
     values = runs[output.column].where(runs["status"] == OK)
@@ -254,22 +256,17 @@ def samples(results: Results, output: Output) -> Samples:
         )
     x = np.empty((count.pop(), len(study.dimensions)))
     for i, dimension in enumerate(study.dimensions):
-        x[:, i] = _numbers(runs.loc[blocks[0], dimension.column], dimension)
+        column = runs.loc[blocks[0], dimension.column]
+        if isinstance(dimension, Choice):
+            column = column.astype(str).map(dimension.options.index)
+        x[:, i] = column.to_numpy(float)
     y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
-    return Samples(study.dimensions, x, y, study.crossed)
-
-
-def _numbers(column: pd.Series, dimension: Factor | Choice) -> Array:
-    if isinstance(dimension, Choice):
-        places = {option: float(place) for place, option in enumerate(dimension.options)}
-        column = column.astype(str).map(places)
-    found: Array = column.to_numpy(float)
-    return found
+    return OutputSamples(study.dimensions, x, y, study.crossed)
 
 
 def _chosen(runs: pd.DataFrame, crossed: tuple[Choice, ...], options: tuple[str, ...]) -> NDArray[np.bool_]:
     """Which runs have these options."""
-    found = np.ones(len(runs), dtype=bool)
+    chosen = np.ones(len(runs), dtype=bool)
     for choice, option in zip(crossed, options, strict=True):
-        found &= (runs[choice.column].astype(str) == option).to_numpy()
-    return found
+        chosen &= (runs[choice.column].astype(str) == option).to_numpy()
+    return chosen
