@@ -20,7 +20,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fmus.components.spool_valve import opening
-from fmus.identification.known import Estimate, Known, lookup, nominal
+from fmus.identification.estimate import Estimate
+from fmus.identification.machine import Numbers, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.rig.experiments import PLANS, experiment
@@ -31,7 +32,7 @@ ERROR, CURVE = 0.02, 0.03  # bars: of a parameter, of C_R(V) from 1.5 V up
 LEAST, MOST = 0.90, 0.99  # bars: share of intervals that hold the truth
 
 
-def truth(known: Known) -> dict[str, float]:
+def truth(known: Numbers) -> dict[str, float]:
     """C_R(V) of the valve; the parameters of the parts are found by name."""
     v = {
         n: lookup(f"valve_{n}", known).value
@@ -81,7 +82,7 @@ def main() -> int:
     return report({name: np.array(rows) for name, rows in found.items()}, nominal())
 
 
-def report(found: Mapping[str, np.ndarray], known: Known) -> int:
+def report(found: Mapping[str, np.ndarray], known: Numbers) -> int:
     """The table; 1 if a bar is missed."""
     curve, missed = truth(known), 0
     print("| parameter | truth | mean error | largest error | half interval | holds the truth | bars |")

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.played import Fmu
-from fmus.identification.refinement.simulation import Model
+from fmus.identification.refinement.simulation import CompiledModel
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.parameters import values
@@ -58,7 +58,7 @@ def recorded(names: tuple[str, ...]) -> tuple[Array, Array]:
     return grid, u
 
 
-def exact(model: Model, grid: Array, u: Array) -> Array:
+def exact(model: CompiledModel, grid: Array, u: Array) -> Array:
     """Derivatives with what the parameters do at the start, shape (n, ny, np)."""
     x0, start = model.start(model.p0, u[0])
     piece = model.segment(x0, model.p0, grid, u)
@@ -89,12 +89,12 @@ def seconds(call: Callable[[], object]) -> float:
 def main() -> None:
     """Print the table."""
     begin = time.perf_counter()
-    model = Model(HARVESTER, OUTPUTS, FREE)
+    model = CompiledModel(HARVESTER, OUTPUTS, FREE)
     ready = time.perf_counter() - begin
     grid, u = recorded(model.inputs)
     p = model.p0
     x0, _ = model.start(p, u[0])
-    tight = Model(HARVESTER, OUTPUTS, FREE, tolerance=1e-11)
+    tight = CompiledModel(HARVESTER, OUTPUTS, FREE, tolerance=1e-11)
     reference = exact(tight, grid, u)
     span = np.ptp(model.segment(x0, p, grid, u, False).y, axis=0)[:, None]
 
@@ -121,7 +121,7 @@ def main() -> None:
             print(f"{name:<22}{cells}{told}", flush=True)
 
         for tolerance in (1e-6, 1e-7, 1e-8):
-            own = Model(HARVESTER, OUTPUTS, FREE, tolerance=tolerance)
+            own = CompiledModel(HARVESTER, OUTPUTS, FREE, tolerance=tolerance)
             bare = seconds(lambda own=own: own.segment(x0, p, grid, u, False))
             row("no derivatives", tolerance, 0, bare, None)
             spent = seconds(lambda own=own: own.segment(x0, p, grid, u))

@@ -24,14 +24,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.played import Fmu
-from fmus.identification.known import nominal
-from fmus.identification.machine import FREE, problem
+from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
-from fmus.identification.refinement.differences import BlackBox
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.simulation import Failed
+from fmus.identification.refinement.refine import Refined, compiled, refine
+from fmus.identification.refinement.simulation import BlackBox, SimulationFailed
 from fmus.rig.experiments import experiment
 from fmus.rig.writing import write
 from orchestrator.base.errors import Problem
@@ -66,7 +63,7 @@ class Played:
         try:
             return self.fmu(np.concatenate([p, self.pose]), TOLERANCE)
         except RuntimeError:
-            raise Failed("the FMU failed", 0.0) from None
+            raise SimulationFailed("the FMU failed", 0.0) from None
 
 
 def main() -> None:
@@ -84,7 +81,7 @@ def main() -> None:
         box = BlackBox(played, model.inputs, given.outputs, given.names, model.p0, CHANGE)
         routes = {"exact": (model, 2), "differences": (box, 1)}
         low, high = given.bounds()
-        starts = [given.search() + AWAY * random.standard_normal(len(FREE)) for _ in range(chosen.starts)]
+        starts = [given.initial() + AWAY * random.standard_normal(len(FREE)) for _ in range(chosen.starts)]
         print(f"{len(FREE)} parameters, {len(given.outputs)} outputs, {chosen.seconds:g} s at 200 Hz\n")
         print(f"{'start':>5}  {'route':<12}{'iterations':>11}{'time':>9}{'residual':>10}  end")
         found: dict[str, list[tuple[Refined | None, float]]] = {route: [] for route in routes}
@@ -113,7 +110,7 @@ def _sum(ends: list[tuple[Refined | None, float]]) -> str:
     best = min((one for one, _ in known), key=lambda one: one.history[-1].residual)
     sd = best.statistics.sd(best.robust)
     good = [spent for one, spent in known if np.max(np.abs(one.z - best.z) / sd) < 1]
-    off = np.abs(best.z - best.problem.search()) / sd
+    off = np.abs(best.z - best.problem.initial()) / sd
     told = f"{len(good)} of {len(ends)} starts converged, {np.mean(good):.1f} s each"
     return f"{told}; truth within 1.96 standard deviations in {np.sum(off < 1.96)} of {off.size} parameters"
 

@@ -12,8 +12,9 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from fmus.identification.known import Estimate, lookup, nominal
-from fmus.identification.outcome import beside, explanation, worst
+from fmus.identification.estimate import Estimate
+from fmus.identification.machine import lookup, nominal
+from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import wording
@@ -54,7 +55,7 @@ def everything(folder: Path) -> None:
     found = {machine: recorded(folder / machine, machine) for machine in ("lumped", "detailed")}
     fill("returned", returned(found["lumped"]))
     draw(found["detailed"])
-    seen = beside(found["detailed"])
+    seen = prediction(found["detailed"])
     assert seen is not None
     for joint, number in JOINTS.items():
         shown = picture(seen, joint)
@@ -71,7 +72,7 @@ def recorded(folder: Path, machine: str) -> Identified:
     """What is identified from the recordings of a machine."""
     if not folder.is_dir():
         rig(folder, machine, 0)
-    return identify(read_folder(folder), tell=print)
+    return identify(read_folder(folder), report=print)
 
 
 def draw(found: Identified) -> None:
@@ -123,7 +124,7 @@ def held_out(seen: Compared) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
         (KINDS[kind], f"`{name}`", wording.share(error, 3), LIMITS.get(kind, ""))
-        for kind, (name, error) in worst(seen).items()
+        for kind, (name, error) in worst_signals(seen).items()
     ]
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
 

@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 from fmus.components import chamber, orifice, spool_valve
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.reading import blank, read_series, split
+from fmus.identification.refinement.grey_box import all_free, dimensionless, normalised
 from fmus.identification.refinement.refine import refine
-from fmus.identification.refinement.unitless import all_free, in_peaks, unitless
 from orchestrator.base.errors import Problem
 
 CRANE = Path(__file__).with_name("crane.txt")
@@ -35,8 +35,8 @@ def rates(x, u, p):
 def main(path=CRANE, command=0, pressure=1, picture=""):
     data = read_series(path, {"command": command, "pressure": pressure})
     bad = ~good(data, "pressure")  # gaps, and where the sensor is at its end
-    data, peaks = in_peaks(blank(data, "pressure", bad))
-    model = unitless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
+    data, peaks = normalised(blank(data, "pressure", bad))
+    model = dimensionless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
     found = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
     for e in found.estimates():
         known = f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"

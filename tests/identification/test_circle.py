@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fmus.identification.outcome import beside, explanation, worst
+from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.machine.build import numbered_parts
@@ -22,10 +22,10 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     assert found.refined is not None
     assert found.refined.converged
     assert not found.refined.at_bound
-    seen = beside(found)
+    seen = prediction(found)
     assert seen is not None
     assert seen.recording.use == "test"
-    errors = {kind: error for kind, (_, error) in worst(seen).items()}
+    errors = {kind: error for kind, (_, error) in worst_signals(seen).items()}
     # the bars of the project: NRMSE over the range of the whole recording, worst signal of each kind
     assert errors["angle"] < 0.01
     assert errors["speed"] < 0.05

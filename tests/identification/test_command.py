@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.identification.known import lookup, nominal, plain, targets_of, updated
-from fmus.identification.machine import FREE
+from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
 from fmus.machine.build import numbered_parts
 from fmus.parameters import values
@@ -49,7 +48,7 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
     for name, table in tables.items():
         # 2 % is the bar of the project; the noise of this seed moves none by more than 0.5 %
         assert table["value"] == pytest.approx(lookup(name, nominal()).value, rel=0.02)
-        assert name == plain(name, nominal())
+        assert name == short_name(name, nominal())
     page = Path("build/identification.html").read_text(encoding="utf-8")
     assert "simulated" in page
     assert all(name in page for name in tables)
@@ -70,7 +69,7 @@ def test_the_joint_refinement_returns_the_machine(capsys):
             file.unlink()
     assert main(["identify", "mine", "--out", "joint.toml", "--starts", "1"]) == 0
     tables = found("joint.toml")
-    assert set(tables) == {plain(name, nominal()) for name in FREE}
+    assert set(tables) == {short_name(name, nominal()) for name in FREE}
     assert len(tables) >= 15
     far = []
     for name, table in tables.items():
@@ -143,6 +142,6 @@ def test_a_bare_name_stands_for_all_parts_that_mean_the_same():
     """`valve_area` is of both drives, `initial_preload` is two things, a part's own name is the short one."""
     known = nominal()
     assert targets_of("valve_area", known) == ["swing.valve_area", "boom_stick.valve_area"]
-    assert plain("boom_stick.stick_hose_resistance", known) == "stick_hose_resistance"
-    assert plain("swing.initial_preload", known) == "swing.initial_preload"
+    assert short_name("boom_stick.stick_hose_resistance", known) == "stick_hose_resistance"
+    assert short_name("swing.initial_preload", known) == "swing.initial_preload"
     assert updated(known, ()) == known

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fmus.identification import pipeline
+from fmus.identification.machine import signals
 from fmus.identification.pipeline import identify
 from fmus.identification.procedures import valve
-from fmus.identification.refinement.problem import signals
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 

@@ -17,7 +17,7 @@ import scipy.io
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.recordings.reading import read_series
-from fmus.identification.refinement.unitless import in_peaks, unitless
+from fmus.identification.refinement.grey_box import dimensionless, normalised
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 
@@ -176,14 +176,14 @@ def test_bad_file_is_told_in_one_line(folder, name, content, expected):
 def test_signals_in_their_peaks(tmp_path):
     """Each signal reaches 1; one that goes against the first is turned round and its peak is negative."""
     (tmp_path / "a.txt").write_text("1 -20\n-2 40\n0 nan\n")
-    scaled, peaks = in_peaks(read_series(tmp_path / "a.txt", {"command": 0, "pressure": 1}))
+    scaled, peaks = normalised(read_series(tmp_path / "a.txt", {"command": 0, "pressure": 1}))
     assert peaks == {"command": 2.0, "pressure": -40.0}
     np.testing.assert_array_equal(scaled["pressure"], [0.5, -1.0, np.nan])
 
 
 def test_unitless_subsystem():
     """Equations by names become a subsystem: a decay towards an input, from that input."""
-    model = unitless(
+    model = dimensionless(
         "lag", {"time": 2.0}, ["u"], ["x"], lambda x, u, p: {"x": (u.u - x.x) / p.time}, {"x": "u"}
     )
     dx, y = symbolic(model).function()([3.0], [7.0], [2.0])
@@ -200,7 +200,7 @@ def test_unitless_mistakes():
         return {"x": u.u - x.x}
 
     with pytest.raises(Problem, match="lag: time starts from -2, expected more than 0"):
-        unitless("lag", {"time": -2.0}, ["u"], ["x"], rates)
-    model = unitless("lag", {"time": 2.0}, ["u"], ["x", "z"], rates)
+        dimensionless("lag", {"time": -2.0}, ["u"], ["x"], rates)
+    model = dimensionless("lag", {"time": 2.0}, ["u"], ["x", "z"], rates)
     with pytest.raises(Problem, match="lag: rates of x, expected those of x, z"):
         symbolic(model)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from fmus.identification import command, pipeline
-from fmus.identification.known import Estimate, Finding, nominal
+from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.identification.refinement.random_starts import Starts
-from fmus.identification.refinement.result import Refined
+from fmus.identification.refinement.multistart import Starts
+from fmus.identification.refinement.refine import Refined
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 
@@ -25,14 +26,16 @@ AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 class Procedure:
     """Finds one parameter, or is interrupted."""
 
+    SIGNALS = ()
+
     def __init__(self, interrupted: bool) -> None:
         self.interrupted = interrupted
 
-    def identify(self, *_: object) -> Finding:
+    def identify(self, *_: object) -> ProcedureResult:
         """The valve."""
         if self.interrupted:
             raise KeyboardInterrupt
-        return Finding("valve", "Valve", 5, (AREA,), ())
+        return ProcedureResult("valve", "Valve", 5, (AREA,), ())
 
 
 def interrupt(*_: object, **__: object) -> None:
@@ -49,7 +52,7 @@ def quick(monkeypatch):
 
 def test_a_finished_procedure_is_kept(quick):
     """An interrupt in the joint refinement, before there is any point to keep, leaves the valve."""
-    quick.setattr(pipeline, "together", interrupt)
+    quick.setattr(pipeline, "refine_together", interrupt)
     found = identify([VALVE, MACHINE])
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
@@ -73,8 +76,8 @@ def test_an_interrupted_search_is_not_begun_again(quick):
         def estimates(self, **_: object) -> tuple[Estimate, ...]:
             return (replace(AREA, value=3e-5),)
 
-    quick.setattr(pipeline, "together", lambda *_: Best())
-    quick.setattr(pipeline, "again", lambda *_: pytest.fail("begun again"))
+    quick.setattr(pipeline, "refine_together", lambda *_: Best())
+    quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("begun again"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.known["swing.valve_area"].value == 3e-5
@@ -85,7 +88,7 @@ def test_interrupted_starts_keep_the_result(quick):
     refined = Refined.__new__(Refined)
     object.__setattr__(refined, "reason", "converged")
     quick.setattr(Refined, "estimates", lambda *_, **__: (AREA,))
-    quick.setattr(pipeline, "together", lambda *_: refined)
+    quick.setattr(pipeline, "refine_together", lambda *_: refined)
     quick.setattr(pipeline, "from_random_starts", lambda *_, **__: Starts((), 0.0, {}, interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
@@ -95,7 +98,7 @@ def test_interrupted_starts_keep_the_result(quick):
 def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     """parameters.toml of what was found, one line about it, exit status 130 as in other commands."""
     quick.chdir(tmp_path)
-    quick.setattr(pipeline, "together", interrupt)
+    quick.setattr(pipeline, "refine_together", interrupt)
     for name, value in {
         "read_folder": lambda _: [VALVE, MACHINE],
         "quality": lambda _: None,

@@ -1,6 +1,12 @@
-"""Base parameters of the arm: the combinations of inertial parameters that its motion can tell at all.
+"""Inertial parameters from joint motion and torque; the paper took them from CAD.
 
-Momenta and forces are linear in the standard parameters of the links (first row column, then boom and stick)
+The balance of momenta (`momentum_balance`) is linear in masses and moments of inertia about the centres of
+mass, the geometry and the centres being known. All joints count; the dampings of swing and pistons are
+estimated along with them, so that an error of theirs cannot go into the inertia. Parameters that the motion
+does not determine stay as they are known, and the remarks name them.
+
+What data can determine at best are the base parameters (`others`), combinations of the standard parameters of
+the links (first row column, then boom and stick), in which momenta and forces are linear:
 
     J_0      m, m x, m z, S_xx, S_xz, S_zz         S_ab = int a b dm about the link's pivot
 
@@ -9,20 +15,7 @@ derivatives of the manipulator's equations: m from the mass, m x from mass and c
 S_xz and S_zz from the mass and the centre twice. Columns of which the others make a combination are found by
 QR (Gautier 1991, J. Robotic Systems 8, 485) and their parameters added to the others.
 
-Values and intervals of the base parameters (`base_parameters`), by the same balance of momenta.
-
-Torque that the free parameters have to explain, measured and by the parameters found, for each joint.
-
-Inertial parameters from joint motion and torque; the paper took them from CAD.
-
-The balance of momenta (`balance`) is linear in masses and moments of inertia about the centres of mass, the
-geometry and the centres being known. All joints count; the dampings of swing and pistons are found along with
-them, so that an error of theirs cannot go into the inertia. Parameters that the motion does not tell stay as
-they are known, and the remarks name them. What data can tell at best are the base parameters (`others`).
-
 Validity: rigid links, viscous friction; what is known is right.
-
-Inertial parameters from motion and torque: `procedure`, and the `base_parameters`.
 """
 
 from __future__ import annotations
@@ -38,19 +31,24 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from fmus.contract import quantities, symbols
-from fmus.identification.known import Curve, Estimate, Finding, Panel
-from fmus.identification.procedures import momentum_balance, momentum_fit
-from fmus.identification.procedures.known_values import training
+from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult
+from fmus.identification.procedures import momentum_balance
+from fmus.identification.procedures.bench_data import training
 from fmus.identification.procedures.momentum_balance import (
     JOINTS,
     PARAMETERS,
-    Equation,
-    Samples,
+    MomentumEquation,
+    SmoothedRecording,
     numbers,
     samples,
 )
-from fmus.identification.procedures.momentum_fit import Fit, Solution, doubt, normal_step, solve
-from fmus.identification.procedures.regression import symmetrical
+from fmus.identification.procedures.momentum_fit import (
+    MomentumSolution,
+    WeightedBalance,
+    known_parameter_effect,
+    normal_step,
+    solve,
+)
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
@@ -58,12 +56,80 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 Array = NDArray[np.float64]
+SIGNALS: Mapping[str, str] = momentum_balance.SIGNALS
+FREE = ("head_mass", "stick_inertia", "boom_inertia", "column_inertia")
+DAMPINGS = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
+WINDOW = 0.4  # s: longer than usual, so that the small inertias, which show in fast motion only, are not bent
+EVERY = 3  # smoothed samples thinned out: 67 per second of 200
+DETERMINED = 0.25  # standard deviation over value above which data do not determine a parameter
+STEP = 3  # samples from one drawn point to the next
 MOMENTS = {"m": "kg", "m x": "kg.m", "m z": "kg.m", "S_xx": "kg.m2", "S_xz": "kg.m2", "S_zz": "kg.m2"}
 STANDARD = ("column J_0", *(f"{link} {moment}" for link in ("boom", "stick") for moment in MOMENTS))
 UNITS = ("kg.m2", *(unit for _ in ("boom", "stick") for unit in MOMENTS.values()))
 # the first of these that are independent are kept: moments about the pivots before masses
 PREFERRED = [0, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 1, 7]
 RANK = 1e-9  # of the largest diagonal of R, below which a column is a combination of others
+
+
+def identify(
+    recordings: Sequence[Recording], known: Mapping[str, Number], free: Sequence[str] = FREE
+) -> ProcedureResult:
+    """Masses and inertias `free` of the manipulator, from recordings of the machine, else of its joints.
+
+    The parameter that the data determine least is dropped until all that are left are determined.
+    """
+    procedures = [r.procedure for r in recordings if r.use == "train"]
+    source = next((p for p in ("machine", "damping") if p in procedures), None)
+    if source is None:
+        there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
+        raise Problem(
+            f"inertia: expected a recording of the machine or of a joint to train with, found {there}"
+        )
+    own, p = training(recordings, source, SIGNALS), numbers(known)
+    records = [samples(r, JOINTS, p, window=WINDOW, every=EVERY) for r in own]
+    names, dropped = list(free), list[str]()
+    while True:
+        theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
+        solution = solve(records, JOINTS, theta, p)
+        pairs = list(zip(solution.sd, solution.values, strict=True))
+        ratios = [math.inf if x <= 0 else sd / abs(x) for sd, x in pairs[: len(names)]]
+        if max(ratios, default=0.0) <= DETERMINED:
+            break
+        dropped.append(names.pop(ratios.index(max(ratios))))
+    effects = {n: known_parameter_effect(solution, k, known) for k, n in enumerate(names)}
+    values = dict(zip((*names, *DAMPINGS), map(float, solution.values), strict=True))
+    units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
+    note = "balance of the joints' momenta"
+    dampings = [
+        Estimate.normal(f"{n}, found along", values[n], units[n], float(sd), "unknown of the same balance")
+        for n, sd in zip(DAMPINGS, solution.sd[len(names) :], strict=True)
+    ]
+    return ProcedureResult(
+        procedure="inertia",
+        title="Inertial parameters: what the joints' torques ask for",
+        figure=0,
+        estimates=tuple(
+            Estimate.normal(n, values[n], units[n], e.total, note + e.note()) for n, e in effects.items()
+        ),
+        panels=panels(records, solution),
+        remarks=(
+            *_remarks(own, solution, dropped),
+            *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks(values[n], units[n])),
+        ),
+        others=(*dampings, *base_estimates(records, solution, p)),
+    )
+
+
+def _remarks(own: Sequence[Recording], solution: MomentumSolution, dropped: Sequence[str]) -> Iterator[str]:
+    seconds = sum(float(r.time[-1] - r.time[0]) for r in own)
+    yield f"{seconds:.3g} s of {len(own)} recordings are used: {', '.join(r.title for r in own)}."
+    for name in dropped:
+        yield f"{name}: this motion does not tell it; it stays as it is known."
+    if solution.lacks:
+        yield (
+            "Noise does not explain the residuals: the model lacks something, such as dry friction or a head "
+            "that swings. The intervals are those of the residuals."
+        )
 
 
 @lru_cache(maxsize=1)
@@ -151,53 +217,49 @@ def grouping(p: Array, states: int = 200) -> Grouping:
     )
 
 
-def base_estimates(records: Sequence[Samples], found: Solution, p: Array) -> list[Estimate]:
-    """All base parameters, with the dampings among those found free beside them."""
+def base_estimates(
+    records: Sequence[SmoothedRecording], solution: MomentumSolution, p: Array
+) -> list[Estimate]:
+    """All base parameters, with the dampings among those of the solution as further unknowns."""
     at = p.copy()
-    at[[PARAMETERS.index(n) for n in found.theta]] = found.values + found.mean_effect
+    at[[PARAMETERS.index(n) for n in solution.theta]] = solution.values + solution.mean_effect
     group = grouping(at)
-    free = [k for k, n in enumerate(found.theta) if n.endswith("damping")]
-    equations = [_equation(s, e, free, group, at) for s, e in zip(records, found.equations, strict=True)]
+    free = [k for k, n in enumerate(solution.theta) if n.endswith("damping")]
+    equations = [
+        _base_equation(s, e, free, group, at) for s, e in zip(records, solution.equations, strict=True)
+    ]
     names = tuple(group.names())
-    normal, step = normal_step(equations, found.weights, (*names, *(found.theta[k] for k in free)))
-    fit = Fit(names, [0, 1, 2], found.weights, np.array(np.linalg.inv(normal), float), at)
+    normal, step = normal_step(equations, solution.weights, (*names, *(solution.theta[k] for k in free)))
+    fit = WeightedBalance(names, [0, 1, 2], solution.weights, np.array(np.linalg.inv(normal), float), at)
     moved = [e.moved(step) for e in equations]
-    noise, residual = (
-        momentum_fit.by_noise(fit, records, moved)[0],
-        momentum_fit.by_residuals(fit, records, moved),
-    )
-    sd = np.sqrt(np.diag(residual if found.lacks else noise))
+    lacks = solution.lacks
+    covariance = fit.residual_covariance(records, moved) if lacks else fit.noise(records, moved)[0]
     values = group.values(standard(at)) + step[: len(names)]
-    units = [UNITS[k] for k in group.kept]
+    sds, units = np.sqrt(np.diag(covariance)), [UNITS[k] for k in group.kept]
+    note = "base parameter: what any motion can tell at most"
     return [
-        symmetrical(name, float(value), unit, float(one), "base parameter: what any motion can tell at most")
-        for name, value, unit, one in zip(names, values, units, sd, strict=False)
+        Estimate.normal(name, float(value), unit, float(sd), note)
+        for name, value, unit, sd in zip(names, values, units, sds, strict=False)
     ]
 
 
-def _equation(s: Samples, e: Equation, free: Sequence[int], group: Grouping, p: Array) -> Equation:
-    """The residual with its slopes over the base parameters and some of those found."""
-    n = s.q.shape[1]
+def _base_equation(
+    s: SmoothedRecording, e: MomentumEquation, free: Sequence[int], group: Grouping, p: Array
+) -> MomentumEquation:
+    """The residual with its slopes over the base parameters and some of those of the solution."""
     by_momentum, by_force = (
-        np.moveaxis(np.array(x.full()).reshape(3, n, len(STANDARD)), 2, 0)[list(group.kept)]
+        np.moveaxis(x.full().reshape(3, s.q.shape[1], len(STANDARD)), 2, 0)[list(group.kept)]
         for x in regressor()(s.q, s.w, np.zeros_like(s.q), p)[:2]
     )
-    slopes = [
-        (momentum_balance.apply(s.filters.bump, f) - momentum_balance.apply(s.filters.slope, h)) * s.good
-        for f, h in zip(by_force, by_momentum, strict=True)
-    ]
-    return Equation(e.error, np.concatenate([slopes, e.slope[list(free)]]))
+    slopes = [s.filtered(f, h) for f, h in zip(by_force, by_momentum, strict=True)]
+    return MomentumEquation(e.error, np.concatenate([slopes, e.slope[list(free)]]))
 
 
-TORQUE = ("kN.m", 1e3)
-STEP = 3  # samples from one drawn point to the next
-
-
-def panels(records: Sequence[Samples], solution: Solution) -> tuple[Panel, ...]:
+def panels(records: Sequence[SmoothedRecording], solution: MomentumSolution) -> tuple[Panel, ...]:
     """Two for each joint, over the time of the first recording."""
     s, e = records[0], solution.equations[0]
     asked = -np.einsum("mrt,m->rt", e.slope, solution.values + solution.mean_effect)
-    found = []
+    every: list[Panel] = []
     for row, joint in enumerate(JOINTS):
         t, model, left = (x[s.good][::STEP] for x in (s.time[s.middle], asked[row], e.error[row]))
         torque = Panel(
@@ -209,103 +271,8 @@ def panels(records: Sequence[Samples], solution: Solution) -> tuple[Panel, ...]:
             ),
             title=joint,
             x_unit=("s", 1.0),
-            y_unit=TORQUE,
+            y_unit=("kN.m", 1e3),
         )
         rest = (Curve("measured - model", t, left, line=True),)
-        found += [torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))]
-    return tuple(found)
-
-
-SIGNALS: Mapping[str, str] = momentum_balance.SIGNALS
-FREE = ("head_mass", "stick_inertia", "boom_inertia", "column_inertia")
-DAMPINGS = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
-WINDOW = 0.4  # s: longer than usual, so that the small inertias, which show in fast motion only, are not bent
-EVERY = 3  # smoothed samples thinned out: 67 per second of 200
-TELLS = 0.25  # standard deviation over value above which data do not tell a parameter
-
-
-def identify(
-    recordings: Sequence[Recording], known: Mapping[str, Number], free: Sequence[str] = FREE
-) -> Finding:
-    """Masses and inertias `free` of the manipulator, from recordings of the machine, else of its joints."""
-    own = _usable(recordings)
-    p = numbers(known)
-    records = [samples(r, JOINTS, p, window=WINDOW, every=EVERY) for r in own]
-    names, dropped = list(free), list[str]()
-    solution = _solve(records, names, p)
-    while names and (worst := _worst(solution, len(names))) is not None:
-        dropped.append(names.pop(worst))
-        solution = _solve(records, names, p)
-    return Finding(
-        procedure="inertia",
-        title="Inertial parameters: what the joints' torques ask for",
-        figure=0,
-        estimates=tuple(_estimate(solution, k, known) for k in range(len(names))),
-        panels=panels(records, solution),
-        remarks=tuple(_remarks(own, solution, names, dropped, known)),
-        others=(*_dampings(solution, len(names)), *base_estimates(records, solution, p)),
-    )
-
-
-def _usable(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings to train with in which the machine moves: of the whole machine if there are any."""
-    for procedure in ("machine", "damping"):
-        if any(r.procedure == procedure and r.use == "train" for r in recordings):
-            return list(training(recordings, procedure, SIGNALS))
-    there = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
-    raise Problem(f"inertia: expected a recording of the machine or of a joint to train with, found {there}")
-
-
-def _solve(records: Sequence[Samples], names: Sequence[str], p: Array) -> Solution:
-    theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
-    return solve(records, JOINTS, theta, p)
-
-
-def _worst(solution: Solution, count: int) -> int | None:
-    """The parameter that the data tell least, if one is not told at all."""
-    ratios = [sd / abs(value) for sd, value in zip(solution.sd, solution.values, strict=True)][:count]
-    ratios = [math.inf if value <= 0 else r for r, value in zip(ratios, solution.values, strict=False)]
-    return ratios.index(max(ratios)) if max(ratios) > TELLS else None
-
-
-def _unit(name: str) -> str:
-    return quantities(MANIPULATOR.parameters)[name].unit
-
-
-def _estimate(solution: Solution, k: int, known: Mapping[str, Number]) -> Estimate:
-    name = solution.theta[k].partition(".")[2]
-    by_known = doubt(solution, k, known)
-    note = "balance of the joints' momenta" + by_known.note()
-    return symmetrical(name, float(solution.values[k]), _unit(name), by_known.total, note)
-
-
-def _dampings(solution: Solution, first: int) -> list[Estimate]:
-    found = zip(DAMPINGS, solution.values[first:], solution.sd[first:], strict=True)
-    return [
-        symmetrical(f"{n}, found along", float(v), _unit(n), float(sd), "unknown of the same balance")
-        for n, v, sd in found
-    ]
-
-
-def _remarks(
-    own: Sequence[Recording],
-    solution: Solution,
-    names: Sequence[str],
-    dropped: Sequence[str],
-    known: Mapping[str, Number],
-) -> Iterator[str]:
-    seconds = sum(float(r.time[-1] - r.time[0]) for r in own)
-    yield f"{seconds:.3g} s of {len(own)} recordings are used: {', '.join(r.title for r in own)}."
-    for name in dropped:
-        yield f"{name}: this motion does not tell it; it stays as it is known."
-    if solution.lacks:
-        yield (
-            "Noise does not explain the residuals: the model lacks something, such as dry friction or a head "
-            "that swings. The intervals are those of the residuals."
-        )
-    for k, name in enumerate(names):
-        for text in doubt(solution, k, known).remarks(float(solution.values[k]), _unit(name)):
-            yield f"{name}: {text}"
-
-
-__all__ = ["SIGNALS", "identify"]
+        every += [torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))]
+    return tuple(every)

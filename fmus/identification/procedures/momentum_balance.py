@@ -1,31 +1,24 @@
-"""An equation dh/dt = f between measured signals, filtered so that nothing has to be differentiated twice.
+"""The machine's equation of motion as measured signals see it, filtered so that no acceleration is formed.
 
-Multiply by a smooth bump phi of compact support and integrate by parts (Shinbrot 1957, modulating functions):
-
-    int phi'(t - s) h(s) ds = int phi(t - s) f(s) ds        at every t
-
-the same filter on both sides, and the acceleration is never formed. h and f are functions of angles, speeds
-and pressures that one and the same Savitzky-Golay filter has smoothed before, the speeds being its
-derivative. All of it is linear in the sensors' noise, so a noise of the equation goes back to a noise of each
-sample by the transposed filters.
-
-The machine's equation of motion as measured signals see it, for procedures that ask for its parameters.
-
-Paper eq. (4) without the acceleration, by the generalised momenta h = M(q) q':
+Paper eq. (4) by the generalised momenta h = M(q) q':
 
     dh/dt = f        f = tau + dT/dq - G        dT/dq = dM/dt q' - V
 
 with M, V, G and tau of `fmus.manipulator` and the hydraulic torque and forces of `fmus.swing` (motor ports by
 line resistance and leakage) and `fmus.boom_stick`, of measured pressures. Nothing is written twice.
+Multiplied by a smooth bump phi of compact support and integrated by parts (Shinbrot 1957, modulating
+functions):
 
-Angles, speeds and pressures of one recording, smoothed, as the equation of motion takes them.
+    int phi'(t - s) h(s) ds = int phi(t - s) f(s) ds        at every t, e = phi * f - phi' * h
 
-The balance of momenta of one recording, filtered: e = phi * f - phi' * h, with slopes over parameters.
+the same filter on both sides. h and f are functions of angles, speeds and pressures that one and the same
+Savitzky-Golay filter has smoothed before, the speeds being its derivative. All of it is linear in the
+sensors' noise, so a noise of the equation goes back to a noise of each sample by the transposed filters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -36,7 +29,8 @@ from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic, symbols
-from fmus.identification.procedures.known_values import filled, noise_of, tank_pressure
+from fmus.identification.procedures.bench_data import filled, noise_of, tank_pressure
+from fmus.identification.procedures.weak_form import modulating_function
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
@@ -75,7 +69,7 @@ class Filters:
 
     @property
     def loss(self) -> int:
-        """Samples of the clock without a result at each end."""
+        """SmoothedRecording of the clock without a result at each end."""
         return self.smooth.size // 2 + self.bump.size // 2 * self.every
 
     def gain(self, outer: Array) -> float:
@@ -100,12 +94,9 @@ def filters(rate: float, smoothing: float = SMOOTHING, window: float = WINDOW, e
     """The kernels for `rate` samples per second; lengths [s], or what a slow clock allows."""
     inner = SavitzkyGolay(rate, max(smoothing, (ORDER + 2) / rate), ORDER)
     step, half = every / rate, max(round(window * rate / every / 2), 2)
-    s = np.arange(-half, half + 1) / (half + 1)
-    bump = (1 - s**2) ** 4  # three continuous derivatives: its sums are as good as integrals
-    slope = -8 * s * (1 - s**2) ** 3
-    moment = float(np.sum(slope * -np.arange(-half, half + 1))) * step
+    bump, slope = modulating_function(half + 1)
     smooth, slopes = (inner.weights[order][::-1] for order in (0, 1))
-    return Filters(step, every, smooth, slopes, bump / bump.sum(), slope / moment)
+    return Filters(step, every, smooth, slopes, bump / bump.sum(), -slope / (bump.sum() * step))
 
 
 def apply(kernel: Array, rows: Array) -> Array:
@@ -125,8 +116,8 @@ def stuffed(rows: Array, every: int) -> Array:
     return found
 
 
-def spread(bad: Mask, width: int) -> Mask:
-    """True where a kernel of `width` samples has only good samples, shape (n - width + 1,)."""
+def covered(bad: Mask, width: int) -> Mask:
+    """True where a kernel of `width` samples covers no bad sample, shape (n - width + 1,)."""
     return np.convolve(bad, np.ones(width), "valid") < 0.5
 
 
@@ -145,7 +136,7 @@ PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.p
 
 
 @dataclass(frozen=True)
-class Motion:
+class EquationOfMotion:
     """Functions of (q, q', pressures, tank pressure, parameters), each column one sample.
 
     balance    -> h, f, each (3, n)
@@ -187,17 +178,12 @@ def _equations() -> _Symbols:
     q, w = ca.SX.sym("q", 3), ca.SX.sym("w", 3)
     pressures, tank = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("tank")
     p = ca.SX.sym("p", len(PARAMETERS))
-    x, own = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
-    u = symbols(ManipulatorInputs)
+    x, own, u = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters), symbols(ManipulatorInputs)
     measured = dict(zip(ALL_PRESSURES, ca.vertsplit(pressures), strict=True)) | {"swing.swing_speed": w[0]}
-    hydraulics = [
-        _output(SWING, "swing_torque", measured, tank, p),
-        _output(BOOM_STICK, "boom_force", measured, tank, p),
-        _output(BOOM_STICK, "stick_force", measured, tank, p),
-    ]
+    outputs = ((SWING, "swing_torque"), (BOOM_STICK, "boom_force"), (BOOM_STICK, "stick_force"))
+    hydraulics = [_output(sub, name, measured, tank, p) for sub, name in outputs]
     motion, rods = arm.mechanics(x, own, POINT_MASS), arm.pistons(x, own)
-    tau = forces(_LUMPED, x, u, own)
-    terms = [motion.mass, motion.coriolis, motion.gravity, tau]
+    terms = [motion.mass, motion.coriolis, motion.gravity, forces(_LUMPED, x, u, own)]
     terms += [ca.vertcat(*(r.position for r in rods)), ca.vertcat(*(r.triangle.arm for r in rods))]
     coordinates = [getattr(x, f"{j}_{kind}") for kind in ("angle", "speed") for j in JOINTS]
     applied = [u.swing_torque, u.boom_force, u.stick_force]
@@ -216,21 +202,20 @@ def _own(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
 
 def _output(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX, p: ca.SX) -> ca.SX:
     """One output of a drive at measured pressures; it must not depend on what is not measured."""
-    model = symbolic(sub)
-    given = measured | {f"{sub.name}.tank_pressure": tank}
+    model, known = symbolic(sub), measured | {f"{sub.name}.tank_pressure": tank}
     declared = [
-        (n, s)
+        (f"{sub.name}.{n}", s)
         for group, column in ((sub.states, model.x), (sub.inputs, model.u))
         for n, s in zip(quantities(group), ca.vertsplit(column), strict=True)
     ]
-    old = [s for n, s in declared if f"{sub.name}.{n}" in given]
-    new = [given[f"{sub.name}.{n}"] for n, _ in declared if f"{sub.name}.{n}" in given]
+    old = [s for n, s in declared if n in known]
+    new = [known[n] for n, _ in declared if n in known]
     wanted = model.y[list(quantities(sub.outputs)).index(name)]
     return ca.substitute(wanted, ca.vertcat(*old, model.p), ca.vertcat(*new, *_own(sub, p)))
 
 
 @lru_cache(maxsize=8)
-def motion(theta: tuple[str, ...]) -> Motion:
+def motion(theta: tuple[str, ...]) -> EquationOfMotion:
     """The functions for these parameters."""
     e = _equations()
     unknown = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
@@ -243,7 +228,7 @@ def motion(theta: tuple[str, ...]) -> Motion:
     stacked = ca.vertcat(e.force, slopes[1], e.momentum, slopes[0])
     bend = [ca.jacobian(ca.jacobian(e.force, speed), speed) for speed in ca.vertsplit(e.w)]
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
-    return Motion(
+    return EquationOfMotion(
         theta,
         ca.Function("balance", known, [e.momentum, e.force]),
         ca.Function("slopes", known, slopes),
@@ -260,7 +245,7 @@ STOP_MARGIN = 2e-3  # m from the ends of a stroke, beyond which the stops are sa
 
 
 @dataclass(frozen=True)
-class Samples:
+class SmoothedRecording:
     """One recording, smoothed: arrays (rows, n); `good` (n - bump + 1,) where the filtered equation holds.
 
     angle_noise, pressure_noise   standard deviation of one sample of each sensor
@@ -283,11 +268,27 @@ class Samples:
         """The first arguments of the functions of `motion`."""
         return self.q, self.w, self.pressures, self.tank
 
+    def filtered(self, force: Array, momentum: Array) -> Array:
+        """phi * f - phi' * h for rows (k, n), zero where it does not hold."""
+        e: Array = apply(self.filters.bump, force) - apply(self.filters.slope, momentum)
+        return e * self.good
+
     @property
     def middle(self) -> slice:
         """The smoothed samples at which the filtered equation stands."""
         half = self.filters.bump.size // 2
         return slice(half, self.q.shape[1] - half)
+
+
+def angles(recording: Recording) -> Array:
+    """The joints' angles without gaps, shape (3, n)."""
+    return np.array([filled(recording[name]) for name in ANGLES])
+
+
+def pressures(recording: Recording, needed: Collection[str]) -> Array:
+    """The pressures without gaps, shape (6, n); zero for those that are not needed."""
+    zero = np.zeros(recording.time.size)
+    return np.array([filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
 
 
 def samples(
@@ -297,8 +298,8 @@ def samples(
     smoothing: float = SMOOTHING,
     window: float = WINDOW,
     every: int = 1,
-) -> Samples:
-    """A recording made ready for the balance of these joints; the rest as in `modulation.filters`."""
+) -> SmoothedRecording:
+    """A recording made ready for the balance of these joints; the rest as in `filters`."""
     kernels = filters(uniform_rate(recording), smoothing, window, every)
     needed = [n for j in joints for n in PRESSURES[j]]
     if recording.time.size < 2 * kernels.loss + 10:
@@ -306,22 +307,21 @@ def samples(
             f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more: "
             "the filters take them"
         )
-    zero = np.zeros(recording.time.size)
-    raw = np.array([filled(recording[n]) for n in ANGLES])
-    q, w = kernels.smoothed(raw), kernels.slopes(raw)
-    measured = [filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES]
-    smooth = kernels.smoothed(np.array(measured))
+    q, w = (f(angles(recording)) for f in (kernels.smoothed, kernels.slopes))
+    smooth = kernels.smoothed(pressures(recording, needed))
     bad = ~good_all(recording, (*ANGLES, *needed))
-    ends = _at_ends(q, p)
-    unusable = ~spread(bad, kernels.smooth.size)[::every]
+    position: Array = np.array(motion(()).pistons(q, p)[0].full())
+    strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
+    ends: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
+    unusable = ~covered(bad, kernels.smooth.size)[::every]
     half = kernels.smooth.size // 2
-    good = spread(unusable | ends, kernels.bump.size)
+    good = covered(unusable | ends, kernels.bump.size)
     if not good.any():
         raise Problem(
             f"{recording.source}: expected {2 * kernels.loss * kernels.step / every:.2g} s without a gap or "
             f"clipped sample in {', '.join((*ANGLES, *needed))}, found none"
         )
-    return Samples(
+    return SmoothedRecording(
         time=recording.time[half : recording.time.size - half : every],
         q=q,
         w=w,
@@ -335,15 +335,8 @@ def samples(
     )
 
 
-def _at_ends(q: Array, p: Array) -> Mask:
-    position: Array = np.array(motion(()).pistons(q, p)[0].full())
-    strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    touched: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    return touched
-
-
 def numbers(known: Mapping[str, Number]) -> Array:
-    """The machine's parameters in the order of `motion.PARAMETERS`."""
+    """The machine's parameters in the order of `PARAMETERS`."""
     missing = [n for n in PARAMETERS if n not in known]
     if missing:
         raise Problem(f"known parameters: {missing[0]} is missing, expected all of the lumped machine")
@@ -351,33 +344,23 @@ def numbers(known: Mapping[str, Number]) -> Array:
 
 
 @dataclass(frozen=True)
-class Equation:
+class MomentumEquation:
     """e (rows, t) [N.m] at some parameters, E = de/dtheta (m, rows, t); zero where it does not hold."""
 
     error: Array
     slope: Array
 
-    def moved(self, step: Array) -> Equation:
+    def moved(self, step: Array) -> MomentumEquation:
         """The same at parameters `step` further; linear in them."""
-        return Equation(self.error + np.einsum("mrt,m->rt", self.slope, step), self.slope)
+        return MomentumEquation(self.error + np.einsum("mrt,m->rt", self.slope, step), self.slope)
 
 
-def equation(s: Samples, rows: Sequence[int], theta: tuple[str, ...], p: Array) -> Equation:
+def equation(s: SmoothedRecording, rows: Sequence[int], theta: tuple[str, ...], p: Array) -> MomentumEquation:
     """The balance of the joints `rows` at the parameters p."""
-    f, m = motion(theta), len(theta)
-    momentum, force = (_columns(x, 1)[0] for x in f.balance(*s.known, p))
-    by_momentum, by_force = (_columns(x, m) for x in f.slopes(*s.known, p))
-    error = _filtered(s, force[list(rows)], momentum[list(rows)])
-    slope = [_filtered(s, a[list(rows)], b[list(rows)]) for a, b in zip(by_force, by_momentum, strict=True)]
-    return Equation(error, np.array(slope).reshape(m, *error.shape))
-
-
-def _filtered(s: Samples, force: Array, momentum: Array) -> Array:
-    e: Array = apply(s.filters.bump, force) - apply(s.filters.slope, momentum)
-    return e * s.good
-
-
-def _columns(stacked: ca.DM, count: int) -> Array:
-    """(3 m, n) column by column -> (m, 3, n)."""
-    full: Array = np.array(stacked.full())
-    return full.reshape(count, 3, full.shape[1])
+    f, m, own = motion(theta), len(theta), list(rows)
+    momentum, force = (x.full()[own] for x in f.balance(*s.known, p))
+    error = s.filtered(force, momentum)
+    # (3 m, n) column by column
+    by_momentum, by_force = (x.full().reshape(m, 3, -1)[:, own] for x in f.slopes(*s.known, p))
+    slope = [s.filtered(a, b) for a, b in zip(by_force, by_momentum, strict=True)]
+    return MomentumEquation(error, np.array(slope).reshape(m, *error.shape))

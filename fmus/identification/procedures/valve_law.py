@@ -1,6 +1,6 @@
-"""Steps of the valve test: command, mean drop and mean flow of each, and which of them are measured.
+"""The opening law of the valve, fitted to the steps of its test; the paper's polynomial for comparison.
 
-Flow through one metering edge as a function of command and pressure drop, with exact derivatives.
+Flow through one metering edge as a function of command and pressure drop, with exact derivatives:
 
     (Q - L) sqrt(Q^2 + Q_t^2) = K^2 dp        L = G dp - G (dp_s - dp)
     K = C_d a(V) A sqrt(2/rho)                C_R = 1/K^2, eqs. (1), (2)
@@ -11,28 +11,32 @@ drop dp_s from supply to tank. The opening a(V) and the inverse of the turbulent
 positive area: the fitted C_R is positive and falls with the command, whatever the data.
 
 Validity: the leakage is a small part of the flow (below a tenth).
-
-Fit of the opening law to the steps of the valve test, weighted, with the rounding if the data tell it.
-
-The paper's way to describe C_R(V): a polynomial by plain least squares, for comparison.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cache
 
 import casadi as ca
 import numpy as np
 import statsmodels.api as sm
-from numpy.polynomial import Polynomial as Power
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.components import spool_valve
-from fmus.contract import Scalar
-from fmus.identification.procedures.known_values import SETTLE, SHORTEST, filled, left_out, step_means, value
+from fmus.identification.procedures.bench_data import (
+    SETTLE,
+    SHORTEST,
+    filled,
+    joined,
+    left_out,
+    step_means,
+    value,
+    where,
+)
 from fmus.identification.procedures.regression import UNLIKELY, Guess, Regression, fit
 from fmus.identification.recordings.masks import steady
 from fmus.parameters import Number
@@ -48,7 +52,7 @@ SURE = 5.0  # standard errors from which on the sign of a mean is no chance
 
 
 @dataclass(frozen=True)
-class Points:
+class ValveSteps:
     """One entry per step; arrays of shape (n,).
 
     command      magnitude [V]
@@ -76,35 +80,27 @@ class Points:
         """The edges, in the order of the recordings."""
         return tuple(dict.fromkeys(map(str, self.edge)))
 
-    def where(self, mask: Mask) -> Points:
-        """The steps of a mask."""
-        return Points(**{name: array[mask] for name, array in vars(self).items()})
-
-    def of(self, edge: str) -> Points:
+    def of(self, edge: str) -> ValveSteps:
         """The steps of one edge."""
-        return self.where(self.edge == edge)
+        return where(self, self.edge == edge)
 
     @property
-    def measured(self) -> Points:
+    def measured(self) -> ValveSteps:
         """The steps that are measured."""
-        return self.where(self.good)
+        return where(self, self.good)
 
-    def enough(self) -> Points:
+    def enough(self) -> ValveSteps:
         """The measured steps of each edge, which must be at three voltages or more."""
         for edge in self.edges:
             own = self.of(edge)
             voltages = np.unique(own.measured.command).size
             if voltages < STEP_VOLTAGES:
+                lost = left_out(own.dead, own.clipped, own.good) or "none"
                 raise Problem(
-                    f"valve {edge}: flow is measured at {voltages} voltages, expected at least {STEP_VOLTAGES}; "
-                    f"left out of {own.command.size} steps: {own.left_out or 'none'}"
+                    f"valve {edge}: flow is measured at {voltages} voltages, expected at least "
+                    f"{STEP_VOLTAGES}; left out of {own.command.size} steps: {lost}"
                 )
         return self.measured
-
-    @property
-    def left_out(self) -> str:
-        """How many steps are not measured and why; empty if all are."""
-        return left_out(self.dead, self.clipped, self.good)
 
     @property
     def resistance(self) -> Array:
@@ -118,53 +114,44 @@ class Points:
         return np.abs(self.resistance) * relative
 
 
-def points(recordings: Sequence[Recording]) -> Points:
+def valve_steps(recordings: Sequence[Recording]) -> ValveSteps:
     """The steps of all edges; only those with a command that opens the edge."""
-    each = [_of_one(recording) for recording in recordings]
-    return Points(**{name: np.concatenate([vars(one)[name] for one in each]) for name in vars(each[0])})
+    return joined([_of_one(recording) for recording in recordings])
 
 
-def _of_one(recording: Recording) -> Points:
-    command, opens = filled(recording["command"]), _opens(recording)  # a command holds over a lost sample
-    whole = replace(recording, signals={**recording.signals, "command": command})
-    parts = [one for one in steady(whole, "command", SETTLE, SHORTEST) if command[one.start] * opens > 0]
-    found = step_means(recording, parts)
-    sign = np.where(found.drop < 0, -1.0, 1.0)
-    along = sign * found.flow
-    _check_direction(recording, (along + SURE * found.flow_error)[found.good])
-    return Points(
-        command=np.abs([command[one].mean() for one in parts]),
-        drop=sign * found.drop,
-        drop_error=found.drop_error,
-        flow=along,
-        flow_error=found.flow_error,
-        whole=np.full(len(parts), np.max(np.abs(found.drop), initial=0.0, where=np.isfinite(found.drop))),
-        dead=found.dead,
-        clipped=found.clipped,
-        good=found.good & (along > 0),
-        edge=np.full(len(parts), recording.word("edge")),
-    )
-
-
-def _opens(recording: Recording) -> int:
-    """Sign of the commands that open the edge."""
-    edge, command = recording.word("edge"), recording["command"]
+def _of_one(recording: Recording) -> ValveSteps:
+    edge, commands = recording.word("edge"), recording["command"]
     if edge not in OPENS:
         raise Problem(f"{recording.source}: [experiment] edge is {edge!r}, expected {', '.join(OPENS)}")
-    if not (command * OPENS[edge] > 0).any():
+    if not (commands * OPENS[edge] > 0).any():
         expected = "positive" if OPENS[edge] > 0 else "negative"
         raise Problem(f"{recording.source}: expected {expected} commands, which open {edge}, found none")
-    return OPENS[edge]
-
-
-def _check_direction(recording: Recording, most: Array) -> None:
-    """Refuse a meter that counts against the drop; `most`: the largest flow along it that noise allows."""
-    against = int(np.count_nonzero(most < 0))
-    if against > most.size / 2:
+    command = filled(commands)  # a command holds over a lost sample
+    whole = replace(recording, signals={**recording.signals, "command": command})
+    parts = [p for p in steady(whole, "command", SETTLE, SHORTEST) if command[p.start] * OPENS[edge] > 0]
+    means = step_means(recording, parts)
+    sign = np.where(means.drop < 0, -1.0, 1.0)
+    along = sign * means.flow
+    largest = (along + SURE * means.flow_error)[means.good]  # flow along the drop that noise allows
+    against = int(np.count_nonzero(largest < 0))
+    if against > largest.size / 2:
         raise Problem(
             f"{recording.source}: flow is against the drop pressure_in - pressure_out in {against} of "
-            f"{most.size} steps, expected along it: turn the sign of the flow or the order of the pressures"
+            f"{largest.size} steps, expected along it: turn the sign of the flow or the order of the "
+            "pressures"
         )
+    return ValveSteps(
+        command=np.abs([command[part].mean() for part in parts]),
+        drop=sign * means.drop,
+        drop_error=means.drop_error,
+        flow=along,
+        flow_error=means.flow_error,
+        whole=np.full(len(parts), np.max(np.abs(means.drop), initial=0.0, where=np.isfinite(means.drop))),
+        dead=means.dead,
+        clipped=means.clipped,
+        good=means.good & (along > 0),
+        edge=np.full(len(parts), edge),
+    )
 
 
 @dataclass(frozen=True)
@@ -177,22 +164,12 @@ class Constants:
     transition_flow: float
     density: float
 
-    @staticmethod
-    def of(known: Mapping[str, Number]) -> Constants:
+    @classmethod
+    def of(cls, known: Mapping[str, Number]) -> Constants:
         """From the parameters of the machine; the three valves are identical (section 4(a))."""
         names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
         rest = {name: value(known, f"boom_stick.valve_{name}") for name in names}
-        return Constants(**rest, density=value(known, "boom_stick.density"))
-
-    def all(self) -> tuple[float, ...]:
-        """In the order of the fields."""
-        return (
-            self.discharge_coefficient,
-            self.full_command,
-            self.leakage,
-            self.transition_flow,
-            self.density,
-        )
+        return cls(**rest, density=value(known, "boom_stick.density"))
 
 
 @dataclass(frozen=True)
@@ -212,17 +189,13 @@ def _functions() -> tuple[ca.Function, ca.Function]:
     share = spool_valve.opening(command, dead_band, full, rounding)
     square = (spool_valve.flow_gain(area, c_d, density) * share) ** 2
     y = square * drop
-    turbulent, leak = y * spool_valve.turbulent_factor(y, transition), leakage * (2 * drop - whole)
-    flow = _with_leakage(turbulent, leak, y, transition)
+    leak = leakage * (2 * drop - whole)
+    # (Q - leak) sqrt(Q^2 + Q_t^2) = y: one Newton step, which leaves leak^3/Q^2
+    near = y * spool_valve.turbulent_factor(y, transition) + leak / 2
+    speed = ca.sqrt(near**2 + transition**2)
+    flow = near - ((near - leak) * speed - y) / (speed + (near - leak) * near / speed)
     slope = ca.gradient(flow, drop)
     return ca.Function("flow", given, [flow, slope]), ca.Function("square_gain", given, [square])
-
-
-def _with_leakage(turbulent: Scalar, leak: Scalar, y: Scalar, transition: Scalar) -> Scalar:
-    """Q of (Q - leak) sqrt(Q^2 + Q_t^2) = y: one Newton step, which leaves leak^3/Q^2."""
-    flow = turbulent + leak / 2
-    speed = ca.sqrt(flow**2 + transition**2)
-    return flow - ((flow - leak) * speed - y) / (speed + (flow - leak) * flow / speed)
 
 
 def flow(command: Array, drop: Array, whole: Array, law: Law, constants: Constants) -> tuple[Array, Array]:
@@ -231,19 +204,18 @@ def flow(command: Array, drop: Array, whole: Array, law: Law, constants: Constan
     command      > 0 [V]
     drop, whole  over the edge, and from supply to tank [Pa]
     """
-    rest = (law.area, law.dead_band, law.rounding, *constants.all())
-    found = _functions()[0](command[None, :], drop[None, :], whole[None, :], *rest)
-    return found[0].full()[0], found[1].full()[0]
+    rows = (array[None, :] for array in (command, drop, whole))
+    result = _functions()[0](*rows, *astuple(law), *astuple(constants))
+    return result[0].full()[0], result[1].full()[0]
 
 
 def resistance(command: Array, law: Law, constants: Constants) -> Array:
     """C_R [Pa.s2/m6] at commands [V] by eq. (2); infinite where the edge is closed."""
-    rest = (law.area, law.dead_band, law.rounding, *constants.all())
-    square: Array = _functions()[1](command[None, :], 0.0, 0.0, *rest).full()[0]
+    square: Array = _functions()[1](command[None, :], 0.0, 0.0, *astuple(law), *astuple(constants)).full()[0]
     return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)
 
 
-WELL_TOLD = 0.25  # largest relative standard deviation of a rounding that the data tell
+DETERMINED = 0.25  # largest relative standard deviation of a rounding that the data determine
 ROUNDINGS = (1e-3, 2.0)  # V, within which it is searched
 # of the mean drop: standard deviation of what two transducers may differ by, 0.25 % of their range each
 ZERO = 0.007
@@ -251,23 +223,13 @@ ZERO = 0.007
 
 @dataclass(frozen=True)
 class ValveFit:
-    """A fit of `points`.
+    """A fit of `steps`; `rounded` if the data determine the rounding of the foot."""
 
-    rounded   the data told the rounding of the foot
-    zeroed    what the two pressures differ by without flow is found along
-    """
-
-    points: Points
+    steps: ValveSteps
     regression: Regression
     constants: Constants
     rounding: float
     rounded: bool = False
-    zeroed: bool = False
-
-    @property
-    def zero(self) -> float:
-        """Difference of the pressures without flow [Pa], as far as the data tell it."""
-        return self.regression["zero"] if self.zeroed else 0.0
 
     def law(self, values: Mapping[str, float] | None = None) -> Law:
         """The law of these values, by default of the fitted ones."""
@@ -275,68 +237,62 @@ class ValveFit:
         return Law(v["area"], v["dead_band"], v.get("rounding", self.rounding))
 
 
-def fitted(given: Points, constants: Constants, rounding: Number, zero: bool = True) -> ValveFit:
-    """Weighted fit of the flow; the rounding is fitted only if the data tell it, else taken as known.
+def fit_valve(steps: ValveSteps, constants: Constants, rounding: Number) -> ValveFit:
+    """Weighted fit of the flow; the rounding is fitted only if the data determine it, else taken as known.
 
-    Where no step falls on the rounded foot, dead band and rounding w show in the sum V_db + w/2 alone.
-
-    zero   find along what the pressures differ by without flow
+    Where no step falls on the rounded foot, dead band and rounding w show in the sum V_db + w/2 alone. What
+    the pressures differ by without flow is estimated along, as "zero" [Pa].
     """
-    fixed = ValveFit(
-        given, _fit(given, constants, rounding, zero=zero), constants, rounding.value, zeroed=zero
-    )
+    fixed = ValveFit(steps, _fit(steps, constants, rounding, zero=True), constants, rounding.value)
     law = fixed.law()
-    if np.count_nonzero(given.command < law.dead_band + law.rounding) < 2:
+    if np.count_nonzero(steps.command < law.dead_band + law.rounding) < 2:
         return fixed
-    free = _fit(given, constants, rounding, zero=zero, free=True)
+    free = _fit(steps, constants, rounding, zero=True, free=True)
     low, high = ROUNDINGS
-    if free.sd("rounding") > WELL_TOLD * free["rounding"] or not 1.01 * low < free["rounding"] < 0.99 * high:
+    if free.sd("rounding") > DETERMINED * free["rounding"] or not 1.01 * low < free["rounding"] < 0.99 * high:
         return fixed
     return replace(fixed, regression=free, rounded=True)
 
 
 def _fit(
-    given: Points, constants: Constants, rounding: Number, *, zero: bool, free: bool = False
+    steps: ValveSteps, constants: Constants, rounding: Number, *, zero: bool, free: bool = False
 ) -> Regression:
     """The fit with a rounding that is free, or held by its standard deviation [V], or fixed."""
-    start, held = _guess(given, constants, rounding.value), dict[str, tuple[float, float]]()
+    # the guess is the straight line of K = Q/sqrt(dp) over the command
+    line, offset = np.polyfit(steps.command, steps.flow / np.sqrt(steps.drop), 1)
+    foot = float(np.clip(-offset / line, 0.0, steps.command.min()))
+    gain = line * (constants.full_command - foot)
+    area = gain / (constants.discharge_coefficient * np.sqrt(2 / constants.density))
+    start = {
+        "area": Guess(float(area), low=0.0),
+        "dead_band": Guess(max(foot - rounding.value / 2, 0.05), scale=1.0),
+    }
+    held: dict[str, tuple[float, float]] = {}
     if free or rounding.sd:
         start["rounding"] = Guess(rounding.value, low=ROUNDINGS[0], high=ROUNDINGS[1])
     if rounding.sd and not free:
         held["rounding"] = (rounding.value, rounding.sd)
     if zero:
-        sd = ZERO * float(given.drop.mean())
+        sd = ZERO * float(steps.drop.mean())
         start["zero"], held["zero"] = Guess(0.0, scale=sd), (0.0, sd)
 
     def residual(v: Mapping[str, float]) -> Array:
         law = Law(v["area"], v["dead_band"], v.get("rounding", rounding.value))
-        modelled, slope = flow(given.command, given.drop - v.get("zero", 0.0), given.whole, law, constants)
-        weighted: Array = (given.flow - modelled) / np.hypot(given.flow_error, slope * given.drop_error)
+        modelled, slope = flow(steps.command, steps.drop - v.get("zero", 0.0), steps.whole, law, constants)
+        weighted: Array = (steps.flow - modelled) / np.hypot(steps.flow_error, slope * steps.drop_error)
         return np.append(weighted, [(v[n] - value) / sd for n, (value, sd) in held.items()])
 
-    return fit(residual, start, f"valve ({', '.join(given.edges)})")
+    return fit(residual, start, f"valve ({', '.join(steps.edges)})")
 
 
-def _guess(given: Points, constants: Constants, rounding: float) -> dict[str, Guess]:
-    """From the straight line of K = Q/sqrt(dp) over the command."""
-    slope, offset = np.polyfit(given.command, given.flow / np.sqrt(given.drop), 1)
-    foot = float(np.clip(-offset / slope, 0.0, given.command.min()))
-    gain = slope * (constants.full_command - foot)
-    area = gain / (constants.discharge_coefficient * np.sqrt(2 / constants.density))
-    return {
-        "area": Guess(float(area), low=0.0),
-        "dead_band": Guess(max(foot - rounding / 2, 0.05), scale=1.0),
-    }
-
-
-def asymmetry(given: Points, constants: Constants, rounding: Number) -> tuple[float, dict[str, float]]:
+def asymmetry(steps: ValveSteps, constants: Constants, rounding: Number) -> tuple[float, dict[str, float]]:
     """Probability of the edges' differences if they are equal, and the area [m2] of each.
 
     Chi-square of the common fit less those of each edge, without a zero of the pressures: all edges have the
     same, and it would take a difference of theirs for its own.
     """
-    common = _fit(given, constants, rounding, zero=False)
-    own = {edge: _fit(given.of(edge), constants, rounding, zero=False) for edge in given.edges}
+    common = _fit(steps, constants, rounding, zero=False)
+    own = {edge: _fit(steps.of(edge), constants, rounding, zero=False) for edge in steps.edges}
     alone = sum(one.chi_square for one in own.values())
     freedom = sum(one.freedom for one in own.values())
     scale = alone / freedom if stats.chi2.sf(alone, freedom) < UNLIKELY else 1.0
@@ -345,32 +301,16 @@ def asymmetry(given: Points, constants: Constants, rounding: Number) -> tuple[fl
     return (float(stats.chi2.sf(gained, common.freedom - freedom)) if len(own) > 1 else 1.0), areas
 
 
-@dataclass(frozen=True)
-class Polynomial:
-    """A polynomial in V, scaled to the range of its points."""
-
-    power: Power
-
-    @property
-    def degree(self) -> int:
-        """Its degree."""
-        return int(self.power.degree())
-
-    def __call__(self, x: Array) -> Array:
-        y: Array = self.power(x)
-        return y
-
-    def wrong(self, x: Array) -> Mask:
-        """Where it cannot be a resistance over the command: negative, or rising."""
-        mask: Mask = (self(x) < 0) | (self.power.deriv()(x) > 0)
-        return mask
-
-
 def polynomial(x: Array, y: Array, highest: int = 8) -> Polynomial:
-    """Plain least squares; the degree, up to `highest`, has the lowest AIC (residuals of unknown size)."""
+    """The paper's C_R(V): plain least squares; the degree, up to `highest`, has the lowest AIC."""
     domain = (float(x.min()), float(x.max()))
     scaled = (2 * x - sum(domain)) / (domain[1] - domain[0])
     top = min(highest, np.unique(x).size - 2)
     fits = [sm.OLS(y, np.vander(scaled, n + 1, increasing=True)).fit() for n in range(1, max(top, 1) + 1)]
-    best = min(fits, key=lambda fit: fit.aic)
-    return Polynomial(Power(best.params, domain=domain, window=(-1.0, 1.0)))
+    return Polynomial(min(fits, key=lambda fit: fit.aic).params, domain=domain, window=(-1.0, 1.0))
+
+
+def impossible(curve: Polynomial, x: Array) -> Mask:
+    """Where a polynomial cannot be a resistance over the command: negative, or rising."""
+    mask: Mask = (curve(x) < 0) | (curve.deriv()(x) > 0)
+    return mask

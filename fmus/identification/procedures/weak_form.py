@@ -1,4 +1,4 @@
-"""Regression on an equation with derivatives that differentiates no noise and knows that all signals have it.
+"""Regression on an equation with derivatives that differentiates no noise, with errors in all variables.
 
 Every term of   y = sum_c theta_c x_c   is an integral over a window: of a signal times a bump phi, or, for
 the derivative of a signal, times -phi' (modulating functions, Shinbrot 1957):
@@ -28,50 +28,52 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 HOP = 0.5  # of the half width: neighbours overlap, nothing between them is lost
 BANDS = 3  # windows after one that share samples with it
+
+
+def modulating_function(half: int) -> tuple[Array, Array]:
+    """phi and -d phi/d(sample) at the 2 half - 1 samples within a window of `half` samples to each side.
+
+    The slope is scaled to be exact for a straight line, also as a sum.
+    """
+    place = np.arange(1 - half, half)
+    s = place / half
+    bump, slope = (1 - s**2) ** 4, 8 * s * (1 - s**2) ** 3
+    return bump, slope * bump.sum() / (slope @ place)
 
 
 @dataclass(frozen=True)
 class Windows:
     """Windows over the samples of a recording: rows are windows, columns samples.
 
-    bump, slope   phi dt and -phi' dt, sparse, shape (m, n); `start` is the first sample of each
+    bump, slope   phi dt and -phi' dt, sparse, shape (m, n)
     """
 
     bump: sparse.csr_array
     slope: sparse.csr_array
-    start: NDArray[np.int64]
-
-    @property
-    def count(self) -> int:
-        """Number of windows."""
-        return self.start.size
 
 
 def windows(parts: Sequence[slice], samples: int, step: float, half_width: float) -> Windows:
     """Windows that lie within the stretches `parts` of good samples, `step` [s] apart; half width [s]."""
     half = max(round(half_width / step), 3)
-    s = np.arange(1 - half, half) / half
-    bump, slope = (1 - s**2) ** 4 * step, 8 * s * (1 - s**2) ** 3
-    slope *= bump.sum() / (slope @ (s * half * step))  # exact for a straight line, also as a sum
+    bump, slope = modulating_function(half)
     hop = max(round(HOP * half), 1)
     start = np.concatenate(
-        [np.arange(p.start, p.stop - s.size + 1, hop) for p in parts] or [np.zeros(0, dtype=int)]
+        [np.arange(p.start, p.stop - bump.size + 1, hop) for p in parts] or [np.zeros(0, dtype=int)]
     )
-    columns = (start[:, None] + np.arange(s.size)).ravel()
-    rows = np.repeat(np.arange(start.size), s.size)
+    columns = (start[:, None] + np.arange(bump.size)).ravel()
+    rows = np.repeat(np.arange(start.size), bump.size)
 
     def matrix(kernel: Array) -> sparse.csr_array:
         return sparse.csr_array((np.tile(kernel, start.size), (rows, columns)), (start.size, samples))
 
-    return Windows(matrix(bump), matrix(slope), start)
+    return Windows(matrix(bump * step), matrix(slope))
 
 
 @dataclass(frozen=True)
-class Equation:
+class FilteredEquation:
     """The filtered equation on one recording.
 
     y, columns   integrals over the windows, shape (m,) each
@@ -98,27 +100,23 @@ class Equation:
         return left
 
     @cached_property
-    def _products(self) -> list[tuple[str, str, Array]]:
+    def _products(self) -> dict[tuple[str, str], Array]:
         """Lower bands of sd^2 (M_a M_b' + M_b M_a')/2, summed over the sensors, for each pair of columns."""
-        found: dict[tuple[str, str], Array] = {}
+        products: dict[tuple[str, str], Array] = {}
         for sd, maps in self.noise:
             for (a, of_a), (b, of_b) in combinations_with_replacement(maps.items(), 2):
                 product = of_a @ of_b.T
                 bands = (_lower(product) + _lower(product.T)) * (0.5 if a == b else 1.0) * sd**2
-                found[a, b] = found.get((a, b), 0.0) + bands
-        return [(a, b, bands) for (a, b), bands in found.items()]
-
-    def covariance(self, theta: Mapping[str, float]) -> Array:
-        """Lower bands of the covariance of the residual, shape (BANDS + 1, m)."""
-        factor = {name: -value for name, value in self.factors(theta).items()} | {"y": 1.0}
-        total = np.zeros((BANDS + 1, self.y.size))
-        for a, b, bands in self._products:
-            total += factor[a] * factor[b] * bands
-        return total
+                products[a, b] = products.get((a, b), 0.0) + bands
+        return products
 
     def weighted(self, theta: Mapping[str, float]) -> Array:
         """The residual without correlation and of unit variance."""
-        lower = linalg.cholesky_banded(self.covariance(theta), lower=True)
+        factor = {name: -value for name, value in self.factors(theta).items()} | {"y": 1.0}
+        covariance = np.zeros((BANDS + 1, self.y.size))  # lower bands
+        for (a, b), bands in self._products.items():
+            covariance += factor[a] * factor[b] * bands
+        lower = linalg.cholesky_banded(covariance, lower=True)
         white: Array = linalg.solve_banded((BANDS, 0), lower, self.residual(theta))
         return white
 

@@ -1,8 +1,6 @@
-"""C functions that take many columns of derivatives through a stage of the solver at once.
+"""The C code of one model for output error: that of an FMU, and the derivatives of its steps.
 
-The derivatives of a step of the solver, as C functions.
-
-A step is (export/native/rosenbrock.c)
+A step of the solver is (export/native/rosenbrock.c)
 
     M k_i = f(X_i) + sum_j c_ij / h k_j + g_i h f_u du,    M = I / (gamma h) - J(x),  X_i = x + sum_j a_ij k_j
 
@@ -10,12 +8,9 @@ so a derivative by a start value or a parameter q, with the size h of the step a
 
     M dk_i = J(X_i) dX_i + f_q(X_i) dq + sum_j c_ij / h dk_j + d/d(x, q) [J(x) k_i + g_i h f_u(x) du] (dx, dq)
 
-M is factorised for the step itself, and these factors serve all columns. The last term needs second
-derivatives of f: they do not change over a step, in which they are only multiplied by (k_i, g_i h du).
-
-The generated C of one model for output error: that of an FMU, and the derivatives of its steps.
-
-C to a shared library for this computer, compiled once and kept in the user's cache.
+M is factorised for the step itself, and these factors serve all columns of derivatives at once. The last term
+needs second derivatives of f: they do not change over a step, in which they are only multiplied by
+(k_i, g_i h du).
 """
 
 from __future__ import annotations
@@ -30,14 +25,106 @@ from importlib.resources import files
 
 import casadi as ca
 
-from fmus.contract import Quantity, Symbolic, column
+from fmus.contract import Quantity, Subsystem, Symbolic, column, quantities, symbolic
 from fmus.export.c_code import Routine, generated, hoist, native_sources, routine
 from fmus.export.elimination import Elimination, Place, eliminate, nonzeros
 from fmus.export.interface import Interface, Kind, Variable, assembled
-from fmus.identification.refinement.reduced import Reduced
 from orchestrator.base.compiler import SUFFIX, shared_library
+from orchestrator.base.errors import Problem
 
 WIDTH = 8  # columns at once: a cache line, one to four registers of the processors of today
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The part of a subsystem that some of its outputs depend on: symbols x, u, p, q and expressions of them.
+
+    states, inputs   names of those that the outputs depend on, in the order of the declaration
+    parameters       all names: what p holds
+    free             names of those in q, which are some of p
+    acting           which of q the motion and the outputs depend on; the others act through the start alone
+    all_x            the symbols of all start values: what `start` depends on, with u and p
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outputs: tuple[str, ...]
+    free: tuple[str, ...]
+    acting: tuple[int, ...]
+    declared: dict[str, Quantity]
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    q: ca.SX
+    all_x: ca.SX
+    dx: ca.SX
+    y: ca.SX
+    start: ca.SX
+    require: ca.SX
+    statements: tuple[str, ...]
+
+
+def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduced:
+    """The subsystem without the states and inputs that do not act on these outputs."""
+    sym = symbolic(sub)
+    groups = {g: quantities(getattr(sub, g)) for g in ("states", "inputs", "parameters", "outputs")}
+    for kind, names in (("output", outputs), ("parameter", free)):
+        for name in names:
+            if name not in groups[kind + "s"]:
+                expected = ", ".join(groups[kind + "s"])
+                raise Problem(f"{sub.name}: {name} is no {kind}, expected one of {expected}")
+            if list(names).count(name) > 1:
+                raise Problem(f"{sub.name}: {kind} {name} is asked for twice, expected once")
+    order = {group: list(declared) for group, declared in groups.items()}
+    y = column(*(sym.y[order["outputs"].index(name)] for name in outputs))
+    states = _needed_states(sym.dx, y, sym.x)
+    if not states:
+        raise Problem(f"{sub.name}: {', '.join(outputs)} depend on no state, expected outputs that do")
+    x, dx, start = (column(*(v[i] for i in states)) for v in (sym.x, sym.dx, sym.start))
+    inputs = sorted(_arguments(column(dx, y, start), sym.u))
+    u = column(*(sym.u[i] for i in inputs))
+    own = column(x, u, sym.p)
+    checked = [
+        i
+        for i in range(len(sym.statements))
+        if all(ca.depends_on(own, s) for s in ca.symvar(sym.require[i]) if ca.depends_on(sym.require[i], s))
+    ]
+    q = column(*(sym.p[order["parameters"].index(name)] for name in free))
+    return Reduced(
+        states=tuple(order["states"][i] for i in states),
+        inputs=tuple(order["inputs"][i] for i in inputs),
+        parameters=tuple(groups["parameters"]),
+        outputs=tuple(outputs),
+        free=tuple(free),
+        acting=tuple(sorted(_arguments(column(dx, y), q))),
+        declared={name: quantity for group in groups.values() for name, quantity in group.items()},
+        x=x,
+        u=u,
+        p=sym.p,
+        q=q,
+        all_x=sym.x,
+        dx=dx,
+        y=y,
+        start=start,
+        require=column(*(sym.require[i] for i in checked)),
+        statements=tuple(sym.statements[i] for i in checked),
+    )
+
+
+def _needed_states(dx: ca.SX, y: ca.SX, x: ca.SX) -> list[int]:
+    """The states that y depends on, those that their derivatives depend on, and so on."""
+    needed: set[int] = set()
+    new = _arguments(y, x)
+    while new:
+        needed |= new
+        new = _arguments(column(*(dx[i] for i in sorted(new))), x) - needed
+    return sorted(needed)
+
+
+def _arguments(value: ca.SX, symbols: ca.SX) -> set[int]:
+    """Indices of the symbols that a value depends on."""
+    return set(ca.jacobian_sparsity(value, symbols).get_triplet()[1])
 
 
 def stage_columns(
@@ -51,7 +138,7 @@ def stage_columns(
     factors = {
         place: value if value.is_constant() else system.jac[next(moving)] for place, value in jacobian.items()
     }
-    b = r + _times(n, factors, at) + _times(n, _numbered(bent_places, bent), start)
+    b = r + _times(n, factors, at) + _times(n, dict(zip(bent_places, ca.vertsplit(bent), strict=True)), start)
     k = ca.substitute(system.k, system.b, b)
     inputs = {"jac": system.jac, "bent": bent, "lu": system.lu, "at": at, "from": start, "r": r}
     return Routine("columns_stage", inputs, {"k": k}, frozenset({"at", "from", "r", "k"}))
@@ -60,12 +147,8 @@ def stage_columns(
 def observe_columns(outputs: int, states: int, places: Sequence[Place]) -> Routine:
     """out = y_x s: what the states add to the derivatives of the outputs."""
     s, y_x = ca.SX.sym("s", states), ca.SX.sym("y_x", len(places))
-    out = _times(outputs, _numbered(places, y_x), s)
+    out = _times(outputs, dict(zip(places, ca.vertsplit(y_x), strict=True)), s)
     return Routine("columns_observe", {"y_x": y_x, "s": s}, {"out": out}, frozenset({"s", "out"}))
-
-
-def _numbered(places: Sequence[Place], values: ca.SX) -> dict[Place, ca.SX]:
-    return {place: values[i] for i, place in enumerate(places)}
 
 
 def _times(rows: int, matrix: Mapping[Place, ca.SX], x: ca.SX) -> ca.SX:
@@ -78,7 +161,7 @@ def _times(rows: int, matrix: Mapping[Place, ca.SX], x: ca.SX) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class Derivatives:
+class SensitivityCode:
     """C functions, the lengths of the vectors between them, and where sparse values belong (row, column)."""
 
     routines: Sequence[Routine]
@@ -86,14 +169,16 @@ class Derivatives:
     places: Mapping[str, Sequence[Place]]
 
 
-def derivatives(model: Reduced) -> Derivatives:
-    """All functions that native/sensitivities.c calls beside those of an FMU."""
+def sensitivity_code(model: Reduced) -> SensitivityCode:
+    """All functions that native/sensitivities.c calls in addition to those of an FMU."""
     x, u, p, q = model.x, model.u, model.p, column(*(model.q[i] for i in model.acting))
     jacobian = ca.jacobian(model.dx, x)
     system, entries = eliminate(jacobian), nonzeros(jacobian)
     k, h_du = ca.SX.sym("k", x.numel()), ca.SX.sym("h_du", u.numel())
     second, bends, bent_x, bent_q = _second(model, jacobian, q, column(k, h_du))
-    direct = _sum(nonzeros(ca.jacobian(model.dx, q)), bent_q)
+    direct = dict(nonzeros(ca.jacobian(model.dx, q)))
+    for place, value in bent_q.items():
+        direct[place] = direct[place] + value if place in direct else value
     y_x, y_q = nonzeros(ca.jacobian(model.y, x)), nonzeros(ca.jacobian(model.y, q))
     wanted = {
         "bends": second,
@@ -106,7 +191,7 @@ def derivatives(model: Reduced) -> Derivatives:
     values, d, prepared = hoist({name: ca.densify(value) for name, value in wanted.items()}, p)
     known = {"x": x, "u": u, "p": p, "d": d}
     stage = {"jac": values["jac"], "bent": column(*bent_x.values()), "direct": values["direct"]}
-    return Derivatives(
+    return SensitivityCode(
         routines=[
             Routine("slopes_prepare", {"p": p}, {"d": prepared}),
             Routine("slopes_bends", known, {"bends": values["bends"]}),
@@ -151,50 +236,61 @@ def _second(
     )
 
 
-def _sum(first: Mapping[Place, ca.SX], second: Mapping[Place, ca.SX]) -> dict[Place, ca.SX]:
-    """The sum of two sparse matrices."""
-    total = dict(first)
-    for place, value in second.items():
-        total[place] = total[place] + value if place in total else value
-    return total
+HEADER = """/* Lengths. Generated. */
+
+#ifndef SLOPES_H
+#define SLOPES_H
+
+#include "model.h"
+
+enum {{
+{lengths}
+}};
+
+typedef double Columns __attribute__((ext_vector_type(WIDTH)));
+
+#endif
+"""
+PREAMBLE = """/* Derivatives. Generated. */
+
+#include <math.h>
+
+#include "slopes.h"
+
+#pragma clang fp contract(fast)
+"""
 
 
 def sources(model: Reduced) -> dict[str, str]:
     """Files by name: sizes.h and model.c as in an FMU, slopes.h and slopes.c."""
-    found = derivatives(model)
+    code = sensitivity_code(model)
     names = {"x": list(model.states), "u": list(model.inputs), "p": list(model.parameters)}
-    slopes = [
-        "/* Derivatives. Generated. */",
-        "",
-        "#include <math.h>",
-        "",
-        '#include "slopes.h"',
-        "",
-        "#pragma clang fp contract(fast)",
-        "",
-        *(_table(name, places) for name, places in found.places.items()),
-        *(routine(r, names) for r in found.routines),
-    ]
-    return generated(_face(model), "", 2) | {
-        "slopes.h": _header({**found.lengths, "WIDTH": WIDTH}),
-        "slopes.c": "\n".join(slopes),
+    tables = []
+    for name, places in code.places.items():
+        rows = [f"    {{{i}, {j}}}," for i, j in places] or ["    {0, 0},"]
+        tables += [f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""]
+    lengths = {**code.lengths, "WIDTH": WIDTH}
+    return generated(_interface(model), "", 2) | {
+        "slopes.h": HEADER.format(lengths="\n".join(f"    {name} = {n}," for name, n in lengths.items())),
+        "slopes.c": "\n".join([PREAMBLE, *tables, *(routine(r, names) for r in code.routines)]),
     }
 
 
-def _face(model: Reduced) -> Interface:
+def _interface(model: Reduced) -> Interface:
     """The model as that of an FMU, without numbers: one code for all values."""
     rates = [f"der_{name}" for name in model.states]
     declared = model.declared | {f"der_{name}": model.declared[name] for name in model.states}
 
     def variables(kind: Kind, names: Sequence[str]) -> list[Variable]:
-        return [Variable(name, kind, _bare(declared[name]), None) for name in names]
+        bare = {n: Quantity(declared[n].unit, declared[n].text, declared[n].nominal) for n in names}
+        return [Variable(name, kind, quantity, None) for name, quantity in bare.items()]
 
     groups = [
         variables("FIXED", model.parameters),
         variables("INPUT", model.inputs),
         variables("STATE", model.states),
         variables("DERIVATIVE", rates),
-        [],  # outputs: of them slopes.c knows
+        [],  # outputs are in slopes.c alone
     ]
     equations = Symbolic(
         x=model.x,
@@ -210,37 +306,6 @@ def _face(model: Reduced) -> Interface:
     )
     # stiff, as it is by default: the implicit method alone is differentiated
     return assembled("refined", "A model for output error", groups, equations, ca.SX(0, 1))
-
-
-def _bare(q: Quantity) -> Quantity:
-    return Quantity(q.unit, q.text, q.nominal)
-
-
-def _table(name: str, places: Sequence[Place]) -> str:
-    rows = [f"    {{{row}, {column}}}," for row, column in places] or ["    {0, 0},"]
-    return "\n".join([f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""])
-
-
-def _header(lengths: Mapping[str, int]) -> str:
-    return "\n".join(
-        [
-            "/* Lengths. Generated. */",
-            "",
-            "#ifndef SLOPES_H",
-            "#define SLOPES_H",
-            "",
-            '#include "model.h"',
-            "",
-            "enum {",
-            *(f"    {name} = {length}," for name, length in lengths.items()),
-            "};",
-            "",
-            "typedef double Columns __attribute__((ext_vector_type(WIDTH)));",
-            "",
-            "#endif",
-            "",
-        ]
-    )
 
 
 FLAGS = (

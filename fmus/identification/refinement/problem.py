@@ -1,7 +1,4 @@
-"""What is to be refined: free parameters in their scales, and the runs they have to explain.
-
-The harvester's variables as one block, and as recordings and parameter files name them.
-"""
+"""An estimation problem: a subsystem, its free parameters with priors and bounds, the runs to explain."""
 
 from __future__ import annotations
 
@@ -12,24 +9,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.composition import declared, flat_names
 from fmus.contract import Subsystem, quantities
-from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
-from fmus.machine.parts import INPUTS, SUBSYSTEMS
-from fmus.parameters import Values, numbers, values
+from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameter:
     """One free parameter, searched as z.
 
         value = exp(z)      if it cannot be negative and is not zero (`log`): z counts relative changes
         value = scale z     else
 
-    sd         prior standard deviation of the value around `value`, None if nothing is known
+    sd         prior standard deviation of the value around `value`, None without a prior
     low, high  bounds of the value
     """
 
@@ -42,7 +36,7 @@ class Free:
     log: bool = False
     scale: float = 1.0
 
-    def search(self, value: float) -> float:
+    def z_of(self, value: float) -> float:
         """z of a value; minus infinity for zero on a logarithmic scale."""
         if not self.log:
             return value / self.scale
@@ -59,22 +53,22 @@ class Free:
     @property
     def z_sd(self) -> float:
         """Prior standard deviation of z, infinite without a prior."""
-        return math.inf if self.sd is None else self.sd / self.slope(self.search(self.value))
+        return math.inf if self.sd is None else self.sd / self.slope(self.z_of(self.value))
 
 
 @dataclass(frozen=True)
-class Run:
-    """One recording on the model's names.
+class MeasuredRun:
+    """One recording by the model's names.
 
     time           shape (n,) [s]
     inputs         input -> shape (n,), linear between the samples
     measured       shape (n, ny); NaN allowed where the weight is zero
     weight         shape (n, ny): 1 / standard deviation of a sample, 0 for one that does not count
-    compared       shape (n, ny), true where a sample takes part in the fit that is told
+    compared       shape (n, ny), true where a sample takes part in the fit that is reported
     scale          range of each whole output, by which the NRMSE divides
     guess          state -> its trajectory (n,) as far as it is measured, to start from
     rest           states that start at rest: zero, and that is known well
-    input_noise    input -> standard deviation of a sample, samples over which it was smoothed; if measured
+    input_noise    measured input -> standard deviation of a sample, samples over which it was smoothed
     """
 
     name: str
@@ -95,9 +89,9 @@ class EstimationProblem:
 
     sub: Subsystem
     outputs: tuple[str, ...]
-    free: tuple[Free, ...]
-    training: tuple[Run, ...]
-    held_out: tuple[Run, ...] = ()
+    free: tuple[FreeParameter, ...]
+    training: tuple[MeasuredRun, ...]
+    held_out: tuple[MeasuredRun, ...] = ()
     fixed: Values | None = None
 
     @property
@@ -105,15 +99,15 @@ class EstimationProblem:
         """Names of the free parameters."""
         return tuple(f.name for f in self.free)
 
-    def search(self) -> Array:
+    def initial(self) -> Array:
         """z to start from, shape (np,)."""
-        return np.array([f.search(f.value) for f in self.free])
+        return np.array([f.z_of(f.value) for f in self.free])
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest z, each of shape (np,)."""
         return (
-            np.array([f.search(f.low) if math.isfinite(f.low) else -math.inf for f in self.free]),
-            np.array([f.search(f.high) if math.isfinite(f.high) else math.inf for f in self.free]),
+            np.array([f.z_of(f.low) if math.isfinite(f.low) else -math.inf for f in self.free]),
+            np.array([f.z_of(f.high) if math.isfinite(f.high) else math.inf for f in self.free]),
         )
 
     def values_of(self, z: Array) -> Array:
@@ -124,13 +118,17 @@ class EstimationProblem:
         """d value / dz, shape (np,)."""
         return np.array([f.slope(float(v)) for f, v in zip(self.free, z, strict=True)])
 
+    def by_name(self, z: Array) -> dict[str, float]:
+        """Parameter values of z by name."""
+        return dict(zip(self.names, self.values_of(z).tolist(), strict=True))
+
 
 def free_parameters(
     sub: Subsystem,
     names: Sequence[str],
     priors: Mapping[str, tuple[float, float | None]] | None = None,
     numbers: Values | None = None,
-) -> tuple[Free, ...]:
+) -> tuple[FreeParameter, ...]:
     """Free parameters with the bounds that the subsystem declares.
 
     priors   value and its standard deviation, None for a mere value to start from
@@ -140,7 +138,7 @@ def free_parameters(
     unknown = [n for n in (*names, *priors) if n not in declared]
     if unknown:
         raise Problem(f"{sub.name}: {unknown[0]} is to be refined, expected a parameter of it")
-    found = []
+    free = []
     for name in names:
         q = declared[name]
         value, sd = priors.get(name, (given[name], None))
@@ -151,29 +149,5 @@ def free_parameters(
                 f"{sub.name}: {name} starts from {value:g} {q.unit} with sd {sd}, "
                 f"expected {low:g} to {high:g} and a positive sd"
             )
-        found.append(Free(name, value, q.unit, sd, low, high, low >= 0 and value > 0, q.nominal))
-    return tuple(found)
-
-
-def _flat() -> dict[str, str]:
-    tables = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
-    return dict(flat_names(SUBSYSTEMS, tables, INPUTS, TOTALS, HIDDEN))
-
-
-def signals() -> dict[str, str]:
-    """Input or output of `HARVESTER` -> the signal of a recording, such as "swing.supply_pressure"."""
-    found = {own: targets[0] for own, targets in INPUTS.items()}
-    flat, outputs = _flat(), quantities(HARVESTER.outputs)
-    for variable in declared(SUBSYSTEMS, "outputs"):
-        if variable in flat and flat[variable] in outputs:
-            found.setdefault(flat[variable], variable)
-    return found
-
-
-def parameters() -> dict[str, str]:
-    """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` where parts differ."""
-    flat, found = _flat(), {}
-    for variable in declared(SUBSYSTEMS, "parameters"):
-        own = variable.partition(".")[2]
-        found[flat[variable]] = own if flat[variable] == own else variable
-    return found
+        free.append(FreeParameter(name, value, q.unit, sd, low, high, low >= 0 and value > 0, q.nominal))
+    return tuple(free)

@@ -12,8 +12,8 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.refinement.data import first_state, input_matrix
-from fmus.identification.refinement.problem import Run
-from fmus.identification.refinement.simulation import Failed, Simulator
+from fmus.identification.refinement.problem import MeasuredRun
+from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _BOUND = float(norm.ppf(0.995))  # of a correlation, in standard deviations: 99 
 class Traces:
     """A run simulated from its start without any correction: outputs, shape (n, ny)."""
 
-    run: Run
+    run: MeasuredRun
     y: Array
 
     @property
@@ -43,14 +43,14 @@ class Traces:
 
 
 def simulated(
-    run: Run, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+    run: MeasuredRun, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
 ) -> Traces:
     """A pure simulation; without a start state from what the first samples show."""
     inputs = input_matrix(run, simulator) if inputs is None else inputs
     state = first_state(run, simulator, p, inputs) if start is None else start
     try:
         return Traces(run, simulator.segment(state, p, run.time, inputs, False).y)
-    except Failed:
+    except SimulationFailed:
         return Traces(run, np.full(run.measured.shape, np.nan))
 
 
@@ -103,15 +103,11 @@ def _outside(residual: Array, signal: Array) -> float:
 
     The variance of a cross-correlation of independent signals is sum_k r_e(k) r_u(k) / n [Bartlett 1955].
     """
-    e, u = _standard(residual), _standard(signal)
+    # of mean 0 and standard deviation 1; gaps become 0
+    e, u = (np.nan_to_num((s - np.nanmean(s)) / (np.nanstd(s) or 1.0)) for s in (residual, signal))
     count = np.count_nonzero(e)
     cross = correlate(e, u, method="fft")[len(e) - 1 : len(e) + LAGS] / count
     reach = min(int(count) // 4, 4000)
     own = [correlate(s, s, method="fft")[len(s) - 1 : len(s) + reach] / np.count_nonzero(s) for s in (e, u)]
     variance = float(own[0][0] * own[1][0] + 2 * own[0][1:] @ own[1][1:]) / count
     return float(np.mean(np.abs(cross) > _BOUND * np.sqrt(max(variance, 1 / count))))
-
-
-def _standard(signal: Array) -> Array:
-    """Mean 0 and standard deviation 1; gaps become 0."""
-    return np.nan_to_num((signal - np.nanmean(signal)) / (np.nanstd(signal) or 1.0))

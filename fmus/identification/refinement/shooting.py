@@ -1,9 +1,4 @@
-"""QR factors of a tall matrix, in small blocks.
-
-Small blocks stay in one thread of the linear algebra library; segments have threads of their own already,
-and the two would wait for each other.
-
-From linearised segments to a small least-squares problem, and back.
+"""Multiple shooting: segments of all runs at one iterate, and the small least-squares problem in them.
 
 Each segment i of a run, with start state s_i and parameters z, is linearised to
 
@@ -14,27 +9,60 @@ The recursion writes every ds_i as a function of (ds_0, dz) [condensing: Bock an
 run eliminates ds_0. What is left has as many rows and columns as there are parameters.
 States are counted in their nominal values throughout.
 
-All segments of all runs at one point: what each contributes, and the gaps between them.
-
-All segments of all runs at one point: residuals, their Jacobian, gaps in the trajectory.
+QR is done in small blocks, which stay in one thread of the linear algebra library: segments have threads of
+their own already, and the two would wait for each other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.refinement.data import first_states
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.simulation import Simulator, parallel
+from fmus.identification.refinement.simulation import Simulator
 from fmus.identification.refinement.weights import Loss, Scales
 
 Array = NDArray[np.float64]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 _TIMES = 3  # rows of a block over columns: each level of the tree has a third of the rows of that before
+
+
+def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) -> list[Result]:
+    """Results in the order of the places; an interrupt does not wait for what has not begun."""
+    if threads == 1 or len(places) == 1:
+        return [job(place) for place in places]
+    pool = ThreadPoolExecutor(threads)
+    try:
+        return list(pool.map(job, places))
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _blocks(rows: Array) -> Array:
+    """The rows in blocks of equal height, padded with zeros, shape (blocks, height, columns)."""
+    columns = rows.shape[1]
+    height = max(1, _TIMES * columns)
+    blocks = max(1, -(-len(rows) // height))
+    padded = np.zeros((blocks * (len(rows) if blocks == 1 else height), columns))
+    padded[: len(rows)] = rows
+    return padded.reshape(blocks, -1, columns) if padded.size else padded[None]
+
+
+def triangular(rows: Array) -> Array:
+    """R alone: the same least-squares problem in as few rows as possible."""
+    while True:
+        blocks = _blocks(rows)
+        rows = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, rows.shape[1])
+        if len(blocks) == 1:
+            return rows
 
 
 @dataclass(frozen=True)
@@ -55,36 +83,17 @@ class Factors:
 
 def factors(rows: Array) -> Factors:
     """QR factors of `rows`, shape (m, columns)."""
-    columns = rows.shape[1]
-    height = max(1, _TIMES * columns)
     levels: list[Array] = []
     while True:
-        blocks = max(1, -(-len(rows) // height))
-        tall = len(rows) if blocks == 1 else height
-        padded = np.zeros((blocks * tall, columns))
-        padded[: len(rows)] = rows
-        q, r = np.linalg.qr(padded.reshape(blocks, tall, columns))
+        q, r = np.linalg.qr(_blocks(rows))
         levels.append(q)
-        rows = r.reshape(-1, columns)
-        if blocks == 1:
+        rows = r.reshape(-1, rows.shape[1])
+        if len(q) == 1:
             return Factors(tuple(levels), rows)
 
 
-def triangular(rows: Array) -> Array:
-    """R alone: the same least-squares problem in as few rows as possible."""
-    columns = rows.shape[1]
-    height = max(1, _TIMES * columns)
-    while len(rows) > height:
-        blocks = -(-len(rows) // height)
-        padded = np.zeros((blocks * height, columns))
-        padded[: len(rows)] = rows
-        rows = np.asarray(np.linalg.qr(padded.reshape(blocks, height, columns), mode="r"))
-        rows = rows.reshape(-1, columns)
-    return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 @dataclass(frozen=True)
-class Local:
+class LinearSegment:
     """One linearised segment.
 
     factors    of the weighted Jacobian, shape (m, nx + np)
@@ -95,9 +104,17 @@ class Local:
     x_x: Array
     x_p: Array
 
-    def loose(self) -> Local:
+    def detached(self) -> LinearSegment:
         """The same segment, after which the next one starts from somewhere else."""
-        return Local(self.factors, 0 * self.x_x, 0 * self.x_p)
+        return LinearSegment(self.factors, 0 * self.x_x, 0 * self.x_p)
+
+    def condensed(self, recursion: Array, projected: Array) -> Array:
+        """Its rows [start | parameters | residual] of the condensed problem."""
+        nx = recursion.shape[0]
+        rows: Array = self.factors.r[:, :nx] @ recursion
+        rows[:, nx:-1] += self.factors.r[:, nx:]
+        rows[:, -1] += projected
+        return rows
 
 
 @dataclass(frozen=True)
@@ -111,42 +128,17 @@ class Condensed:
     bottom: Array
     recursion: tuple[Array, ...]
 
-    def start(self, dz: Array) -> Array:
-        """ds_0 of a step in the parameters."""
-        nx = len(self.top)
-        rest = self.top[:, nx:-1] @ dz + self.top[:, -1]
-        return np.asarray(-np.linalg.solve(self.top[:, :nx], rest)) if nx else rest
-
     def states(self, dz: Array) -> list[Array]:
         """All ds_i of a step in the parameters."""
-        full = np.concatenate([self.start(dz), dz, [1.0]])
+        nx = len(self.top)
+        right = self.top[:, nx:-1] @ dz + self.top[:, -1]
+        start = -np.linalg.solve(self.top[:, :nx], right) if nx else right
+        full = np.concatenate([start, dz, [1.0]])
         return [rows @ full for rows in self.recursion]
 
 
-def recursion(locals_: Sequence[Local], defects: Sequence[Array], free: int) -> tuple[Array, ...]:
-    """ds_i as a function of (ds_0, dz, 1), per segment."""
-    nx = locals_[0].x_x.shape[0]
-    rows: Array = np.hstack([np.eye(nx), np.zeros((nx, free + 1))])
-    found: list[Array] = [rows]
-    for local, defect in zip(locals_[:-1], defects, strict=True):
-        rows = local.x_x @ rows
-        rows[:, nx:-1] += local.x_p
-        rows[:, -1] += defect
-        found.append(rows)
-    return tuple(found)
-
-
-def spread(local: Local, rows: Array, projected: Array) -> Array:
-    """A segment's rows [start | parameters | residual] of the condensed problem."""
-    nx = rows.shape[0]
-    full: Array = local.factors.r[:, :nx] @ rows
-    full[:, nx:-1] += local.factors.r[:, nx:]
-    full[:, -1] += projected
-    return full
-
-
 def condense(
-    locals_: Sequence[Local], defects: Sequence[Array], projected: Sequence[Array], prior: Array
+    segments: Sequence[LinearSegment], defects: Sequence[Array], projected: Sequence[Array], prior: Array
 ) -> Condensed:
     """Condense one run.
 
@@ -154,16 +146,21 @@ def condense(
     projected   Q_i' r_i
     prior       rows [start | parameters | residual] of what is known about the start state
     """
-    free = prior.shape[1] - 1 - locals_[0].x_x.shape[0]
-    nx = prior.shape[1] - 1 - free
-    chain = recursion(locals_, defects, free)
-    blocks = [spread(a, rows, c) for a, rows, c in zip(locals_, chain, projected, strict=True)]
+    nx = segments[0].x_x.shape[0]
+    rows: Array = np.hstack([np.eye(nx), np.zeros((nx, prior.shape[1] - nx))])
+    recursion = [rows]
+    for segment, defect in zip(segments[:-1], defects, strict=True):
+        rows = segment.x_x @ rows
+        rows[:, nx:-1] += segment.x_p
+        rows[:, -1] += defect
+        recursion.append(rows)
+    blocks = [s.condensed(rows, c) for s, rows, c in zip(segments, recursion, projected, strict=True)]
     triangle = triangular(np.vstack([prior, *blocks]))
-    return Condensed(triangle[:nx], triangle[nx:, nx:], chain)
+    return Condensed(triangle[:nx], triangle[nx:, nx:], tuple(recursion))
 
 
 @dataclass(frozen=True)
-class Point:
+class Iterate:
     """Unknowns: z of the parameters, and per run the start states (segments, nx) in nominal values."""
 
     z: Array
@@ -178,35 +175,35 @@ class Segment:
     column     output of each, shape (m,)
     factor     for the model's own error and of the robust loss, shape (m,)
     end        end state in nominal values
-    local      the linearisation; none if it was not asked for
+    linear     the linearisation; none if it was not asked for
     """
 
     residual: Array
     column: NDArray[np.int64]
     factor: Array
     end: Array
-    local: Local | None
+    linear: LinearSegment | None
 
     def projected(self, other: Segment) -> Array:
         """Q' r of this segment's linearisation, with the residuals of `other`."""
-        assert self.local is not None
-        return self.local.factors.project(self.factor * other.residual)
+        assert self.linear is not None
+        return self.linear.factors.project(self.factor * other.residual)
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The segments of each run at a point."""
+    """The segments of each run at an iterate."""
 
     problem: EstimationProblem
-    point: Point
+    iterate: Iterate
     runs: tuple[tuple[Segment, ...], ...]
 
     @property
     def defects(self) -> list[list[Array]]:
         """Gaps: end of each segment minus start of the next, in nominal values."""
         return [
-            [piece.end - start for piece, start in zip(pieces[:-1], starts[1:], strict=True)]
-            for pieces, starts in zip(self.runs, self.point.starts, strict=True)
+            [segment.end - start for segment, start in zip(segments[:-1], starts[1:], strict=True)]
+            for segments, starts in zip(self.runs, self.iterate.starts, strict=True)
         ]
 
     def gap(self) -> float:
@@ -224,9 +221,9 @@ class Evaluated:
 class Shooting:
     """How a problem is cut into segments and evaluated.
 
-    inputs   per run, shape (n, nu)
-    edges    per run the indices of the samples at which segments begin, and the last one
-    loose    segments start from what is measured and need not meet: prediction over their length
+    inputs     per run, shape (n, nu)
+    edges      per run the indices of the samples at which segments begin, and the last one
+    detached   segments start from what is measured and need not meet: prediction over their length
     """
 
     problem: EstimationProblem
@@ -235,42 +232,41 @@ class Shooting:
     edges: tuple[tuple[int, ...], ...]
     threads: int
     loss: Loss
-    loose: bool = False
+    detached: bool = False
 
-    def guessed(self, z: Array) -> Point:
-        """A point with start states from the measurements, the others by simulation."""
-        p = self.problem.values_of(z)
+    def measured(self, z: Array) -> Iterate:
+        """Start states from the measurements, those that are not measured by simulation."""
+        p, nominal = self.problem.values_of(z), self.simulator.nominal
 
         def states(k: int) -> Array:
             run = self.problem.training[k]
-            return (
-                first_states(run, self.simulator, p, self.inputs[k], self.edges[k]) / self.simulator.nominal
-            )
+            return first_states(run, self.simulator, p, self.inputs[k], self.edges[k]) / nominal
 
-        return Point(z, tuple(parallel(states, range(len(self.edges)), self.threads)))
+        return Iterate(z, tuple(parallel(states, range(len(self.edges)), self.threads)))
 
-    def moved(self, point: Point, dz: Array, changes: Sequence[Sequence[Array]], length: float) -> Point:
-        """The point a fraction `length` of a step away."""
-        if self.loose:
-            return self.guessed(point.z + length * dz)
+    def moved(
+        self, iterate: Iterate, dz: Array, changes: Sequence[Sequence[Array]], length: float
+    ) -> Iterate:
+        """The iterate a fraction `length` of a step away."""
+        if self.detached:
+            return self.measured(iterate.z + length * dz)
         starts = [
-            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(point.starts, changes, strict=True)
+            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(iterate.starts, changes, strict=True)
         ]
-        return Point(point.z + length * dz, tuple(starts))
+        return Iterate(iterate.z + length * dz, tuple(starts))
 
-    def evaluate(self, point: Point, scales: Scales, sensitivities: bool = True) -> Evaluated:
+    def evaluate(self, iterate: Iterate, scales: Scales, sensitivities: bool = True) -> Evaluated:
         """Integrate all segments; raises what the simulator raises."""
-        p, slopes = self.problem.values_of(point.z), self.problem.slopes(point.z)
+        p, slopes = self.problem.values_of(iterate.z), self.problem.slopes(iterate.z)
 
         def job(place: tuple[int, int]) -> Segment:
             run, i = place
-            return self._segment(run, i, point.starts[run][i], p, slopes, scales, sensitivities)
+            return self._segment(run, i, iterate.starts[run][i], p, slopes, scales, sensitivities)
 
         places = [(k, i) for k, cuts in enumerate(self.edges) for i in range(len(cuts) - 1)]
-        found = iter(parallel(job, places, self.threads))
-        return Evaluated(
-            self.problem, point, tuple(tuple(next(found) for _ in cuts[1:]) for cuts in self.edges)
-        )
+        segments: Iterator[Segment] = iter(parallel(job, places, self.threads))
+        runs = tuple(tuple(next(segments) for _ in cuts[1:]) for cuts in self.edges)
+        return Evaluated(self.problem, iterate, runs)
 
     def _segment(
         self, run: int, i: int, start: Array, p: Array, slopes: Array, scales: Scales, sensitivities: bool
@@ -279,21 +275,19 @@ class Shooting:
         first, last = cuts[i], cuts[i + 1]
         nominal = self.simulator.nominal
         time, inputs = record.time[first : last + 1], self.inputs[run][first : last + 1]
-        piece = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
+        solution = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
         own = last - first + (i == len(cuts) - 2)  # a sample on an edge counts once
         weight = record.weight[first : first + own]
         use = weight > 0
         w, column = weight[use], np.nonzero(use)[1]
-        residual = (piece.y[:own][use] - record.measured[first : first + own][use]) * w
+        residual = (solution.y[:own][use] - record.measured[first : first + own][use]) * w
         factor = scales.factor(residual, column, self.loss)
-        local = None
+        linear = None
         if sensitivities:
-            rows = np.hstack([piece.y_x[:own][use] * nominal, piece.y_p[:own][use] * slopes])
-            found = factors(rows * (w * factor)[:, None])
-            local = Local(
-                found, piece.x_x * nominal / nominal[:, None], piece.x_p * slopes / nominal[:, None]
-            )
-        return Segment(residual, column, factor, piece.x / nominal, local)
+            rows = np.hstack([solution.y_x[:own][use] * nominal, solution.y_p[:own][use] * slopes])
+            x_x, x_p = solution.x_x * nominal / nominal[:, None], solution.x_p * slopes / nominal[:, None]
+            linear = LinearSegment(factors(rows * (w * factor)[:, None]), x_x, x_p)
+        return Segment(residual, column, factor, solution.x / nominal, linear)
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

@@ -1,117 +1,82 @@
-"""A simulation that did not reach its end.
-
-What the refinement needs of a model: segments of a trajectory, with their sensitivities.
-
-A subsystem compiled for output error: outputs at recorded samples, and their exact derivatives.
-
-Many jobs in a few threads; the compiled model lets go of the interpreter.
-"""
+"""Segments of a trajectory with their sensitivities: exact ones of compiled C, or difference quotients."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Subsystem
-from fmus.identification.refinement.generated_code import WIDTH, library, sources
-from fmus.identification.refinement.reduced import reduce
+from fmus.identification.refinement.generated_code import WIDTH, library, reduce, sources
 from fmus.parameters import Values
 from fmus.parameters import values as numbers
 from orchestrator.base.errors import Problem
 
-
-class Failed(Exception):
-    """The model could not be simulated: why, and the time [s] it reached."""
-
-    def __init__(self, why: str, time: float) -> None:
-        super().__init__(f"{why} at t = {time:.9g} s")
-        self.why, self.time = why, time
-
-
 Array = NDArray[np.float64]
 
+STEP = 1e-5  # of difference quotients, relative; suits a simulation with about ten digits
 
-class PieceResult(Protocol):
-    """A segment of n samples: outputs, the state at the end, their derivatives.
 
-    `y_x` means the derivative of y with respect to the state at the segment's start, `x_p` that of the
-    end state with respect to the free parameters, and so on.
+class SimulationFailed(Exception):
+    """The model could not be simulated: reason, and the time [s] it reached."""
+
+    def __init__(self, reason: str, time: float) -> None:
+        super().__init__(f"{reason} at t = {time:.9g} s")
+        self.reason, self.time = reason, time
+
+
+@dataclass(frozen=True)
+class SegmentSolution:
+    """A segment of n samples; the derivatives have no entries where none were asked for.
+
+    y          outputs at the samples, shape (n, ny)
+    x          states at the last sample, shape (nx,)
+    y_x, y_p   derivatives of y by the states at the start and by the parameters, (n, ny, nx), (n, ny, np)
+    x_x, x_p   derivatives of x likewise, (nx, nx), (nx, np)
+    steps      steps of the solver, if they are known
     """
 
-    @property
-    def y(self) -> Array:
-        """Shape (n, ny)."""
-
-    @property
-    def x(self) -> Array:
-        """Shape (nx,)."""
-
-    @property
-    def y_x(self) -> Array:
-        """Shape (n, ny, nx)."""
-
-    @property
-    def y_p(self) -> Array:
-        """Shape (n, ny, np)."""
-
-    @property
-    def x_x(self) -> Array:
-        """Shape (nx, nx)."""
-
-    @property
-    def x_p(self) -> Array:
-        """Shape (nx, np)."""
+    y: Array
+    x: Array
+    y_x: Array
+    y_p: Array
+    x_x: Array
+    x_p: Array
+    steps: int = 0
 
 
 class Simulator(Protocol):
-    """A model as the refinement sees it; names, magnitudes of the states, start values of the parameters.
+    """A model as the refinement sees it.
 
-    `refinement.model.Model` is the one with exact sensitivities, `refinement.differences` has others.
+    states, inputs, outputs, free   names; `free` are the free parameters
+    nominal                         magnitudes of the states, shape (nx,)
+    p0                              values of the free parameters to begin with, shape (np,)
     """
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-
-    @property
-    def nominal(self) -> Array:
-        """Magnitudes of the states, shape (nx,)."""
-
-    @property
-    def p0(self) -> Array:
-        """Values of the free parameters to begin with, shape (np,)."""
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    free: tuple[str, ...]
+    nominal: Array
+    p0: Array
 
     def start(self, p: Array, u0: Array, /) -> tuple[Array, Array]:
-        """State at rest at inputs `u0`, and its derivative with respect to p."""
+        """States at rest at inputs `u0`, shape (nx,), and their derivatives by p, shape (nx, np)."""
 
     def segment(
         self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True, /
-    ) -> PieceResult:
-        """From state `x` over `time` (n,) with `inputs` (n, nu), linear between the samples."""
+    ) -> SegmentSolution:
+        """From the states `x` over `time` (n,) with `inputs` (n, nu), linear between the samples."""
 
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
-_NOT_REQUIRED = 5
-_WHY = (  # as in native/solver.h and native/sensitivities.c
+_REQUIREMENT = 5
+_REASONS = (  # as in native/solver.h and native/sensitivities.c
     "",
     "the derivative of {} is not finite",
     "the Jacobian is singular",
@@ -122,33 +87,10 @@ _WHY = (  # as in native/solver.h and native/sensitivities.c
 )
 
 
-@dataclass(frozen=True)
-class Piece:
-    """What `Model.segment` gives; the derivatives have no entries where none were asked for.
-
-    y          outputs at the samples, shape (n, ny)
-    x          states at the last sample, shape (nx,)
-    y_x, y_p   derivatives of y by the states at the start and by the parameters, (n, ny, nx), (n, ny, np)
-    x_x, x_p   derivatives of x likewise, (nx, nx), (nx, np)
-    steps      steps of the solver
-    """
-
-    y: Array
-    x: Array
-    y_x: Array
-    y_p: Array
-    x_x: Array
-    x_p: Array
-    steps: int
-
-
-class Model:
-    """A subsystem compiled for output error.
+class CompiledModel:
+    """A subsystem compiled for output error, with exact sensitivities.
 
     states, inputs   names of those that the outputs depend on: the others are left out
-    outputs, free    names of the outputs and of the free parameters, as given
-    nominal          magnitudes of the states, shape (nx,)
-    p0               values of the free parameters, shape (np,)
     """
 
     def __init__(
@@ -183,38 +125,39 @@ class Model:
         x, slope = self._start(self._x, u0, self._all(p))
         return x.full()[:, 0], slope.full()
 
-    def segment(self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True) -> Piece:
+    def segment(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
+    ) -> SegmentSolution:
         """The motion from the states x at time[0] on to time[-1].
 
         time    of the samples [s], increasing, shape (n,)
         inputs  at the samples, linear between them, shape (n, nu)
 
-        Raises Failed. Several threads may call it at once: it runs without Python's lock.
+        Raises SimulationFailed. Several threads may call it at once: it runs without Python's lock.
         """
-        time, inputs = _plain(time), _plain(inputs)
+        time, inputs = (np.ascontiguousarray(a, dtype=np.float64) for a in (time, inputs))
         n, nx, ny = time.size, len(self.states), len(self.outputs)
         self._check(x, p, time, inputs)
         columns = -(-(self._acting.size + nx) // WIDTH) * WIDTH if sensitivities else 0
-        x, y, told = _plain(x).copy(), np.empty((n, ny)), np.zeros(3)
+        x, y, report = np.array(x, dtype=np.float64), np.empty((n, ny)), np.zeros(3)
         slopes, ends = np.empty((n, ny, columns)), np.empty((nx, columns))
         arrays = [a.ctypes.data_as(_POINTER) for a in (time, inputs, x, self._all(p))]
-        results = [a.ctypes.data_as(_POINTER) for a in (y, slopes, ends, told)]
-        outcome = self._refine(n, *arrays, self._tolerance, int(sensitivities), *results)
-        if outcome:
-            raise self._failed(outcome, told[0], told[2])
-        y_x, y_p = self._split(slopes)
-        x_x, x_p = self._split(ends)
-        return Piece(y, x, y_x, y_p, x_x, x_p, int(told[1]))
+        results = [a.ctypes.data_as(_POINTER) for a in (y, slopes, ends, report)]
+        status = self._refine(n, *arrays, self._tolerance, int(sensitivities), *results)
+        if status:
+            names = self._statements if status == _REQUIREMENT else self.states
+            raise SimulationFailed(_REASONS[status].format(names[int(report[2])]), report[0])
+        return SegmentSolution(y, x, *self._split(slopes), *self._split(ends), int(report[1]))
 
     def _check(self, x: Array, p: Array, time: Array, inputs: Array) -> None:
-        for what, found, expected, names in (
+        for what, array, expected, names in (
             ("inputs", inputs, (time.size, len(self.inputs)), self.inputs),
             ("states", x, (len(self.states),), self.states),
             ("parameters", p, (len(self.free),), self.free),
         ):
-            if np.shape(found) != expected:
-                told = f"{what} have the shape {np.shape(found)}, expected {expected}"
-                raise Problem(f"{told}, of {', '.join(names)}" if names else told)
+            if np.shape(array) != expected:
+                message = f"{what} have the shape {np.shape(array)}, expected {expected}"
+                raise Problem(f"{message}, of {', '.join(names)}" if names else message)
         if time.ndim != 1 or time.size == 0 or not (np.diff(time) > 0).all():
             raise Problem("times of the samples do not increase, expected that they do")
 
@@ -236,25 +179,85 @@ class Model:
         by_p[..., self._acting] = by_acting
         return by_states, by_p
 
-    def _failed(self, outcome: int, time: float, culprit: float) -> Failed:
-        names = self._statements if outcome == _NOT_REQUIRED else self.states
-        return Failed(_WHY[outcome].format(names[int(culprit)]), time)
+
+def _quotients(
+    run: Callable[[Array], tuple[Array, Array]], at: Array, step: float, nominal: Array, central: bool
+) -> tuple[Array, Array]:
+    """Derivatives of both results of `run` by its argument, on the last axis."""
+    y, x = run(at)
+    y_slopes, x_slopes = np.zeros((*y.shape, at.size)), np.zeros((*x.shape, at.size))
+    for j, size in enumerate(step * nominal):
+        moved = at.copy()
+        moved[j] += size
+        above = run(moved)
+        moved[j] = at[j] - size
+        below, width = (run(moved), 2 * size) if central else ((y, x), size)
+        y_slopes[..., j], x_slopes[..., j] = (above[0] - below[0]) / width, (above[1] - below[1]) / width
+    return y_slopes, x_slopes
 
 
-def _plain(values: Array) -> Array:
-    return np.ascontiguousarray(values, dtype=np.float64)
+class Differences:
+    """A simulator with the derivatives replaced by difference quotients of its own segments.
+
+    step   relative to the magnitude of each state and parameter
+    """
+
+    def __init__(self, model: Simulator, step: float = STEP, central: bool = False) -> None:
+        self.model, self.step, self.central = model, step, central
+        self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
+        self.free, self.nominal, self.p0, self.start = model.free, model.nominal, model.p0, model.start
+
+    def segment(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
+    ) -> SegmentSolution:
+        """As the model's, over n + 1 simulations."""
+        base = self.model.segment(x, p, time, inputs, False)
+        if not sensitivities:
+            return base
+        nx = len(x)
+
+        def run(both: Array) -> tuple[Array, Array]:
+            solution = self.model.segment(both[:nx], both[nx:], time, inputs, False)
+            return solution.y, solution.x
+
+        sizes = np.concatenate([self.nominal, np.where(p == 0, 1.0, np.abs(p))])
+        y_, x_ = _quotients(run, np.concatenate([x, p]), self.step, sizes, self.central)
+        return replace(base, y_x=y_[..., :nx], y_p=y_[..., nx:], x_x=x_[..., :nx], x_p=x_[..., nx:])
 
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
+class BlackBox:
+    """Any simulator of whole runs: `simulate(p, time, inputs)` gives the outputs, shape (n, ny).
 
+    It has no states that could be set, so each run is one segment: single shooting.
+    `simulate` is called from several threads; give `refine` one thread if it cannot bear that.
+    """
 
-def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) -> list[Result]:
-    """Results in the order of the places; an interrupt does not wait for what has not begun."""
-    if threads == 1 or len(places) == 1:
-        return [job(place) for place in places]
-    pool = ThreadPoolExecutor(threads)
-    try:
-        return list(pool.map(job, places))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    def __init__(
+        self,
+        simulate: Callable[[Array, Array, Array], Array],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        free: Sequence[str],
+        p0: Array,
+        step: float = STEP,
+    ) -> None:
+        self.simulate, self.step = simulate, step
+        self.states: tuple[str, ...] = ()
+        self.inputs, self.outputs, self.free = tuple(inputs), tuple(outputs), tuple(free)
+        self.nominal, self.p0 = np.zeros(0), p0
+
+    def start(self, p: Array, u0: Array) -> tuple[Array, Array]:
+        """No state, so nothing."""
+        del u0
+        return np.zeros(0), np.zeros((0, len(p)))
+
+    def segment(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
+    ) -> SegmentSolution:
+        """One whole run, over n + 1 simulations."""
+        y = self.simulate(p, time, inputs)
+        y_x, y_p = np.zeros((*y.shape, 0)), np.zeros((*y.shape, 0))
+        if sensitivities:
+            nominal = np.where(p == 0, 1.0, np.abs(p))
+            y_p, _ = _quotients(lambda q: (self.simulate(q, time, inputs), x), p, self.step, nominal, False)
+        return SegmentSolution(y, x, y_x, y_p, np.zeros((0, 0)), np.zeros((0, len(p))))

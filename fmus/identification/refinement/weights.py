@@ -1,11 +1,8 @@
-"""Robust losses as weights: a residual beyond `tuning` pulls less than its square would.
+"""How much each residual counts: robust losses, the model's own error, correlated residuals, priors.
 
-Iteratively reweighted least squares; the residuals are in standard deviations. 95 % efficiency on normal
-noise at 1.345 for Huber's loss [Holland and Welsch 1977], and nearly that for the smooth one.
-
-How much each output counts, as its residuals show: the model's own error, memory, where outliers begin.
-
-What is known before the recordings speak: rows of the least-squares problem.
+Residuals are in standard deviations of their sensors. A robust loss is a weight in iteratively reweighted
+least squares: a residual beyond `tuning` pulls less than its square would. 95 % efficiency on normal noise at
+1.345 for Huber's loss [Holland and Welsch 1977], and nearly that for the smooth one.
 """
 
 from __future__ import annotations
@@ -18,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from fmus.identification.refinement.problem import EstimationProblem, Run
+from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
 
 Array = NDArray[np.float64]
@@ -26,9 +23,12 @@ Loss = Literal["linear", "huber", "soft_l1"]
 
 TUNING = 1.345
 _TO_SD = 1.4826  # standard deviation over median magnitude of a normal variable
+_LONGEST = 0.05  # of the samples: a correlation time beyond that is a trend
+AT_REST = 1e-3  # nominal values: what a state that stands still may deviate from zero
+UNKNOWN = 1.0  # nominal values: a state that is measured, or that nobody knows
 
 
-def weights(residual: Array, tuning: Array, loss: Loss) -> Array:
+def loss_factors(residual: Array, tuning: Array, loss: Loss) -> Array:
     """Factors of residuals and their Jacobian: square roots of the weights, in (0, 1]."""
     if loss == "linear":
         return np.ones_like(residual)
@@ -38,24 +38,12 @@ def weights(residual: Array, tuning: Array, loss: Loss) -> Array:
     return (1 + ratio**2) ** -0.25
 
 
-def tuning(residual: Array) -> float:
-    """Where outliers begin, for residuals of one output: never below that of noise as the sensor has it.
-
-    Far from the optimum all residuals are large; they are not outliers then.
-    """
-    magnitude = float(np.median(np.abs(residual))) if residual.size else 0.0
-    return TUNING * max(1.0, _TO_SD * magnitude)
-
-
-_LONGEST = 0.05  # of the samples: memory beyond that is a trend
-
-
 @dataclass(frozen=True)
 class Scales:
     """Per output.
 
     floor    standard deviation of the model's own error, in those of the sensor, 0 for none
-    memory   over how many samples a residual lasts: so many count as one
+    memory   correlation time of the residuals in samples: so many count as one
     tuning   where outliers begin, in standard deviations of sensor and model together
     """
 
@@ -63,16 +51,11 @@ class Scales:
     memory: Array
     tuning: Array
 
-    @classmethod
-    def sensors(cls, outputs: int) -> Scales:
-        """A model without errors."""
-        return cls(np.zeros(outputs), np.ones(outputs), np.full(outputs, TUNING))
-
     def factor(self, residual: Array, column: NDArray[np.int64], loss: Loss) -> Array:
-        """What residuals and their Jacobian are multiplied with; `column` is the output of each."""
+        """What residuals and their Jacobian are multiplied by; `column` is the output of each."""
         shrunk = 1 / np.hypot(1.0, self.floor[column])
-        weight = weights(residual * shrunk, self.tuning[column], loss)
-        return np.asarray(shrunk * weight / np.sqrt(self.memory[column]))
+        robust = loss_factors(residual * shrunk, self.tuning[column], loss)
+        return np.asarray(shrunk * robust / np.sqrt(self.memory[column]))
 
     def change(self, other: Scales) -> float:
         """Largest relative difference."""
@@ -82,15 +65,25 @@ class Scales:
         return float(np.max(np.abs(others / mine - 1)))
 
 
-def seen(residuals: list[Array], model_error: bool, memory: bool) -> Scales:
-    """The scales that the residuals of each output show, in the order of time."""
-    floor = np.zeros(len(residuals))
-    if model_error:
-        power = np.array([np.mean(part**2) if part.size else 0.0 for part in residuals])
-        floor = np.sqrt(np.maximum(0.0, power - 1))
-    tunings = [tuning(part / math.hypot(1, f)) for part, f in zip(residuals, floor, strict=True)]
-    lasting = [correlation_time(part) if memory else 1.0 for part in residuals]
-    return Scales(floor, np.array(lasting), np.array(tunings))
+def sensor_scales(outputs: int) -> Scales:
+    """A model without errors: only the noise of the sensors counts."""
+    return Scales(np.zeros(outputs), np.ones(outputs), np.full(outputs, TUNING))
+
+
+def estimated_scales(residuals: list[Array], model_error: bool, memory: bool) -> Scales:
+    """The scales that the residuals of each output show, in the order of time.
+
+    Outliers never begin below the noise of the sensor. Far from the optimum all residuals are large; they are
+    not outliers then, so the median magnitude counts.
+    """
+    floor, tuning = np.zeros(len(residuals)), np.full(len(residuals), TUNING)
+    for k, part in enumerate(residuals):
+        if model_error and part.size:
+            floor[k] = math.sqrt(max(0.0, float(np.mean(part**2)) - 1))
+        if part.size:
+            tuning[k] *= max(1.0, _TO_SD * float(np.median(np.abs(part))) / math.hypot(1, floor[k]))
+    times = [correlation_time(part) if memory else 1.0 for part in residuals]
+    return Scales(floor, np.array(times), tuning)
 
 
 def correlation_time(residual: Array) -> float:
@@ -110,15 +103,11 @@ def correlation_time(residual: Array) -> float:
     return min(max(1.0, lasting), max(1.0, _LONGEST * n))
 
 
-AT_REST = 1e-3  # nominal values: what a state that stands still may deviate from zero
-UNKNOWN = 1.0  # nominal values: a state that is measured, or that nobody knows
-
-
 @dataclass(frozen=True)
 class Priors:
-    """Means and standard deviations.
+    """Means and standard deviations known before the recordings, as rows of the least-squares problem.
 
-    z, z_sd        of the parameters; infinite where nothing is known
+    z, z_sd           of the parameters; infinite where nothing is known
     start, start_sd   per run, of the first state in nominal values
     """
 
@@ -141,15 +130,14 @@ class Priors:
         return np.hstack([np.diag(weight), residual[:, None]])[known]
 
 
-def priors(problem: EstimationProblem, simulator: Simulator, firsts: list[Array]) -> Priors:
-    """Priors of a problem; `firsts` are the first states per run, in nominal values."""
-
-    def spread(run: Run) -> Array:
-        return np.array([AT_REST if name in run.rest else UNKNOWN for name in simulator.states])
-
+def priors(problem: EstimationProblem, simulator: Simulator, first_states: list[Array]) -> Priors:
+    """Priors of a problem; `first_states` per run, in nominal values."""
     return Priors(
-        z=problem.search(),
+        z=problem.initial(),
         z_sd=np.array([f.z_sd for f in problem.free]),
-        start=tuple(firsts),
-        start_sd=tuple(spread(run) for run in problem.training),
+        start=tuple(first_states),
+        start_sd=tuple(
+            np.array([AT_REST if name in run.rest else UNKNOWN for name in simulator.states])
+            for run in problem.training
+        ),
     )

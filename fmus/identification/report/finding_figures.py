@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from fmus.identification.known import Array, Curve, Finding, Panel
+from fmus.identification.estimate import Array, Curve, Panel, ProcedureResult
 from fmus.identification.report.wording import footer
 from orchestrator.base.plotting import (
     DASHES,
@@ -62,7 +62,7 @@ COMPARED: tuple[tuple[str, Any, int], ...] = (
 Column = tuple[Panel, ...]
 
 
-def draw_finding(finding: Finding, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
+def draw_finding(finding: ProcedureResult, kinds: Iterable[str] = (), *, titled: bool = True) -> Figure:
     """The figure of a finding; `kinds` of its recordings, for the line that says where the data are from."""
     columns = _columns(finding.panels)
     rows = [columns[k : k + COLUMNS] for k in range(0, len(columns), COLUMNS)]

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fmus.identification.known import Estimate, Finding
+from fmus.identification.estimate import Estimate, ProcedureResult
 from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.random_starts import Starts
-from fmus.identification.refinement.result import Refined, advice
+from fmus.identification.refinement.multistart import Starts
+from fmus.identification.refinement.refine import Refined, advice
 from fmus.identification.report import wording
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.comparison import Picture
@@ -60,7 +60,7 @@ class IdentificationPage:
     title: str
     source: str
     kinds: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[ProcedureResult, ...]
     parameters: tuple[IdentifiedParameter, ...]
     qualities: tuple[Mapping[str, Any], ...] = ()
     refinement: Mapping[str, Any] | None = None
@@ -192,8 +192,8 @@ def _starts(refined: Refined, starts: Starts) -> list[dict[str, Any]]:
     """
     found, problem = [], refined.problem
     for place, start in enumerate(starts.starts, 1):
-        begun = np.array([f.search(start.begun[f.name]) for f in problem.free])
-        away = float(np.sqrt(np.mean((begun - problem.search()) ** 2)))
+        begun = np.array([f.z_of(start.begun[f.name]) for f in problem.free])
+        away = float(np.sqrt(np.mean((begun - problem.initial()) ** 2)))
         end = {"apart": start.apart, "residual": start.residual, "iterations": start.iterations}
         found.append({"name": f"random {place}", "away": away, **end, "same": start.apart < 1})
     return found

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fmus.identification.known import Estimate, Finding
-from fmus.identification.refinement.result import Refined
+from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.refinement.refine import Refined
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
 
@@ -171,6 +171,6 @@ def footer(number: int, kinds: Iterable[str]) -> str:
     return " · ".join(word for word in words if word)
 
 
-def caption(finding: Finding, kinds: Iterable[str]) -> str:
+def caption(finding: ProcedureResult, kinds: Iterable[str]) -> str:
     """One paragraph: title, origin of the data, the paper's figure."""
     return sentences(finding.title, origin(kinds), counterpart(finding.figure))

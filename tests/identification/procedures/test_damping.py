@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
 
-from fmus.identification.procedures.damping import CONTACTS, identify, least_squares
+from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
 from fmus.identification.procedures.momentum_balance import numbers, samples
 from fmus.identification.procedures.momentum_fit import solve
 from orchestrator.base.errors import Problem
@@ -79,7 +79,7 @@ def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected()
         for sign in (1, -1):
             x = told["manipulator.stick_angle"] + sign * noise
             noisy = replace(told, signals={**told.signals, "manipulator.stick_angle": x})
-            one = least_squares([noisy], joint, CONTACTS[joint].theta, P)[size]
+            one = as_printed([noisy], joint, CONTACTS[joint].theta, P)[size]
             plain.append(one.value)
             corrected.append(one.corrected)
     lost, left = (np.mean(x) / truth(joint) - 1 for x in (plain, corrected))

@@ -4,11 +4,11 @@ import re
 from pathlib import Path
 
 from fmus.identification import recordings
+from fmus.identification.machine import signals as names
 from fmus.identification.pipeline import CONDITIONS, OF_MACHINE, PROCEDURES
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.recordings.reading import PROCEDURES as KNOWN
 from fmus.identification.recordings.reading import read
-from fmus.identification.refinement.problem import signals as names
 
 TEXT = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding="utf-8")
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Scalar, Subsystem
-from fmus.identification.refinement.data import Mapped
-from fmus.identification.refinement.problem import EstimationProblem, Run, free_parameters
-from fmus.identification.refinement.simulation import Model
+from fmus.identification.refinement.data import RecordingMap
+from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun, free_parameters
+from fmus.identification.refinement.simulation import CompiledModel
 from fmus.parameters import Values
 from orchestrator.data.recording import Recording, Sensor
 
@@ -86,7 +86,7 @@ def recording(
     rng = np.random.default_rng(seed)
     time = np.arange(round(50 * seconds) + 1) / 50
     push = np.repeat(np.random.default_rng(99).choice([-1.0, 0.0, 1.0], len(time) // 50 + 1), 50)[: len(time)]
-    model = Model(OSCILLATOR, ("position",), (), NUMBERS, 1e-9)
+    model = CompiledModel(OSCILLATOR, ("position",), (), NUMBERS, 1e-9)
     position = model.segment(np.zeros(2), np.zeros(0), time, push[:, None], False).y[:, 0]
     read = position + noise * rng.standard_normal(len(time))
     return Recording(
@@ -107,7 +107,7 @@ def upright() -> Recording:
     rng = np.random.default_rng(0)
     time = np.arange(801) / 200
     kicks = np.repeat(rng.choice([-1.0, 1.0], 17), 50)
-    model, x = Model(INVERTED, ("position",), (), NUMBERS, 1e-10), np.zeros(2)
+    model, x = CompiledModel(INVERTED, ("position",), (), NUMBERS, 1e-10), np.zeros(2)
     push, position = np.zeros(len(time)), np.zeros(len(time))
     for i in range(800):
         push[i + 1] = kicks[i] - 5 * x[0] - 1.2 * x[1]
@@ -119,17 +119,17 @@ def upright() -> Recording:
     return replace(recording(), time=time, signals=signals, sensors={"position": Sensor("ruler", NOISE / 10)})
 
 
-def run(read: Recording, sub: Subsystem = OSCILLATOR) -> Run:
+def run(read: Recording, sub: Subsystem = OSCILLATOR) -> MeasuredRun:
     """The run of a recording."""
-    return Mapped(sub, ("position",), rest=("speed",), numbers=NUMBERS).run(read)
+    return RecordingMap(sub, ("position",), rest=("speed",), numbers=NUMBERS).run(read)
 
 
 def problem(
-    *runs: Run,
+    *runs: MeasuredRun,
     free: tuple[str, ...] = FREE,
     off: float = 1.2,
     priors: dict[str, tuple[float, float | None]] | None = None,
-    held_out: tuple[Run, ...] = (),
+    held_out: tuple[MeasuredRun, ...] = (),
 ) -> EstimationProblem:
     """The oscillator against runs, started from `off` times the truth."""
     start = {name: (off * TRUTH[name], None) for name in free}

@@ -10,9 +10,9 @@ import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 
 from fmus.identification.refinement.data import input_matrix
-from fmus.identification.refinement.differences import BlackBox, Differences
-from fmus.identification.refinement.gauss_newton import Options, Progress
+from fmus.identification.refinement.gauss_newton import Iteration, Options
 from fmus.identification.refinement.refine import compiled, refine
+from fmus.identification.refinement.simulation import BlackBox, Differences
 from orchestrator.base.errors import Problem
 
 SENSOR_ONLY = Options(model_error=False)
@@ -21,7 +21,7 @@ SENSOR_ONLY = Options(model_error=False)
 def test_steps_shrink_quadratically_without_noise() -> None:
     """With residuals that vanish at the optimum, an error is of the order of the square of the one before."""
     task = problem(run(recording(noise=0.0)))
-    seen: list[Progress] = []
+    seen: list[Iteration] = []
     options = Options(tolerance=1e-7, memory=False)
     found = refine(task, compiled(task, 1e-10), horizon=np.inf, options=options, progress=seen.append)
     error = [max(abs(np.log(p.parameters[n] / TRUTH[n])) for n in task.names) for p in seen]
@@ -134,7 +134,7 @@ def test_differences_lead_to_the_same_optimum(kind: str) -> None:
 def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
     """Ctrl-C during the search, whichever, ends it; what was found is returned and says so."""
 
-    def stop(progress: Progress) -> None:
+    def stop(progress: Iteration) -> None:
         if progress.iteration == 1:
             raise KeyboardInterrupt
 

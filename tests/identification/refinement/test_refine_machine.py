@@ -10,11 +10,9 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.identification import machine
-from fmus.identification.known import nominal
-from fmus.identification.refinement.problem import parameters, signals
-from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.result import Refined
-from fmus.identification.refinement.simulation import Model
+from fmus.identification.machine import nominal, parameters, signals
+from fmus.identification.refinement.refine import Refined, compiled, refine
+from fmus.identification.refinement.simulation import CompiledModel
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.parameters import values
@@ -36,7 +34,7 @@ def _recording() -> Recording:
     """A part of the work cycle with noise, converters' steps and the flow meters' dead zones."""
     rng = np.random.default_rng(0)
     time = np.arange(round(200 * SECONDS) + 1) / 200
-    model = Model(HARVESTER, tuple(SENSORS), (), tolerance=1e-9)
+    model = CompiledModel(HARVESTER, tuple(SENSORS), (), tolerance=1e-9)
     usual = values(HARVESTER).u
     inputs = {n: np.full(len(time), usual[n]) for n in model.inputs}
     for move in WORK_CYCLE:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fmus.contract import Quantity, Scalar, Subsystem
-from fmus.identification.refinement.simulation import Failed, Model
+from fmus.identification.refinement.simulation import CompiledModel, SimulationFailed
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
@@ -88,9 +88,9 @@ U0, SLOPE = 0.4, 0.6
 DRIVE = U0 + SLOPE * TIME
 
 
-def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERANCE) -> Model:
+def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERANCE) -> CompiledModel:
     """The toy with two of its outputs."""
-    return Model(TOY, outputs, FREE, NUMBERS, tolerance)
+    return CompiledModel(TOY, outputs, FREE, NUMBERS, tolerance)
 
 
 def _lag(x0: complex, delay: complex, gain: complex) -> np.ndarray:
@@ -177,7 +177,7 @@ def test_one_sample_is_the_state_itself() -> None:
 
 def test_no_free_parameter() -> None:
     """The states at the start alone may be what is sought."""
-    toy, x0 = Model(TOY, ("square",), (), NUMBERS, TOLERANCE), np.array([0.8])
+    toy, x0 = CompiledModel(TOY, ("square",), (), NUMBERS, TOLERANCE), np.array([0.8])
     piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
     expected = slope(np.array([0.1, 0.8]), model().p0, 1)[:, 1]
     assert piece.y_x[:, 0, 0] == pytest.approx(expected, rel=1e-6)  # the solver's error, as above
@@ -187,7 +187,7 @@ def test_no_free_parameter() -> None:
 def test_other_numbers_are_no_other_code() -> None:
     """Numbers are given at run time: those of the fixed parameters too."""
     numbers = replace(NUMBERS, p={**NUMBERS.p, "gain": 3.0})
-    toy, other = (Model(TOY, ("lag",), ("delay",), n, TOLERANCE) for n in (NUMBERS, numbers))
+    toy, other = (CompiledModel(TOY, ("lag",), ("delay",), n, TOLERANCE) for n in (NUMBERS, numbers))
     still = np.full((TIME.size, 1), U0)
     ends = [m.segment(np.zeros(1), m.p0, TIME, still).x[0] for m in (toy, other)]
     assert ends[1] == pytest.approx(1.5 * ends[0], rel=1e-6)  # the solver's error
@@ -197,14 +197,14 @@ def test_failure_tells_the_time_and_the_reason() -> None:
     """A requirement, a parameter that is not a number, a step that cannot be done."""
     toy, x0 = model(), np.array([0.1, 30.0])
     drive = np.full((TIME.size, 1), 2.0)
-    with pytest.raises(Failed, match="size stays below 100") as failed:
+    with pytest.raises(SimulationFailed, match="size stays below 100") as failed:
         toy.segment(x0, toy.p0, TIME, drive)
     reached = np.log(100 / 30) / (0.7 * 2.0)  # when the size is 100
     assert failed.value.time == TIME[np.searchsorted(TIME, reached)]
     for name, value in (("growth", np.nan), ("delay", 0.0)):
         bad = toy.p0.copy()
         bad[FREE.index(name)] = value
-        with pytest.raises(Failed, match="not finite") as failed:
+        with pytest.raises(SimulationFailed, match="not finite") as failed:
             toy.segment(x0, bad, TIME, drive)
         assert failed.value.time == 0.0
 
@@ -220,7 +220,7 @@ def test_failure_tells_the_time_and_the_reason() -> None:
 def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], told: str) -> None:
     """Names that are not there are told with those that are."""
     with pytest.raises(Problem, match=told):
-        Model(TOY, outputs, free, NUMBERS)
+        CompiledModel(TOY, outputs, free, NUMBERS)
 
 
 def test_samples_are_checked() -> None:

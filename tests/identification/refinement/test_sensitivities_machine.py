@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.refinement.simulation import Model, Piece
+from fmus.identification.refinement.simulation import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import breakpoints
@@ -39,12 +39,12 @@ TIME, COMMANDED = sample(MOVES, 1.0)
 
 
 @cache
-def model(tolerance: float) -> Model:
+def model(tolerance: float) -> CompiledModel:
     """The machine; kept, for its equations take a quarter of a second."""
-    return Model(HARVESTER, OUTPUTS, FREE, NUMBERS, tolerance)
+    return CompiledModel(HARVESTER, OUTPUTS, FREE, NUMBERS, tolerance)
 
 
-def inputs(machine: Model) -> np.ndarray:
+def inputs(machine: CompiledModel) -> np.ndarray:
     """Commands, and the other inputs as in the file of numbers."""
     rows = np.tile([NUMBERS.u[name] for name in machine.inputs], (TIME.size, 1))
     for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
@@ -175,7 +175,7 @@ def test_threads_do_not_disturb_each_other() -> None:
     rows = inputs(machine)
     x0, _ = machine.start(machine.p0, rows[0])
 
-    def run(scale: float) -> Piece:
+    def run(scale: float) -> SegmentSolution:
         return machine.segment(x0, machine.p0 * scale, TIME, rows)
 
     scales = np.linspace(0.98, 1.02, 20)

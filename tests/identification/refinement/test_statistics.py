@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmus.identification.refinement.data import smoothed
-from fmus.identification.refinement.problem import Free
-from fmus.identification.refinement.random_starts import from_random_starts
+from fmus.identification.refinement.multistart import from_random_starts
+from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import Traces, whiteness
 from fmus.identification.refinement.statistics import unidentified
-from fmus.identification.refinement.weights import Loss, correlation_time, weights
+from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
 
 
 def test_intervals_cover_the_truth() -> None:
@@ -81,7 +81,8 @@ def test_prior_decides_where_the_data_are_silent() -> None:
 def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     """A parameter that the data do not tell: with a number known before, its interval is that one's."""
     told = {
-        sd: unidentified((Free("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0] for sd in (None, 0.1)
+        sd: unidentified((FreeParameter("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0]
+        for sd in (None, 0.1)
     }
     # the root of 0.6
     assert told[None] == "loss: the data leave it open by 77 %"
@@ -109,9 +110,9 @@ def test_weights_are_those_of_the_losses() -> None:
     """The squared factor is the slope of the loss over the residual, for Huber and soft L1."""
     r = np.array([0.3, 1.0, 2.0, 30.0])
     tuning = np.full(4, 1.5)
-    np.testing.assert_allclose(weights(r, tuning, "huber") ** 2, np.minimum(r, 1.5) / r, rtol=1e-14)
+    np.testing.assert_allclose(loss_factors(r, tuning, "huber") ** 2, np.minimum(r, 1.5) / r, rtol=1e-14)
     soft = 1 / np.sqrt(1 + (r / 1.5) ** 2)  # of 2 a^2 (sqrt(1 + (r / a)^2) - 1)
-    np.testing.assert_allclose(weights(r, tuning, "soft_l1") ** 2, soft, rtol=1e-14)
+    np.testing.assert_allclose(loss_factors(r, tuning, "soft_l1") ** 2, soft, rtol=1e-14)
 
 
 def test_residuals_are_white_only_if_the_model_is_right() -> None:

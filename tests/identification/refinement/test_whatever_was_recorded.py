@@ -10,9 +10,8 @@ import pytest
 from identification.refinement.oscillator import TRUTH, problem, recording, run
 
 from fmus.identification import machine
-from fmus.identification.known import nominal
+from fmus.identification.machine import nominal, signals
 from fmus.identification.recordings.reading import window
-from fmus.identification.refinement.problem import signals
 from fmus.identification.refinement.refine import refine
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, Sensor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmus.identification.known import Curve, Estimate, Finding, Panel
+from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
 from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter
 
@@ -31,11 +31,11 @@ def residual() -> Panel:
     return Panel("flow", "residual", (Curve("measured", FLOW, 1e3 * np.sin(1e4 * FLOW)),), "", LITRES, BAR)
 
 
-def finding(**more: object) -> Finding:
+def finding(**more: object) -> ProcedureResult:
     """What a procedure found about a hose."""
     said = ("1 of 30 steps is masked.", "A <b>remark</b> & more.")
     given = {"procedure": "hose_resistance", "title": "Hose resistance", "figure": 6, "remarks": said}
-    return Finding(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})
+    return ProcedureResult(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})
 
 
 def fit(signal: str, *numbers: float | None) -> dict[str, object]:

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
-from fmus.identification.known import Curve, Panel
+from fmus.identification.estimate import Curve, Panel
 from fmus.identification.report import wording
 from fmus.identification.report.comparison import SIGNALS, Compared, figure, relative_error
 from fmus.identification.report.finding_figures import draw_finding, draw_matrix

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from identification.report.samples import AREA, finding, page
 from lxml import html
 
-from fmus.identification.known import Estimate
+from fmus.identification.estimate import Estimate
 from fmus.identification.report import wording
 from fmus.identification.report.comparison import Picture
 from fmus.identification.report.finding_figures import draw_finding

@@ -9,10 +9,10 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
-from fmus.identification.refinement.problem import EstimationProblem, Free, Run
-from fmus.identification.refinement.random_starts import Start, Starts
+from fmus.identification.refinement.multistart import RandomStart, Starts
+from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
+from fmus.identification.refinement.refine import Refined
 from fmus.identification.refinement.residuals import Traces, Whiteness
-from fmus.identification.refinement.result import Refined
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.comparison import compare
 from fmus.identification.report.identification_page import faults, quality, refinement
@@ -27,13 +27,13 @@ def traces(name: str, error: float) -> Traces:
     """A run that is off by `error` of its range in the first output, and has no second one."""
     measured = np.column_stack([np.sin(np.pi * TIME), np.zeros_like(TIME)])
     compared = np.column_stack([np.ones_like(TIME), np.zeros_like(TIME)]).astype(bool)
-    run = Run(name, TIME, {}, measured, compared.astype(float), compared, np.array([2.0, 1.0]))
+    run = MeasuredRun(name, TIME, {}, measured, compared.astype(float), compared, np.array([2.0, 1.0]))
     return Traces(run, measured + 2 * error)
 
 
 def refined(**more) -> Refined:
     """A result, put together by hand."""
-    free = tuple(Free(name, 2.0, log=True) for name in NAMES)
+    free = tuple(FreeParameter(name, 2.0, log=True) for name in NAMES)
     training = (traces("a", 0.03), traces("b", 0.04))
     problem = EstimationProblem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
@@ -84,7 +84,7 @@ def test_a_search_that_did_not_converge_says_so():
 def test_random_starts_are_compared():
     """How far each start was from the values before; a search that went elsewhere is not the same."""
     begun = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
-    ran = Starts((Start(begun, {}, 0.2, 1.0, 9), Start(begun, {}, np.inf, np.nan, 0)), 0.5, {})
+    ran = Starts((RandomStart(begun, {}, 0.2, 1.0, 9), RandomStart(begun, {}, np.inf, np.nan, 0)), 0.5, {})
     one, other = refinement(refined(), starts=ran)["starts"]
     # exact identity: both parameters are e times as large
     assert one["away"] == pytest.approx(1.0)

@@ -1,63 +1,46 @@
-"""The numbers of the machine by `part.name`: those of the parameter files, and what was found since.
-
-What a procedure found: parameters with error bars, the figure that shows it, what has to be said.
-"""
+"""Estimates with their 95 % confidence intervals; the result of a procedure with figure and remarks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from fmus.machine.parts import SUBSYSTEMS
-from fmus.parameters import Number, read
-from orchestrator.base.errors import Problem
-
-Known = Mapping[str, Number]
-
-
-def nominal() -> dict[str, Number]:
-    """All parameters of the parts and their variants; lengths of hoses are numbers of `detailed` only."""
-    return {
-        f"{part}.{name}": number
-        for part, sub in SUBSYSTEMS.items()
-        for name, number in read(sub.values)["parameters"].items()
-    }
-
-
-def updated(known: Known, estimates: Iterable[Estimate]) -> dict[str, Number]:
-    """With estimates in the place of what was known: a bare name goes to every part that has it."""
-    found = dict(known)
-    for estimate in estimates:
-        targets = targets_of(estimate.name, known)
-        if not targets:
-            raise Problem(f"{estimate.name} was estimated, expected a parameter of the machine")
-        found |= dict.fromkeys(targets, estimate.number())
-    return found
-
-
-def targets_of(name: str, known: Known) -> list[str]:
-    """The parameters, `part.name`, that a name stands for."""
-    return [full for full in known if name in (full, full.partition(".")[2])]
-
-
-def plain(name: str, known: Known) -> str:
-    """The shortest name that means the same parameters: without part where parts do not differ."""
-    bare = name.rpartition(".")[2]
-    return bare if targets_of(bare, known) == targets_of(name, known) else name
-
-
-def lookup(name: str, known: Known) -> Number:
-    """The number of a name, with or without part."""
-    return known[targets_of(name, known)[0]]
-
+from fmus.parameters import Number
 
 Array = NDArray[np.float64]
-Kind = Literal["measured", "fit", "masked", "compared", "corrected"]
+CONFIDENCE = 0.95  # of all intervals
+
+
+def coverage_factor(freedom: float = math.inf) -> float:
+    """Half width of a confidence interval in standard deviations: normal, or Student's t for few degrees."""
+    return float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom))
+
+
+def confidence_interval(
+    value: float,
+    sd: float,
+    freedom: float = math.inf,
+    *,
+    log: bool = False,
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+) -> tuple[float, float]:
+    """Both ends of the 95 % interval of a value with this standard deviation.
+
+    freedom            degrees of freedom of the standard deviation, infinite if it is known
+    log                interval of the logarithm, which keeps a positive value positive
+    minimum, maximum   bounds of the value: the interval ends there
+    """
+    reach = coverage_factor(freedom) * sd
+    if log and value > 0:
+        ratio = math.exp(reach / value)
+        return value / ratio, value * ratio
+    return max(value - reach, minimum), min(value + reach, maximum)
 
 
 @dataclass(frozen=True)
@@ -66,8 +49,8 @@ class Estimate:
 
     name   as in parameters.toml; `part.name` where parts declare different things by one name
     sd     one standard deviation
-    low, high   the interval, not always symmetrical; infinite where nothing tells
-    note   how it was found, one line
+    low, high   the interval, not always symmetrical; infinite where the data do not bound it
+    note   source: how it was estimated, one line
     """
 
     name: str
@@ -78,11 +61,31 @@ class Estimate:
     high: float
     note: str
 
+    @classmethod
+    def normal(
+        cls,
+        name: str,
+        value: float,
+        unit: str,
+        sd: float,
+        note: str,
+        freedom: float = math.inf,
+        *,
+        log: bool = False,
+        minimum: float = -math.inf,
+    ) -> Estimate:
+        """An estimate with the interval of `confidence_interval`."""
+        low, high = confidence_interval(value, sd, freedom, log=log, minimum=minimum)
+        return cls(name, value, unit, sd, low, high, note)
+
     def number(self) -> Number:
         """The entry for parameters.toml."""
         low, high = (f"{end:.4g}" if math.isfinite(end) else "open" for end in (self.low, self.high))
         note = f"{self.note}; 95 % interval {low} to {high}"
         return Number(self.value, self.unit, "identified", note, self.sd)
+
+
+Kind = Literal["measured", "fit", "masked", "compared", "corrected"]
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,8 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What one procedure found.
+class ProcedureResult:
+    """What one procedure estimated, as the page shows it.
 
     procedure   "valve", "hose_resistance", ...
     figure      the paper's figure that this one corresponds to, 0 if none

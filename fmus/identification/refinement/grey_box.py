@@ -1,4 +1,4 @@
-"""A subsystem of plain numbers, for recordings without units: names and equations are all that it takes.
+"""A dimensionless model for recordings without units: names and equations are all that it takes.
 
 Time is counted in samples, signals in magnitudes that the data have, so that all numbers are near 1.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.contract import Quantity, Scalar, Subsystem, quantities
 from fmus.identification.recordings.reading import add
-from fmus.identification.refinement.data import Mapped
+from fmus.identification.refinement.data import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -23,7 +23,7 @@ from orchestrator.data.recording import Recording
 Rates = Callable[[Any, Any, Any], Mapping[str, Scalar]]
 
 
-def unitless(
+def dimensionless(
     name: str,
     parameters: Mapping[str, float],
     inputs: Sequence[str],
@@ -44,10 +44,10 @@ def unitless(
     state, output = _group("States", states), _group("Outputs", states)
 
     def dynamics(x: Any, u: Any, p: Any) -> Any:
-        found = rates(x, u, p)
-        if set(found) != set(states):
-            raise Problem(f"{name}: rates of {', '.join(found)}, expected those of {', '.join(states)}")
-        return state(**found)
+        dx = rates(x, u, p)
+        if set(dx) != set(states):
+            raise Problem(f"{name}: rates of {', '.join(dx)}, expected those of {', '.join(states)}")
+        return state(**dx)
 
     def observe(x: Any, *_: Any) -> Any:
         return output(**{n: getattr(x, n) for n in states})
@@ -70,7 +70,7 @@ def unitless(
     )
 
 
-def in_peaks(recording: Recording) -> tuple[Recording, dict[str, float]]:
+def normalised(recording: Recording) -> tuple[Recording, dict[str, float]]:
     """The recording with each signal over its peak, and those peaks.
 
     The peak of a signal that goes against the first one counts negative: plus then drives to plus.
@@ -95,10 +95,10 @@ def all_free(
     sd   standard deviation of the outputs, to begin with: intervals come from what is left after the fit
     """
     outputs = [n for n in quantities(model.outputs) if n in training.signals]
-    mapped = Mapped(model, outputs, sd=dict.fromkeys(outputs, sd))
+    mapping = RecordingMap(model, outputs, sd=dict.fromkeys(outputs, sd))
     free = free_parameters(model, list(quantities(model.parameters)))
-    unseen = tuple(mapped.run(recording) for recording in held_out)
-    return EstimationProblem(model, tuple(outputs), free, (mapped.run(training),), unseen)
+    unseen = tuple(mapping.run(recording) for recording in held_out)
+    return EstimationProblem(model, tuple(outputs), free, (mapping.run(training),), unseen)
 
 
 def _group(title: str, names: Sequence[str] | Mapping[str, float], minimum: float | None = None) -> type[Any]:

@@ -1,15 +1,11 @@
-"""What a procedure is given: its recordings, and the numbers that are known before it.
-
-Where signals stand still, found by their slopes.
-
-Means of drop and flow over the steps of a test, with standard errors, and which of them are measured.
-"""
+"""What a procedure starts from: its recordings, numbers known before, means over steady steps of a test."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +20,19 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, stretches
 
 Array = NDArray[np.float64]
-ALIKE = 1e-3  # relative difference of two tape measures of one hose
+Mask = NDArray[np.bool_]
+Table = TypeVar("Table")
+
+BAR, LITRES = ("bar", 1e5), ("L/min", 1e-3 / 60)  # units of figures: name, SI value of one
+SAME_HOSE = 1e-3  # relative difference of two tape measures of one hose
+WINDOW = 0.25  # s over which a slope is seen
+STANDS = 4.0  # standard deviations of the slope below which a signal stands
+MARGIN, SHORTEST_STAND = 0.25, 0.25  # s left out of a stretch at both ends, and what must remain
+NEEDED = 2 * MARGIN + SHORTEST_STAND
+SETTLE = 0.5  # s, left out at the beginning of each step
+SHORTEST = 0.3  # s that must remain of it
+FINEST = 1e-6  # of a mean: no instrument is better, whatever a noise-free signal says
+NAMES = ("pressure_in", "pressure_out", "flow")
 
 
 def training(
@@ -40,22 +48,13 @@ def training(
     return tuple(map(evenly, own))
 
 
-def filled(row: Array) -> Array:
-    """A signal with straight lines over its gaps, zero if there is nothing else."""
-    there = np.isfinite(row)
-    if not there.any():
-        return np.zeros_like(row)
-    index = np.arange(row.size)
-    return np.interp(index, index[there], row[there])
-
-
 def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
     """Length and inside diameter [m] of the hose that was tested; the same in all recordings."""
     first = recordings[0]
     for name in ("length", "diameter"):
         size = first.number(name)
         for other in recordings[1:]:
-            if abs(other.number(name) / size - 1) > ALIKE:
+            if abs(other.number(name) / size - 1) > SAME_HOSE:
                 raise Problem(
                     f"{other.source}: [experiment] {name} is {other.number(name):g} m, expected {size:g} m "
                     f"as in {first.source.name}: identify one hose at a time"
@@ -63,12 +62,11 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
     return first.number("length"), first.number("diameter")
 
 
-def denser(recordings: Sequence[Recording], known: Mapping[str, Number]) -> float:
-    """Density of the machine's oil over that of the test's oil; 1 where the test does not tell it."""
-    tested = recordings[0]
-    return (
-        value(known, "boom_stick.density") / tested.number("density") if "density" in tested.conditions else 1
-    )
+def density_ratio(recordings: Sequence[Recording], known: Mapping[str, Number]) -> float:
+    """Density of the machine's oil over that of the test's oil; 1 if the test's is not recorded."""
+    if "density" not in recordings[0].conditions:
+        return 1.0
+    return value(known, "boom_stick.density") / recordings[0].number("density")
 
 
 def number(known: Mapping[str, Number], name: str) -> Number:
@@ -84,21 +82,35 @@ def value(known: Mapping[str, Number], name: str) -> float:
 
 
 def tank_pressure(recording: Recording) -> float:
-    """Gauge pressure of the tank [Pa], 0 if it is not told."""
+    """Gauge pressure of the tank [Pa], 0 if it is not recorded."""
     return recording.number("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
 
 
 def noise_of(recording: Recording, name: str) -> float:
-    """Standard deviation of one sample: as told, else as seen."""
+    """Standard deviation of one sample: of the sensor's description, else as the signal shows."""
     sensor = recording.sensor(name)
-    seen = sensor.sd or noise(recording[name], sensor)
-    return seen if math.isfinite(seen) else 0.0
+    sd = sensor.sd or noise(recording[name], sensor)
+    return sd if math.isfinite(sd) else 0.0
 
 
-WINDOW = 0.25  # s over which a slope is seen
-STANDS = 4.0  # standard deviations of the slope below which a signal stands
-MARGIN, SHORTEST_STAND = 0.25, 0.25  # s left out of a stretch at both ends, and what must remain
-NEEDED = 2 * MARGIN + SHORTEST_STAND
+def filled(row: Array) -> Array:
+    """A signal with straight lines over its gaps, zero if there is nothing else."""
+    there = np.isfinite(row)
+    if not there.any():
+        return np.zeros_like(row)
+    index = np.arange(row.size)
+    return np.interp(index, index[there], row[there])
+
+
+def where(table: Table, mask: Mask) -> Table:
+    """The rows of a dataclass of arrays for which a mask is true."""
+    return type(table)(**{name: array[mask] for name, array in vars(table).items()})
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """The rows of several dataclasses of arrays, one after the other."""
+    columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
+    return type(tables[0])(**columns)
 
 
 def standing(recording: Recording, names: Sequence[str]) -> list[slice]:
@@ -116,14 +128,6 @@ def standing(recording: Recording, names: Sequence[str]) -> list[slice]:
         stands &= np.abs(slope) < STANDS * max(used.gain(1) * noise_of(recording, name), ripple)  # not if NaN
     inner = [slice(s.start + margin, s.stop - margin) for s in stretches(stands)]
     return [s for s in inner if s.stop - s.start >= least]
-
-
-Mask = NDArray[np.bool_]
-
-SETTLE = 0.5  # s, left out at the beginning of each step
-SHORTEST = 0.3  # s that must remain of it
-FINEST = 1e-6  # of a mean: no instrument is better, whatever a noise-free signal says
-NAMES = ("pressure_in", "pressure_out", "flow")
 
 
 @dataclass(frozen=True)
@@ -144,14 +148,10 @@ class StepMeans:
     clipped: Mask
     good: Mask
 
-    def where(self, mask: Mask) -> StepMeans:
-        """The steps of a mask."""
-        return StepMeans(**{name: array[mask] for name, array in vars(self).items()})
-
     @property
     def measured(self) -> StepMeans:
         """The steps that are measured."""
-        return self.where(self.good)
+        return where(self, self.good)
 
 
 def step_means(recording: Recording, parts: Sequence[slice]) -> StepMeans:
@@ -160,27 +160,23 @@ def step_means(recording: Recording, parts: Sequence[slice]) -> StepMeans:
         raise Problem(
             f"{recording.source}: expected steps that stand for {SETTLE + SHORTEST:g} s or longer, found none"
         )
-    found = averages(recording, NAMES, parts)
-    asleep = dead(recording, "flow")
+    means = averages(recording, NAMES, parts)
+    asleep, flow = dead(recording, "flow"), recording["flow"]
     # a gap takes nothing but its sample; what is read, but wrong, bends the mean
     wrong = np.logical_or.reduce([np.isfinite(recording[n]) & ~good(recording, n) for n in NAMES]) & ~asleep
-    error = {n: np.maximum(found.error[n], FINEST * np.abs(found.mean[n])) for n in NAMES}
-    drop = found.mean["pressure_in"] - found.mean["pressure_out"]
+    error = {n: np.maximum(means.error[n], FINEST * np.abs(means.mean[n])) for n in NAMES}
+    drop = means.mean["pressure_in"] - means.mean["pressure_out"]
     in_dead, clipped = (np.array([bool(mask[part].any()) for part in parts]) for mask in (asleep, wrong))
+    shown = [flow[part][np.isfinite(flow[part])] for part in parts]  # also where it is masked
     return StepMeans(
         drop=drop,
         drop_error=np.hypot(error["pressure_in"], error["pressure_out"]),
-        flow=np.array([_mean(recording["flow"][part]) for part in parts]),  # also where it is masked: shown
+        flow=np.array([part.mean() if part.size else math.nan for part in shown]),
         flow_error=error["flow"],
         dead=in_dead,
         clipped=clipped & ~in_dead,
-        good=~in_dead & ~clipped & np.isfinite(drop + found.mean["flow"]),
+        good=~in_dead & ~clipped & np.isfinite(drop + means.mean["flow"]),
     )
-
-
-def _mean(values: Array) -> float:
-    there = values[np.isfinite(values)]
-    return float(there.mean()) if there.size else float("nan")
 
 
 def left_out(dead: Mask, clipped: Mask, good: Mask) -> str:

@@ -1,1 +1,0 @@
-"""The balance of momenta of the arm: what `damping` and `inertia` solve."""

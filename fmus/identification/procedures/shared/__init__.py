@@ -1,1 +1,0 @@
-"""What several procedures use: what is given, regression, means of steps."""
