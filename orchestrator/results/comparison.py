@@ -46,7 +46,9 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
         named: Mapping[str, Source] = sources
     else:
         files = [Path(s) for s in sources]
-        named = _named(files if more is None or str(more) in _named(files) else [*files, Path(more)])
+        named = _named(files)
+        if more is not None and str(more) not in named:
+            named = _named([*files, Path(more)])
     if len(named) < 2:
         raise Problem(f"compare: expected two or more traces, got {', '.join(map(str, named)) or 'none'}")
     return _with_units([_run(label, source) for label, source in named.items()])
@@ -54,8 +56,7 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
 
 def _named(files: Sequence[Path]) -> dict[str, Source]:
     """Files by their stems, or by their paths where stems are the same."""
-    files = list(dict.fromkeys(files))
-    stems = [f.stem for f in files]
+    stems = [f.stem for f in dict.fromkeys(files)]
     return {f.stem if stems.count(f.stem) == 1 else str(f): f for f in files}
 
 
@@ -76,13 +77,13 @@ def _run(label: str, source: Source) -> Run:
 def _with_units(runs: list[Run]) -> list[Run]:
     """A signal without a unit has that of the first run that states one."""
     known: dict[str, str] = {}
+    for run in reversed(runs):
+        known |= {name: unit for name, unit in run.trace.units.items() if unit}
+    complete = []
     for run in runs:
-        known = {**run.trace.units, **known}
-    return [replace(run, trace=replace(run.trace, units=_complete(run.trace, known))) for run in runs]
-
-
-def _complete(trace: Trace, known: Mapping[str, str]) -> dict[str, str]:
-    return {name: unit for name in trace.signals if (unit := trace.units.get(name) or known.get(name))}
+        units = {n: u for n in run.trace.signals if (u := run.trace.units.get(n) or known.get(n, ""))}
+        complete.append(replace(run, trace=replace(run.trace, units=units)))
+    return complete
 
 
 # What signals of a unit are called together; the first three are looked at unless the user names signals.

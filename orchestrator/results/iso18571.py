@@ -2,7 +2,7 @@
 
 For a simulated curve C and a reference T, N samples each at equal steps:
 
-    corridor    Z = mean of 1 inside 0.05 max |T|, 0 outside 0.5 max |T|, between them by the square of the distance
+    corridor    Z = mean of ((0.5 - d) / 0.45)^2, d = |C - T| / max |T|; 1 for d < 0.05, 0 for d > 0.5
     phase       E_P = 1 - n / (0.2 N), where a shift by n samples correlates best; at least 80 % must overlap
     magnitude   E_M = 1 - eps / 0.5,   eps = |C* - T*|_1 / |T*|_1 of the shifted curves, warped in time
     slope       E_S = 1 - eps / 2,     eps = |C' - T'|_1 / |T'|_1 of the shifted curves' smoothed derivatives
@@ -16,9 +16,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 INNER, OUTER = 0.05, 0.5  # of max |T|, half widths of the corridors
 SHIFT = 0.2  # of N, the largest shift
@@ -73,11 +72,11 @@ def _score(c: Array, t: Array, worst: float) -> float:
 
 
 def _derivative(y: Array) -> Array:
-    """Central differences per sample, averaged over nine; towards the ends over fewer, as many on each side."""
+    """Central differences per sample, averaged over nine; towards the ends over fewer on each side."""
     n, at = len(y), np.arange(len(y))
     half = np.minimum(SMOOTH, np.minimum(at, n - 1 - at))
     total = np.concatenate([[0.0], np.cumsum(np.gradient(y))])
-    return (total[at + half + 1] - total[at - half]) / (2 * half + 1)
+    return np.asarray((total[at + half + 1] - total[at - half]) / (2 * half + 1))
 
 
 def _warped(c: Array, t: Array) -> tuple[Array, Array]:
@@ -93,7 +92,8 @@ def _warped(c: Array, t: Array) -> tuple[Array, Array]:
         cost[i, j] = before + (c[i - 1] - t[j - 1]) ** 2
     path = [(n, n)]
     while path[-1] != (1, 1):
-        i, j = path[-1]
-        path.append(min(((i - 1, j - 1), (i - 1, j), (i, j - 1)), key=lambda place: cost[place]))
+        row, column = path[-1]
+        before_it = ((row - 1, column - 1), (row - 1, column), (row, column - 1))
+        path.append(min(before_it, key=lambda place: cost[place]))
     rows, columns = np.array(path).T - 1
     return c[rows], t[columns]

@@ -19,12 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.results import iso18571
-
-Array = NDArray[np.float64]
 
 # The rating compares shapes over the whole window, so it is computed on this many equal steps.
 # (The standard's 10 kHz is meant for crash pulses of 0.1 s: the same 1000 samples.)
@@ -106,6 +104,9 @@ def measure(
     flat = constant(reference, whole)
     if flat and not constant(whole):
         notes = (*notes, "the reference stands still in this window: no fit, VAF or ISO rating")
+    iso = Rating(reason="not asked for")
+    if rate:
+        iso = Rating(reason="the reference is constant") if flat else iso_rating(time, simulation, reference)
     return Metrics(
         maximum_error=float(abs(error[worst])),
         time_of_maximum=float(time[worst]),
@@ -115,7 +116,7 @@ def measure(
         normalised_by=by,
         fit=None if flat else 100 * (1 - float(np.linalg.norm(error)) / spread),
         vaf=None if flat else 100 * (1 - float(np.var(error) / np.var(reference))),
-        iso=_iso(time, simulation, reference, flat) if rate else Rating(reason="not asked for"),
+        iso=iso,
         notes=notes,
     )
 
@@ -124,10 +125,6 @@ def constant(signal: Array, whole: Array | None = None) -> bool:
     """Whether the signal, perhaps a part of a whole, stands still but for the rounding of a text file."""
     magnitude = float(np.max(np.abs(signal if whole is None else whole)))
     return bool(np.ptp(signal) <= max(TINY, CONSTANT * magnitude))
-
-
-def _iso(time: Array, simulation: Array, reference: Array, flat: bool) -> Rating:
-    return Rating(reason="the reference is constant") if flat else iso_rating(time, simulation, reference)
 
 
 def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:

@@ -1,10 +1,11 @@
-"""Derivatives of sampled signals by one filter for all: Savitzky and Golay, Analytical Chemistry 36 (1964).
+"""Derivatives of sampled signals, and delays between them.
 
-A polynomial is fitted to the samples of a window by least squares; its value, slope and curvature in the
+Derivatives come from one filter for all signals: Savitzky and Golay, Analytical Chemistry 36 (1964). A
+polynomial is fitted to the samples of a window by least squares; its value, slope and curvature in the
 middle are the filtered signal and its derivatives. Filter all signals of an equation with the same object,
-then both sides see the same filter. There is no delay: the window lies symmetrically about its sample.
+then both sides see the same filter. It adds no delay: the window lies symmetrically about its sample.
 
-Delay between two signals, and moving a signal in time.
+`delay` measures how much later one signal is than another, `shift` moves a signal in time.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import scipy.interpolate
 import scipy.optimize
 import scipy.signal
 
-from fmus.identification.recordings.clock import period, uniform_rate
+from fmus.identification.recordings.clock import ROUNDING, period, uniform_rate
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, stretches
 from orchestrator.data.table import Array
@@ -112,7 +113,7 @@ def derivatives(recording: Recording, name: str, window: float, degree: int = 3)
 
 
 Kind = Literal["cubic", "linear", "previous"]
-NEAR = 3  # samples beside a gap that a spline through it does not tell
+NEAR = 3  # samples next to a gap where a spline through it is not used
 
 
 @dataclass(frozen=True)
@@ -223,13 +224,10 @@ def shift(recording: Recording, name: str, seconds: float, kind: Kind = "cubic")
 
 def _between(time: Array, values: Array, at: Array, kind: Kind) -> Array:
     """The values between samples."""
-    result: Array
     if kind == "previous":
         # a stamp that is early by rounding still counts as the sample's own
-        late = at + 1e-6 * period(time)
-        result = values[np.searchsorted(time, late, side="right") - 1]
-    elif kind == "linear" or len(time) < 4:
-        result = np.interp(at, time, values)
-    else:
-        result = scipy.interpolate.CubicSpline(time, values)(at)
-    return result
+        previous = np.searchsorted(time, at + ROUNDING * period(time), side="right") - 1
+        return np.asarray(values[previous])
+    if kind == "linear" or len(time) < 4:
+        return np.interp(at, time, values)
+    return np.asarray(scipy.interpolate.CubicSpline(time, values)(at))

@@ -1,8 +1,7 @@
-"""Noise and quantisation step of a signal, estimated from the signal alone.
+"""Which samples can be used: not those that are missing, clipped, stuck or in the sensor's dead zone.
 
-Stretches of equal values: what is clipped, what is stuck.
-
-Two samples in a row of a noisy signal are equal by chance with the probability
+Noise and quantisation step are estimated from the signal alone. Two samples in a row of a noisy signal are
+equal by chance with the probability
 
     P = step / (2 sqrt(pi) sd)
 
@@ -10,7 +9,7 @@ step: resolution of the converter; sd: noise; for sd above the step. A run of eq
 not explain is a fault: clipped if it is at the signal's own extreme, stuck elsewhere. A signal that has no
 noise to be seen (a command, an encoder) may stand still, so it is not judged.
 
-Which samples can be used, where a command stands still, averages over such stretches.
+`steady` finds where a command stands still; `averages` are means of the good samples there.
 """
 
 from __future__ import annotations
@@ -18,10 +17,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from orchestrator.base.errors import Problem
@@ -40,11 +37,9 @@ def noise(values: Array, sensor: Sensor | None = None) -> float:
     The median of the sixth difference: it does not see a smooth signal, nor what less than half of the
     recording does. Samples in the dead zone are left out.
     """
-    difference = np.abs(np.diff(_out_of_dead_zone(values, sensor), ORDER))
-    difference = difference[np.isfinite(difference)]
-    if len(difference) < 4 * ORDER:
-        return math.nan
-    found = _spread(difference, ORDER)
+    found = _spread(values, sensor, ORDER, moving=False)
+    if math.isnan(found):
+        return found
     # below this it is rounding of the numbers, not noise
     floor = 1e-12 * float(np.nanmax(np.abs(values)))
     return found if found > floor else 0.0
@@ -55,22 +50,26 @@ def noise_in_motion(values: Array, sensor: Sensor | None = None, order: int = OR
 
     NaN if there are too few such samples.
     """
-    kept = _out_of_dead_zone(values, sensor)
-    difference = np.abs(np.diff(kept, order))
-    difference = difference[np.isfinite(difference) & (difference > 0)]
+    return _spread(values, sensor, order, moving=True)
+
+
+def _spread(values: Array, sensor: Sensor | None, order: int, moving: bool) -> float:
+    """Noise from the median of a difference, outside the dead zone; NaN from too few samples.
+
+    moving   without samples whose difference is zero
+    """
+    outside = values if sensor is None else np.where(in_dead_zone(values, sensor), np.nan, values)
+    difference = np.abs(np.diff(outside, order))
+    difference = difference[np.isfinite(difference) & ((difference > 0) | (not moving))]
     if len(difference) < 4 * order:
         return math.nan
-    return _spread(difference, order)
-
-
-def _out_of_dead_zone(values: Array, sensor: Sensor | None) -> Array:
-    if sensor is None or not sensor.dead_zone > 0:
-        return values
-    return np.where(np.abs(values) <= sensor.dead_zone, np.nan, values)
-
-
-def _spread(difference: Array, order: int) -> float:
     return float(np.median(difference)) / (MAD * math.sqrt(math.comb(2 * order, order)))
+
+
+def in_dead_zone(values: Array, sensor: Sensor) -> Mask:
+    """Where a signal is in its sensor's dead zone, if it has one: a meter may well stand still there."""
+    result: Mask = (np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0)
+    return result
 
 
 def step(values: Array) -> float:
@@ -91,22 +90,24 @@ def step(values: Array) -> float:
     first = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     number = np.concatenate(([0.0], np.cumsum(np.round(gaps / first))))
     place = np.concatenate(([0.0], np.cumsum(gaps)))
-    found = float(np.polyfit(number, place, 1)[0])
-    residual = place - np.polyval(np.polyfit(number, place, 1), number)
+    line = np.polyfit(number, place, 1)
+    residual = place - np.polyval(line, number)
     # values that are no multiples of anything leave 1 / sqrt(12) = 0.29 of a step
-    return found if float(np.sqrt(np.mean(residual**2))) < 0.15 * found else 0.0
+    return float(line[0]) if float(np.sqrt(np.mean(residual**2))) < 0.15 * line[0] else 0.0
 
 
 CHANCE = 1e-3  # of a false alarm in one recording
 LEAST = 1e-3  # least probability of two equal samples, for what a logger does that we do not know
-TOO_LARGE = 3.0  # times the noise seen, from which the noise told is not believed
+TOO_LARGE = 3.0  # times the noise seen, from which the stated noise is not believed
 WHITE = 0.7  # of the fourth difference's noise: what the sixth one has left of it
 NOISY = 0.5  # P above which equal samples tell nothing; a slow encoder looks like 0.6
 
 
 def clipped(values: Array, sensor: Sensor) -> Mask:
     """Where a signal is at an end of its sensor's range, or stays at an extreme of its own."""
-    return at_ends(values, sensor) | (_long_runs(values, sensor, at_extreme=True) & ~_idle(values, sensor))
+    return at_ends(values, sensor) | (
+        _long_runs(values, sensor, at_extreme=True) & ~in_dead_zone(values, sensor)
+    )
 
 
 def at_ends(values: Array, sensor: Sensor) -> Mask:
@@ -120,8 +121,7 @@ def at_ends(values: Array, sensor: Sensor) -> Mask:
 def stuck(values: Array, sensor: Sensor) -> Mask:
     """Where a signal keeps a value longer than its noise lets it, apart from its ends and its dead zone."""
     flat = _long_runs(values, sensor, at_extreme=False)
-    result: Mask = flat & ~clipped(values, sensor) & ~_idle(values, sensor)
-    return result
+    return flat & ~clipped(values, sensor) & ~in_dead_zone(values, sensor)
 
 
 def equal_by_chance(values: Array, sensor: Sensor) -> float:
@@ -133,19 +133,21 @@ def equal_by_chance(values: Array, sensor: Sensor) -> float:
 
 
 def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
-    """Step of the converter and noise before it, told or else seen in the data; 0 if neither."""
+    """Step of the converter and noise before it, stated or else seen in the data; 0 if neither."""
     width = sensor.resolution or step(values)
     seen = noise(values, sensor)
     own = math.sqrt(max(seen**2 - width**2 / 12, 0.0)) if seen > 0 else 0.0
     if overstated(values, sensor):
         return width, own
-    if not sensor.noise > 0 and not _white(values, sensor):
-        return width, 0.0
+    if not sensor.noise > 0:
+        # is it white? a smooth signal, such as a command, leaves less to each difference
+        high, low = (noise_in_motion(values, sensor, order) for order in (ORDER, ORDER - 2))
+        own = own if high > WHITE * low else 0.0
     return width, max(sensor.noise, own)
 
 
 def overstated(values: Array, sensor: Sensor) -> bool:
-    """Is the noise told much larger than any that the signal shows where it is not held?
+    """Is the stated noise much larger than any that the signal shows where it is not held?
 
     A step of the converter hides noise of up to half of it.
     """
@@ -153,18 +155,6 @@ def overstated(values: Array, sensor: Sensor) -> bool:
     if math.isnan(moving):
         return False
     return sensor.noise > TOO_LARGE * math.hypot(moving, sensor.resolution / 2)
-
-
-def _white(values: Array, sensor: Sensor) -> bool:
-    """Is what looks like noise white? A smooth signal, such as a command, leaves less to each difference."""
-    high, low = (noise_in_motion(values, sensor, order) for order in (ORDER, ORDER - 2))
-    return high > WHITE * low
-
-
-def _idle(values: Array, sensor: Sensor) -> Mask:
-    """In the dead zone, where a meter may well stand still."""
-    result: Mask = (np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0)
-    return result
 
 
 def _long_runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
@@ -175,17 +165,12 @@ def _long_runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
         return result
     longest = 1 + math.ceil(math.log(CHANCE / len(values)) / math.log(chance))
     extremes = (np.nanmin(values), np.nanmax(values))
-    starts, stops = runs(values)
+    edges = np.flatnonzero(~(np.diff(values) == 0)) + 1  # each gap is a run of its own
+    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
     for start, stop in zip(starts[stops - starts > longest], stops[stops - starts > longest], strict=True):
         if not at_extreme or values[start] in extremes:
             result[start:stop] = True
     return result
-
-
-def runs(values: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First sample and end of each run of equal values; each gap is a run of its own."""
-    edges = np.flatnonzero(~(np.diff(values) == 0)) + 1
-    return np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
 
 
 ENOUGH = 0.5  # share of a stretch that has to be good for an average
@@ -208,9 +193,7 @@ def frozen(recording: Recording, name: str) -> Mask:
 
 def dead(recording: Recording, name: str) -> Mask:
     """Where a signal is in its sensor's dead zone; nowhere if it has none."""
-    zone = recording.sensor(name).dead_zone
-    inside: Mask = (np.abs(recording[name]) <= zone) & (zone > 0)
-    return inside
+    return in_dead_zone(recording[name], recording.sensor(name))
 
 
 def good_all(recording: Recording, names: Collection[str]) -> Mask:
@@ -234,25 +217,16 @@ def steady(
     """
     values, time, sensor = recording[command], recording.time, recording.sensor(command)
     width = 4 * sensor.sd + sensor.resolution if tolerance is None else tolerance
-    edges = _edges(values, width)
-    result = []
-    for start, stop in pairwise(edges):
-        first = int(np.searchsorted(time, time[start] + settle - EARLY))
-        if first < stop and time[stop - 1] - time[first] >= shortest - EARLY and np.isfinite(values[start]):
-            result.append(slice(max(first, start), stop))
-    return result
-
-
-def _edges(values: Array, width: float) -> list[int]:
-    """Where a stretch begins, and the end: a sample is further than `width` from the mean of its stretch."""
-    edges, first = [0], 0
     # the mean of equal numbers is that number but for rounding
     width += 1e-9 * float(np.nanmax(np.abs(values), initial=0.0))
-    while first < len(values):
-        size = _steady_size(values[first:], width)
-        first += size
-        edges.append(first)
-    return edges if len(values) else []
+    result, start = [], 0
+    while start < len(values):
+        stop = start + _steady_size(values[start:], width)
+        first = max(int(np.searchsorted(time, time[start] + settle - EARLY)), start)
+        if first < stop and time[stop - 1] - time[first] >= shortest - EARLY and np.isfinite(values[start]):
+            result.append(slice(first, stop))
+        start = stop
+    return result
 
 
 def _steady_size(values: Array, width: float) -> int:
@@ -289,9 +263,7 @@ def averages(recording: Recording, names: Sequence[str], parts: Sequence[slice])
     """Means over stretches, such as those of `steady`, of the good samples only."""
     if not parts:
         raise Problem(f"{recording.source}: expected stretches to average over, found none")
-    mean: dict[str, Array] = {}
-    error: dict[str, Array] = {}
-    share: dict[str, Array] = {}
+    mean, error, share = dict[str, Array](), dict[str, Array](), dict[str, Array]()
     for name in names:
         values, usable, sensor = recording[name], good(recording, name), recording.sensor(name)
         rows = [_average(values[part], usable[part], sensor.resolution) for part in parts]

@@ -102,13 +102,13 @@ def test_noise_and_steps_other_than_told(clean):
     loud = plant(clean, "pressure", clean["pressure"] + rng.normal(0, 0.3, SIZE), slice(None))
     (text,) = said(loud, "pressure")
     assert "noise of 0.3" in text
-    assert "told 0.1" in text
+    assert "stated 0.1" in text
     coarse = plant(clean, "angle", rounded(clean["angle"], 4 * ENCODER.resolution), slice(None))
-    assert any("coarser than the resolution told" in text for text in said(coarse, "angle"))
+    assert any("coarser than the stated resolution" in text for text in said(coarse, "angle"))
     told = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=4 * ENCODER.resolution)})
-    assert any("finer than the resolution told" in text for text in said(told, "angle"))
+    assert any("finer than the stated resolution" in text for text in said(told, "angle"))
     silent = replace(coarse, sensors={})
-    assert any("without a resolution told" in text for text in said(silent, "angle"))
+    assert any("without a stated resolution" in text for text in said(silent, "angle"))
 
 
 def test_signal_that_does_not_move(clean):

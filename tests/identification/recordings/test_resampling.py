@@ -91,7 +91,7 @@ def test_uniform_rate_refuses_a_clock_that_is_not_uniform(recording):
     time[40:] += 0.005
     with pytest.raises(Problem, match=r"memory\.csv: time 0\.\d+ s is \d+ % of a period off.*resample"):
         uniform_rate(replace(made, time=time))
-    with pytest.raises(Problem, match="two or more samples, found 1"):
+    with pytest.raises(Problem, match="two or more samples, got 1"):
         uniform_rate(recording(x=np.zeros(1)))
     with pytest.raises(Problem, match="a rate above 0 and two or more samples"):
         resample(made, 0.0)
