@@ -1,7 +1,8 @@
 """The reference experiment that an FMU carries by FMI-LS-REF (draft 1.0.0-alpha.1), for any tool.
 
-Its data lie beside the subsystem and are made by `python -m fmus.machine.reference`: parameters and start values,
-inputs, result. They stay together whatever numbers the FMU is built with; the experiment sets all of them.
+Its data lie beside the subsystem and are made by `python -m fmus.machine.reference`: parameters and start
+values, inputs, result. They stay together whatever numbers the FMU is built with; the experiment sets all of
+them.
 """
 
 from __future__ import annotations

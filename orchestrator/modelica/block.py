@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import Interface, Value, Variable
@@ -28,134 +27,254 @@ SIDE = 100.0  # of an icon, from its middle
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A parameter of the block, its name in Modelica, the FMU's variable and its value in the FMU."""
+class BlockParameter:
+    """A parameter of the block: its name in Modelica, the FMU's variable and its value in the FMU."""
 
     name: str
     variable: Variable
     value: Value
 
+    @property
+    def text(self) -> str:
+        """Its declaration."""
+        v = self.variable
+        kind = TYPES[v.kind]
+        return f"  parameter {kind} {self.name}{attributes(v)} = {literal(self.value)} {quoted(v.text)};\n"
+
+    @property
+    def passed(self) -> str:
+        """What the FMU gets."""
+        return f"if {self.name} then 1 else 0" if self.variable.kind == "Boolean" else self.name
+
 
 @dataclass(frozen=True)
-class Held:
+class OptionalInput:
     """An input that has a value where nothing is connected, and the names that this takes."""
 
+    variable: Variable
     value: float
     use: str
     constant: str
     internal: str
 
+    @property
+    def text(self) -> str:
+        """Two parameters: has the input a connector, and its value if it has none."""
+        v = self.variable
+        return (
+            f'  parameter Boolean {self.use} = false "= true, if {v.name} comes from its connector"\n'
+            "    annotation(Evaluate = true, choices(checkBox = true));\n"
+            f"  parameter Real {self.constant}{attributes(v)} = {number(self.value)} {quoted(v.text)}\n"
+            f"    annotation(Dialog(enable = not {self.use}));\n"
+        )
+
 
 @dataclass(frozen=True)
-class Model:
-    """What a block needs of one FMU.
+class FmuBlock:
+    """What the block of one FMU consists of.
 
     name     of the Modelica class
     folder   of the unpacked FMU in the package's resources
-    moving, outputs   its inputs and outputs, without those that are for rates
+    inputs, outputs   of the FMU, without those that are for rates
     names    of inputs and outputs in Modelica
-    held     inputs that have a value where nothing is connected
+    optional   inputs that have a value where nothing is connected, by name
     scope    of the names in the block
     """
 
     name: str
     folder: str
     component: Component
-    moving: Sequence[Variable]
+    inputs: Sequence[Variable]
     outputs: Sequence[Variable]
     names: Mapping[str, str]
-    parameters: Sequence[Parameter]
-    held: Mapping[str, Held]
+    parameters: Sequence[BlockParameter]
+    optional: Mapping[str, OptionalInput]
     scope: Scope
 
     @property
-    def face(self) -> Interface:
+    def interface(self) -> Interface:
         """The FMU's interface."""
         return self.component.interface
 
     @property
     def states(self) -> list[Variable]:
-        """Its continuous states."""
-        return [self.face.variables[name] for name in self.face.states]
+        """The continuous states."""
+        return [self.interface.variables[name] for name in self.interface.states]
+
+    def text(self, package: str) -> str:
+        """The block in Modelica."""
+        states = self.states
+        text = [f"block {self.name} {quoted(self.interface.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
+        text += [p.text for p in self.parameters]
+        text += [optional.text for optional in self.optional.values()]
+        text += signals(self, self.inputs, self.outputs)
+        text.append("protected\n")
+        text += [
+            f"  Modelica.Blocks.Interfaces.RealInput {o.internal}{attributes(o.variable)};\n"
+            for o in self.optional.values()
+        ]
+        text.append(self._instance(package))
+        if states:
+            nominal = ", ".join(number(FOR_TOLERANCES * (v.nominal or 1.0)) for v in states)
+            always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
+            text.append(f"  Real fmu_states[{len(states)}]({always});\n")
+        text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
+        text += self._initial_equations()
+        text.append("equation\n")
+        for name, o in self.optional.items():
+            text.append(f"  connect({self.names[name]}, {o.internal});\n")
+            text.append(f"  if not {o.use} then\n    {o.internal} = {o.constant};\n  end if;\n")
+        text += self._equations()
+        references, values = _references(self.inputs), _vector(self._value(v) for v in self.inputs)
+        text.append(
+            "  when {initial(), time >= pre(fmu_next)} then\n"
+            f"    fmu_next = Internal.event(fmu_instance, time, {self._states()}, {references},\n"
+            f"      {values});\n  end when;\n"
+        )
+        if "model.png" in self.component.source.names():  # type: ignore[union-attr]  # see fmu_block
+            picture = f'fileName = "modelica://{package}/Resources/FMUs/{self.folder}/model.png"'
+            extent = "extent = {{-80, -80}, {80, 80}}"
+            text.append(f"  annotation(Icon(graphics = {{Bitmap({extent}, {picture})}}));\n")
+        return "".join([*text, f"end {self.name};\n"])
+
+    def _instance(self, package: str) -> str:
+        """The FMU, with the parameters that it gets."""
+        lists = []
+        for kind, nothing in NOTHING.items():
+            same = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
+            values = _vector((p.passed for p in same), nothing)
+            lists.append(f"    {_references(p.variable for p in same)}, {values}")
+        address = f"modelica://{package}/Resources/FMUs/{self.folder}"
+        return (
+            "  parameter String fmu_folder =\n"
+            f'    ModelicaServices.ExternalReferences.loadResource("{address}");\n'
+            "  Internal.Instance fmu_instance = Internal.Instance(getInstanceName(), fmu_folder,\n"
+            f"    {quoted(self.interface.identifier)}, {quoted(self.interface.guid)},\n"
+            + ",\n".join(lists)
+            + ");\n"
+        )
+
+    def _initial_equations(self) -> list[str]:
+        """States at the start, in groups that depend on the same inputs."""
+        groups: dict[frozenset[str], list[int]] = {}
+        for k, v in enumerate(self.states):
+            known = frozenset() if v.initial == "exact" else self.interface.initially.get(v.name)
+            groups.setdefault(self._inputs_among([known]), []).append(k)
+        text = ["initial equation\n"] if groups else []
+        for needed, rows in groups.items():
+            started = f", {_references(self.states[k] for k in rows)}"
+            call = self._call("start", "", needed, started)
+            text.append(_assigned([f"fmu_states[{k + 1}]" for k in rows], call))
+        return text
+
+    def _equations(self) -> list[str]:
+        """Derivatives, and outputs in groups that depend on the same inputs."""
+        text, known = list[str](), self.interface.knowns
+        if self.states:
+            needed = self._inputs_among(known.get(dx) for dx in self.interface.states.values())
+            names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
+            text.append(_assigned(names, self._call("derivatives", "fmu_states, ", needed, "")))
+        groups: dict[frozenset[str], list[Variable]] = {}
+        for y in self.outputs:
+            groups.setdefault(self._inputs_among([known.get(y.name)]), []).append(y)
+        for needed, outputs in groups.items():
+            call = self._call("outputs", f"{self._states()}, ", needed, f", {_references(outputs)}")
+            text.append(_assigned([self.names[y.name] for y in outputs], call))
+        return text
+
+    def _call(self, function: str, states: str, needed: Collection[str], unknowns: str) -> str:
+        """A call of a function of the FMU with the inputs that matter to it."""
+        inputs = [v for v in self.inputs if v.name in needed]
+        values = _vector(self._value(v) for v in inputs)
+        return (
+            f"Internal.{function}(fmu_instance, time, {states}{_references(inputs)},\n    {values}{unknowns})"
+        )
+
+    def _inputs_among(self, known: Iterable[frozenset[str] | None]) -> frozenset[str]:
+        """The inputs among what some unknowns depend on; all inputs where the FMU does not declare that."""
+        inputs = frozenset(v.name for v in self.inputs)
+        return frozenset().union(*(inputs if names is None else names & inputs for names in known))
+
+    def _value(self, v: Variable) -> str:
+        """The value of an input in the equations."""
+        return self.optional[v.name].internal if v.name in self.optional else self.names[v.name]
+
+    def _states(self) -> str:
+        return "fmu_states" if self.states else "fill(0.0, 0)"
 
 
-def model(name: str, folder: str, component: Component, held: Collection[str]) -> Model:
-    """What a block needs; a Problem for an FMU that cannot be one.
+def fmu_block(name: str, folder: str, component: Component, held: Collection[str]) -> FmuBlock:
+    """The block of an FMU; a Problem for one that cannot be a block.
 
     component   the FMU, read for Model Exchange, with its own values
     held        inputs that are their start value where nothing is connected
     """
-    face, scope = component.interface, Scope()
-    _check(f"{component.source}", face)
-    outputs, moving = _used(face)
-    names = {v.name: scope.add(v.name) for v in [*moving, *outputs]}
-    parameters = [
-        Parameter(scope.add(v.name), v, component.value(v.name))
-        for v in face.of("parameter")
-        if v.start is not None
-    ]
-    free = [v for x in face.states if (v := face.variables[x]).initial == "exact" and v.start is not None]
-    parameters += [Parameter(scope.add(f"{v.name}_start"), v, component.value(v.name)) for v in free]
+    interface, scope = component.interface, Scope()
+    _check(f"{component.source}", interface)
+    outputs, inputs = _useful(interface)
+    names = {v.name: scope.add(v.name) for v in [*inputs, *outputs]}
+    given = [(v.name, v) for v in interface.of("parameter") if v.start is not None]
+    states = [interface.variables[x] for x in interface.states]
+    given += [(f"{v.name}_start", v) for v in states if v.initial == "exact" and v.start is not None]
+    parameters = [BlockParameter(scope.add(n), v, component.value(v.name)) for n, v in given]
     for p in parameters:
         if isinstance(p.value, float) and math.isnan(p.value):
             raise Problem(f"{component.source}: {p.variable.name}: expected a number to start with, got nan")
-    wanted = [v for v in moving if v.name in held]
-    kept = {v.name: _held(v.name, float(component.value(v.name)), scope) for v in wanted}
-    return Model(name, folder, component, moving, outputs, names, parameters, kept, scope)
+    optional = {}
+    for v in (v for v in inputs if v.name in held):
+        taken = [scope.add(n) for n in (f"use_{v.name}_in", f"{v.name}_constant", f"{v.name}_internal")]
+        optional[v.name] = OptionalInput(v, float(component.value(v.name)), *taken)
+    return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, scope)
 
 
-def _held(name: str, value: float, scope: Scope) -> Held:
-    return Held(
-        value, scope.add(f"use_{name}_in"), scope.add(f"{name}_constant"), scope.add(f"{name}_internal")
-    )
-
-
-def _check(where: str, face: Interface) -> None:
+def _check(where: str, interface: Interface) -> None:
     """Refuse FMUs that the functions of the package cannot run."""
-    if face.fmi != 2:
-        raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {face.fmi}.0")
-    if face.indicators:
+    if interface.fmi != 2:
+        raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {interface.fmi}.0")
+    if interface.indicators:
         raise Problem(f"{where}: expected an FMU without event indicators, state events are not supported")
-    if face.only_one:
+    if interface.only_one:
         raise Problem(f"{where}: expected an FMU that can be instantiated twice in a process")
-    if face.needs_tool:
+    if interface.needs_tool:
         raise Problem(f"{where}: expected an FMU that runs by itself, this one needs the tool that made it")
-    if not face.states and not face.stateless:
+    if not interface.states and not interface.stateless:
         raise Problem(f"{where}: expected continuous states with all their derivatives among the variables")
-    for v in (v for v in face.variables.values() if v.causality in ("input", "output")):
+    for v in (v for v in interface.variables.values() if v.causality in ("input", "output")):
         if not v.is_real:
             raise Problem(f"{where}: {v.name}: expected real inputs and outputs, got {v.kind}")
         if v.causality == "input" and not v.is_continuous:
             raise Problem(f"{where}: {v.name}: expected a continuous input, got a {v.variability} one")
 
 
-def _used(face: Interface) -> tuple[list[Variable], list[Variable]]:
+def _useful(interface: Interface) -> tuple[list[Variable], list[Variable]]:
     """Outputs and inputs of the block.
 
-    In Model Exchange inputs move by themselves: what an input's rate alone is for, and outputs that only give
-    such rates on, have no use.
+    In Model Exchange inputs move by themselves: inputs that only are the rate of another one, and outputs
+    that only give such rates on, have no use.
     """
-    inputs = {v.name for v in face.of("input")}
-    starts = [face.initially.get(x) for x in face.states if face.variables[x].initial != "exact"]
-    needed = [*(face.knowns.get(dx) for dx in face.states.values()), *starts]
-    matter = inputs if None in needed else inputs & {name for known in needed for name in known or ()}
-    rates = set(face.rates.values()) - matter
-    outputs = [y for y in face.of("output") if not rates & (face.knowns.get(y.name) or frozenset())]
-    direct = [face.knowns.get(y.name) for y in outputs]
-    used = matter.union(*(inputs if known is None else known for known in direct)) - rates
-    return outputs, [v for v in face.of("input") if v.name in used]
+    inputs, known = {v.name for v in interface.of("input")}, interface.knowns
+    starts = [
+        interface.initially.get(x) for x in interface.states if interface.variables[x].initial != "exact"
+    ]
+    needed = [*(known.get(dx) for dx in interface.states.values()), *starts]
+    matter = inputs if None in needed else inputs & {name for names in needed for name in names or ()}
+    rates = set(interface.rates.values()) - matter
+    outputs = [y for y in interface.of("output") if not rates & (known.get(y.name) or frozenset())]
+    direct = [known.get(y.name) for y in outputs]
+    used = matter.union(*(inputs if names is None else names for names in direct)) - rates
+    return outputs, [v for v in interface.of("input") if v.name in used]
 
 
-# ---- text ------------------------------------------------------------------------------------------
+# ---- text --------------------------------------------------------------------------------------------------
 
 
-def attributes(v: Variable, **more: str) -> str:
+def attributes(v: Variable) -> str:
     """(unit="Pa", displayUnit="bar", ...) or nothing."""
     if not v.is_real:
         return ""
-    found = dict(more)
+    found = {}
     if v.unit:
-        found = {"unit": quoted(v.unit.name)} | found
+        found["unit"] = quoted(v.unit.name)
         if v.unit.name in SHOWN_IN:
             found["displayUnit"] = quoted(SHOWN_IN[v.unit.name])
     for word, bound in (("min", v.minimum), ("max", v.maximum)):
@@ -164,14 +283,24 @@ def attributes(v: Variable, **more: str) -> str:
     return f"({', '.join(f'{k} = {x}' for k, x in found.items())})" if found else ""
 
 
-def connector(name: str, v: Variable, kind: str, side: float, place: float, condition: str = "") -> str:
-    """One line: an input or output at a place of the icon, -100 to 100 from below."""
-    extent = f"{{{{{side - 10:g}, {place - 10:g}}}, {{{side + 10:g}, {place + 10:g}}}}}"
-    declared = f"{name}{attributes(v)}{condition}"
-    return (
-        f"  Modelica.Blocks.Interfaces.{kind} {declared} {quoted(v.text)}\n"
-        f"    annotation(Placement(transformation(extent = {extent})));\n"
-    )
+def signals(
+    m: FmuBlock, inputs: Sequence[Variable], outputs: Sequence[Variable], at_sides: bool = True
+) -> list[str]:
+    """Connectors for some inputs and outputs: left and right of the icon, or below and above it."""
+    text = []
+    for kind, variables, edge in (("RealInput", inputs, -SIDE - 10), ("RealOutput", outputs, SIDE + 10)):
+        for v, along in zip(variables, places(len(variables)), strict=True):
+            place = placement(edge, along) if at_sides else placement(along, edge)
+            condition = f" if {m.optional[v.name].use}" if v.name in m.optional else ""
+            declared = f"{m.names[v.name]}{attributes(v)}{condition} {quoted(v.text)}"
+            text.append(f"  Modelica.Blocks.Interfaces.{kind} {declared}\n    annotation({place});\n")
+    return text
+
+
+def placement(x: float, y: float) -> str:
+    """The place of a connector on the icon, -100 to 100 from below and from the left."""
+    extent = f"{{{{{x - 10:g}, {y - 10:g}}}, {{{x + 10:g}, {y + 10:g}}}}}"
+    return f"Placement(transformation(extent = {extent}))"
 
 
 def places(count: int) -> list[float]:
@@ -188,147 +317,8 @@ def _vector(elements: Iterable[str], nothing: str = "0.0") -> str:
     return f"{{{text}}}" if text else f"fill({nothing}, 0)"
 
 
-def declaration(p: Parameter) -> str:
-    """One line: a parameter."""
-    v = p.variable
-    return f"  parameter {TYPES[v.kind]} {p.name}{attributes(v)} = {literal(p.value)} {quoted(v.text)};\n"
-
-
-def choice(name: str, held: Held, v: Variable) -> str:
-    """Two parameters: has an input a connector, and its value if it has none."""
-    return (
-        f'  parameter Boolean {held.use} = false "= true, if {name} comes from its connector"\n'
-        "    annotation(Evaluate = true, choices(checkBox = true));\n"
-        f"  parameter Real {held.constant}{attributes(v)} = {number(held.value)} {quoted(v.text)}\n"
-        f"    annotation(Dialog(enable = not {held.use}));\n"
-    )
-
-
-def block(m: Model, package: str) -> str:
-    """The text of the block."""
-    states = m.states
-    inputs = {v.name: m.held[v.name].internal if v.name in m.held else m.names[v.name] for v in m.moving}
-    text = [f"block {m.name} {quoted(m.face.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
-    text += [declaration(p) for p in m.parameters]
-    text += [choice(name, held, m.face.variables[name]) for name, held in m.held.items()]
-    text += _connectors(m)
-    text.append("protected\n")
-    text += [
-        f"  Modelica.Blocks.Interfaces.RealInput {held.internal}{attributes(m.face.variables[name])};\n"
-        for name, held in m.held.items()
-    ]
-    text.append(_instance(m, package))
-    if states:
-        nominal = ", ".join(number(FOR_TOLERANCES * (v.nominal or 1.0)) for v in states)
-        always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
-        text.append(f"  Real fmu_states[{len(states)}]({always});\n")
-    text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
-    text += _initial(m, states, inputs) if states else []
-    text.append("equation\n")
-    for name, held in m.held.items():
-        text.append(f"  connect({m.names[name]}, {held.internal});\n")
-        text.append(f"  if not {held.use} then\n    {held.internal} = {held.constant};\n  end if;\n")
-    text += _equations(m, states, inputs)
-    text.append(
-        "  when {initial(), time >= pre(fmu_next)} then\n"
-        f"    fmu_next = Internal.event(fmu_instance, time, {_states(m)}, {_references(m.moving)},\n"
-        f"      {_vector(inputs[v.name] for v in m.moving)});\n  end when;\n"
-    )
-    if "model.png" in m.component.source.names():  # type: ignore[union-attr]  # see model
-        picture = f'fileName = "modelica://{package}/Resources/FMUs/{m.folder}/model.png"'
-        extent = "extent = {{-80, -80}, {80, 80}}"
-        text.append(f"  annotation(Icon(graphics = {{Bitmap({extent}, {picture})}}));\n")
-    text.append(f"end {m.name};\n")
-    return "".join(text)
-
-
-def _connectors(m: Model) -> list[str]:
-    text = []
-    for v, place in zip(m.moving, places(max(len(m.moving), 1)), strict=False):
-        condition = f" if {m.held[v.name].use}" if v.name in m.held else ""
-        text.append(connector(m.names[v.name], v, "RealInput", -SIDE - 10, place, condition))
-    for v, place in zip(m.outputs, places(max(len(m.outputs), 1)), strict=False):
-        text.append(connector(m.names[v.name], v, "RealOutput", SIDE + 10, place))
-    return text
-
-
-def _instance(m: Model, package: str) -> str:
-    """The FMU, with the parameters that it gets."""
-    lists = []
-    for kind, nothing in NOTHING.items():
-        same = [p for p in m.parameters if TYPES[p.variable.kind] == kind]
-        lists.append(
-            f"    {_references(p.variable for p in same)}, {_vector((_passed(p) for p in same), nothing)}"
-        )
-    return (
-        "  parameter String fmu_folder =\n"
-        f'    ModelicaServices.ExternalReferences.loadResource("modelica://{package}/Resources/FMUs/{m.folder}");\n'
-        "  Internal.Instance fmu_instance = Internal.Instance(getInstanceName(), fmu_folder,\n"
-        f"    {quoted(m.face.identifier)}, {quoted(m.face.guid)},\n" + ",\n".join(lists) + ");\n"
-    )
-
-
-def _passed(p: Parameter) -> str:
-    return f"if {p.name} then 1 else 0" if p.variable.kind == "Boolean" else p.name
-
-
-def _states(m: Model) -> str:
-    return "fmu_states" if m.states else "fill(0.0, 0)"
-
-
 def _assigned(names: Sequence[str], call: str) -> str:
     """An equation for the result of a call; OpenModelica takes no array of one element there."""
     if len(names) == 1:
         return f"  {names[0]} = sum({call});\n"
     return f"  {{{', '.join(names)}}} =\n  {call};\n"
-
-
-def _initial(m: Model, states: Sequence[Variable], inputs: Mapping[str, str]) -> list[str]:
-    """States at the start, in groups that depend on the same inputs."""
-    text = ["initial equation\n"]
-    groups: dict[frozenset[str], list[int]] = {}
-    for k, v in enumerate(states):
-        known = frozenset() if v.initial == "exact" else m.face.initially.get(v.name)
-        needed = frozenset(inputs) if known is None else known & set(inputs)
-        groups.setdefault(frozenset(needed), []).append(k)
-    for needed, rows in groups.items():
-        u = [w for w in m.moving if w.name in needed]
-        call = (
-            f"Internal.start(fmu_instance, time, {_references(u)},\n"
-            f"    {_vector(inputs[w.name] for w in u)}, {_references(states[k] for k in rows)})"
-        )
-        text.append(_assigned([f"fmu_states[{k + 1}]" for k in rows], call))
-    return text
-
-
-def _equations(m: Model, states: Sequence[Variable], inputs: Mapping[str, str]) -> list[str]:
-    text, x = [], _states(m)
-    if states:
-        needed = _needed(m, m.face.states.values())
-        u = [w for w in m.moving if w.name in needed]
-        call = (
-            f"Internal.derivatives(fmu_instance, time, fmu_states, {_references(u)},\n"
-            f"    {_vector(inputs[w.name] for w in u)})"
-        )
-        text.append(_assigned([f"der(fmu_states[{k + 1}])" for k in range(len(states))], call))
-    groups: dict[frozenset[str], list[Variable]] = {}
-    for y in m.outputs:
-        groups.setdefault(_needed(m, [y.name]), []).append(y)
-    for needed, ys in groups.items():
-        u = [w for w in m.moving if w.name in needed]
-        call = (
-            f"Internal.outputs(fmu_instance, time, {x}, {_references(u)},\n"
-            f"    {_vector(inputs[w.name] for w in u)}, {_references(ys)})"
-        )
-        text.append(_assigned([m.names[y.name] for y in ys], call))
-    return text
-
-
-def _needed(m: Model, unknowns: Iterable[str]) -> frozenset[str]:
-    """The inputs that matter to some derivatives or outputs."""
-    moving = {v.name for v in m.moving}
-    found: set[str] = set()
-    for name in unknowns:
-        known: Any = m.face.knowns.get(name)
-        found |= moving if known is None else known & moving
-    return frozenset(found)

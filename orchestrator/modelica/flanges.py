@@ -11,12 +11,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from orchestrator.fmi.description import Variable
-from orchestrator.modelica.block import Model, choice, connector, declaration, places
+from orchestrator.modelica.block import FmuBlock, placement, places, signals
 from orchestrator.modelica.text import Scope, quoted
 
 
 @dataclass(frozen=True)
-class Kind:
+class FlangeType:
     """A flange: its adapter, and the words of its signals with unit and causality."""
 
     adapter: str
@@ -29,7 +29,7 @@ ROD, SHAFT = (
     "Modelica.Mechanics.Rotational.Interfaces.Flange",
 )
 KINDS = (
-    Kind(
+    FlangeType(
         "MovedRod",
         f"{ROD}_a",
         (
@@ -39,12 +39,12 @@ KINDS = (
             ("acceleration", "m/s2", "output"),
         ),
     ),
-    Kind(
+    FlangeType(
         "PushedRod",
         f"{ROD}_b",
         (("force", "N", "output"), ("position", "m", "input"), ("velocity", "m/s", "input")),
     ),
-    Kind(
+    FlangeType(
         "MovedShaft",
         f"{SHAFT}_a",
         (
@@ -54,13 +54,13 @@ KINDS = (
             ("acceleration", "rad/s2", "output"),
         ),
     ),
-    Kind("DrivenShaft", f"{SHAFT}_b", (("torque", "N.m", "output"), ("speed", "rad/s", "input"))),
+    FlangeType("DrivenShaft", f"{SHAFT}_b", (("torque", "N.m", "output"), ("speed", "rad/s", "input"))),
 )
 
 
-def flanges(m: Model) -> dict[str, Kind]:
+def flanges(m: FmuBlock) -> dict[str, FlangeType]:
     """The flanges of an FMU by their stems."""
-    shown = {v.name: v for v in [*m.moving, *m.outputs]}
+    shown = {v.name: v for v in [*m.inputs, *m.outputs]}
     found = {}
     for kind in KINDS:
         first = f"_{kind.signals[0][0]}"
@@ -73,7 +73,7 @@ def flanges(m: Model) -> dict[str, Kind]:
     return found
 
 
-def with_flanges(m: Model, wanted: Collection[str]) -> str:
+def with_flanges(m: FmuBlock, wanted: Collection[str]) -> str:
     """A model with the FMU's block and flanges in place of their signals; empty where there is none.
 
     wanted   outputs that are connectors of the model, too; all others are read from its block
@@ -82,19 +82,18 @@ def with_flanges(m: Model, wanted: Collection[str]) -> str:
     if not found:
         return ""
     taken = {f"{stem}_{word}" for stem, kind in found.items() for word, *_ in kind.signals}
-    inputs = [v for v in m.moving if v.name not in taken]
+    inputs = [v for v in m.inputs if v.name not in taken]
     outputs = [v for v in m.outputs if v.name in wanted and v.name not in taken]
     scope = Scope()
     scope.taken |= m.scope.taken
     ends = {stem: (scope.add(stem), scope.add(f"{stem}_adapter")) for stem in found}
-    text = [f"model {m.name} {quoted(m.face.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
-    text.append(_signals(m, inputs, outputs))
+    text = [f"model {m.name} {quoted(m.interface.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
+    text += [p.text for p in m.parameters]
+    text += [m.optional[v.name].text for v in inputs if v.name in m.optional]
+    text += signals(m, inputs, outputs, at_sides=False)
     for (stem, kind), place in zip(found.items(), places(len(found)), strict=True):
         x = -110.0 if kind.connector.endswith("_a") else 110.0
-        text.append(
-            f"  {kind.connector} {ends[stem][0]}\n    annotation(Placement(transformation("
-            f"extent = {{{{{x - 10:g}, {place - 10:g}}}, {{{x + 10:g}, {place + 10:g}}}}})));\n"
-        )
+        text.append(f"  {kind.connector} {ends[stem][0]}\n    annotation({placement(x, place)});\n")
     text.append(f'  FMUs.{m.name} block_(\n{_passed(m, inputs)}) "The FMU";\nprotected\n')
     text += [f"  Flanges.{kind.adapter} {ends[stem][1]};\n" for stem, kind in found.items()]
     text.append("equation\n")
@@ -106,20 +105,9 @@ def with_flanges(m: Model, wanted: Collection[str]) -> str:
     return "".join([*text, f"end {m.name};\n"])
 
 
-def _signals(m: Model, inputs: Sequence[Variable], outputs: Sequence[Variable]) -> str:
-    text = [declaration(p) for p in m.parameters]
-    text += [choice(v.name, m.held[v.name], v) for v in inputs if v.name in m.held]
-    for v, x in zip(inputs, places(max(len(inputs), 1)), strict=False):
-        condition = f" if {m.held[v.name].use}" if v.name in m.held else ""
-        text.append(connector(m.names[v.name], v, "RealInput", x, -110.0, condition))
-    for v, x in zip(outputs, places(max(len(outputs), 1)), strict=False):
-        text.append(connector(m.names[v.name], v, "RealOutput", x, 110.0))
-    return "".join(text)
-
-
-def _passed(m: Model, inputs: Sequence[Variable]) -> str:
+def _passed(m: FmuBlock, inputs: Sequence[Variable]) -> str:
     """Parameters of the block that are those of the model."""
-    held = [m.held[v.name] for v in inputs if v.name in m.held]
+    held = [m.optional[v.name] for v in inputs if v.name in m.optional]
     names = [p.name for p in m.parameters] + [name for h in held for name in (h.use, h.constant)]
     return ",\n".join(f"    {name} = {name}" for name in names)
 

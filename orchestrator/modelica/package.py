@@ -13,9 +13,9 @@ from pathlib import Path, PurePosixPath
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.modelica.block import Model, block, model
+from orchestrator.modelica.block import FmuBlock, fmu_block
+from orchestrator.modelica.connected_system import connected_system
 from orchestrator.modelica.flanges import with_flanges
-from orchestrator.modelica.system import connected
 from orchestrator.modelica.text import PLAIN, RESERVED, Scope, class_name
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Component, System
@@ -33,12 +33,12 @@ class Blocks:
     """
 
     held: Collection[str]
-    models: dict[bytes, Model] = field(default_factory=dict)
-    names: dict[str, tuple[str, Model]] = field(default_factory=dict)
+    models: dict[bytes, FmuBlock] = field(default_factory=dict)
+    names: dict[str, tuple[str, FmuBlock]] = field(default_factory=dict)
     classes: Scope = field(default_factory=Scope)
     folders: set[str] = field(default_factory=set)
 
-    def add(self, component: Component) -> Model:
+    def add(self, component: Component) -> FmuBlock:
         """The block of a component."""
         assert component.source is not None  # components come from files
         stem = _stem(component.source)
@@ -49,7 +49,7 @@ class Blocks:
         name = self.names[stem][0] if stem in self.names else self.classes.add(class_name(stem))
         if found is None:
             own = replace(component, name=stem, start={})
-            found = self.models[key] = model(name, self._folder(stem), own, self.held)
+            found = self.models[key] = fmu_block(name, self._folder(stem), own, self.held)
         self.names[stem] = name, found
         return found
 
@@ -102,7 +102,7 @@ def _stem(source: Location) -> str:
 
 
 def _check_held(held: Collection[str], blocks: Blocks) -> None:
-    inputs = {v.name for m in blocks.models.values() for v in m.moving}
+    inputs = {v.name for m in blocks.models.values() for v in m.inputs}
     for name in held:
         if name not in inputs:
             raise Problem(f"no FMU has an input {name!r}{suggest(name, sorted(inputs))}")
@@ -149,16 +149,16 @@ def _indented(text: str, depth: int = 1) -> str:
     return "".join("  " * depth + line if line.strip() else line for line in text.splitlines(keepends=True))
 
 
-def _package(name: str, blocks: Blocks, systems: Sequence[tuple[System, dict[str, Model]]]) -> str:
+def _package(name: str, blocks: Blocks, systems: Sequence[tuple[System, dict[str, FmuBlock]]]) -> str:
     read = {c.source.variable for system, _ in systems for c in system.connections}
     mechanical = [found for m in blocks.models.values() if (found := with_flanges(m, read))]
     scope = Scope()
     wired = [
-        connected(system, parts, scope.add(class_name(system.name)))
+        connected_system(system, parts, scope.add(class_name(system.name)))
         for system, parts in systems
         if system.connections
     ]
-    fmus = [*(block(m, name) for m in blocks.models.values()), *blocks.aliases]
+    fmus = [*(m.text(name) for m in blocks.models.values()), *blocks.aliases]
     parts = [
         f'package {name} "FMUs for Model Exchange as blocks, written by harvester modelica"\n',
         "  extends Modelica.Icons.Package;\n\n",
