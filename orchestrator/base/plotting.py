@@ -11,7 +11,7 @@ import itertools
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from orchestrator.base.text import MINUS
-from orchestrator.base.units import pretty, raised
+from orchestrator.base.text import MINUS, typeset
+from orchestrator.base.units import convert, pretty, raised, shown
 
 Array = NDArray[np.float64]
 Style = Mapping[str, Any]
@@ -193,6 +193,7 @@ class TracePanel:
     unit, error_unit   of the lines, and of the errors
     bounds             limits of the errors: symmetric bands, drawn where they are in sight
     remarks            texts with their colour, at the right of the panel
+    heights            of panel and strip, in units of `ROW`
     """
 
     unit: str
@@ -204,7 +205,7 @@ class TracePanel:
     error_unit: str = ""
     bounds: Collection[float] = ()
     remarks: Sequence[tuple[str, str]] = ()
-    heights: tuple[float, float] = field(default=(2.5, 1.0))
+    heights: tuple[float, float] = (2.5, 1.0)
 
 
 def draw_traces(
@@ -220,7 +221,7 @@ def draw_traces(
     below    a short line below the figure
     key      what the kinds of lines mean
     """
-    heights = [h for p in panels for h in (p.heights if p.errors else (1.5 if p.label else 2.5,))]
+    heights = [height for panel in panels for height in panel.heights[: 2 if panel.errors else 1]]
     figure = new_figure(WIDTH, ROW * sum(heights) + 0.9, h_pad=0.02, hspace=0.0)
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     places = iter(axes)
@@ -251,7 +252,9 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
         legend(axes, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     for place, (text, colour) in enumerate(panel.remarks):
         at = (1.01, 0.98 - 0.4 * place)
-        axes.annotate(text, at, xycoords="axes fraction", color=colour, fontsize=8, va="top", ha="left")
+        axes.annotate(
+            typeset(text), at, xycoords="axes fraction", color=colour, fontsize=8, va="top", ha="left"
+        )
 
 
 def _draw_errors(axes: Axes, panel: TracePanel) -> None:
@@ -263,9 +266,25 @@ def _draw_errors(axes: Axes, panel: TracePanel) -> None:
     largest = 1.2 * max(float(np.nanmax(np.abs(line.values), initial=0.0)) for line in panel.errors) or 1.0
     axes.set_ylim(-largest, largest)
     axes.locator_params(axis="y", nbins=3)
+    power_ticks(axes.yaxis)
     for bound in panel.bounds:
         if bound < largest:
             axes.axhspan(-bound, bound, color=PALETTE.good, alpha=0.13, linewidth=0)
+
+
+def plot_signals(
+    time: Array, signals: Mapping[str, Array], units: Mapping[str, str], title: str = ""
+) -> Figure:
+    """Signals over time [s], a panel for each display unit, in the order of the signals."""
+    panels: dict[str, list[TraceLine]] = {}
+    for name, values in signals.items():
+        unit = units.get(name, "")
+        lines = panels.setdefault(shown(unit), [])
+        dashes = DASHED[len(lines) % len(DASHED)]
+        style = {"color": PALETTE.line(len(lines)), "linewidth": 1.3, "linestyle": dashes}
+        lines.append(TraceLine(time, convert(values, unit, shown(unit), name), style, name))
+    found = [TracePanel(unit, lines, heights=(4.5, 0.0)) for unit, lines in panels.items()]
+    return draw_traces(found, (float(time[0]), float(time[-1])), title)
 
 
 def svg(figure: Figure) -> str:

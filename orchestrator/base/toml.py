@@ -114,17 +114,6 @@ class Table:
                 raise inner.wrong(name, "a table")
         return {name: Table(f"{inner.where}.{quoted(name)}", value) for name, value in inner.data.items()}
 
-    def entries(self, key: str) -> list[Table]:
-        """The tables of a list; none if it is missing."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list):
-            raise self.wrong(key, "a list")
-        where = f"{self.where}: {key}"
-        for number, entry in enumerate(value, 1):
-            if not isinstance(entry, dict):
-                raise Problem(f"{where} {number}: expected a table, got {_shown(entry)}")
-        return [Table(f"{where} {number}", entry) for number, entry in enumerate(value, 1)]
-
     def inside(self, key: str) -> Table:
         """The table of a key; an empty one if it is missing."""
         value = self.data.get(key, {})
@@ -156,8 +145,8 @@ NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
 def fill(kind: type[Kind], table: Table) -> Kind:
     """A dataclass from a table with its fields as keys; a field without default is a required key.
 
-    A field is a str, float, int, bool, date, Literal, tuple of floats, another dataclass (a table), a
-    Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
+    A field is a str, float, int, bool, date, Literal, tuple of floats, tuple[..., ...] (a list), another
+    dataclass (a table), a Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
     """
     hints = get_type_hints(kind, include_extras=True)
     table.only(hints)
@@ -186,6 +175,9 @@ def _value(hint: Any, table: Table, key: str, where: str) -> Any:
             return {
                 name: _value(get_args(choice)[1], inner, name, f"{where}.{quoted(name)}") for name in value
             }
+        if isinstance(value, list) and get_origin(choice) is tuple and get_args(choice)[-1] is Ellipsis:
+            inner = Table(where, {str(place): entry for place, entry in enumerate(value, 1)})
+            return tuple(_value(get_args(choice)[0], inner, n, f"{where} {n}") for n in inner.data)
         if _fits(choice, value):
             return float(value) if choice is float else tuple(value) if isinstance(value, list) else value
     raise table.wrong(key, _expected(hint))
@@ -222,7 +214,7 @@ def _expected(hint: Any) -> str:
     if get_origin(hint) in (Union, UnionType):
         return " or ".join(_expected(choice) for choice in _choices(hint))
     if get_origin(hint) is tuple:
-        return f"{len(get_args(hint))} numbers"
+        return "a list" if get_args(hint)[-1] is Ellipsis else f"{len(get_args(hint))} numbers"
     return words.get(hint, "a table")
 
 

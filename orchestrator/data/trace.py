@@ -7,9 +7,11 @@ Parquet: the same columns as float64; units stand in the metadata of each field.
 from __future__ import annotations
 
 import csv
+import fnmatch
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location
 from orchestrator.data.table import Columns, read_columns
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TIME = "time"
 CHUNK = 8192  # rows formatted at a time
@@ -44,6 +49,19 @@ class Trace:
         """The signals at other times [s]: linear between the samples, held outside of them."""
         when = np.asarray(time, dtype=np.float64)
         return Trace(when, {n: np.interp(when, self.time, v) for n, v in self.signals.items()}, self.units)
+
+    def plot(self, *patterns: str, title: str = "") -> Figure:
+        """Signals over time as a matplotlib figure, a panel for each unit; nothing is shown or saved.
+
+        patterns   names of signals, or patterns such as `*.swing_pressure_*`; all signals without any
+        """
+        from orchestrator.base.plotting import plot_signals
+
+        names: dict[str, None] = {}
+        for pattern in patterns or self.signals:
+            known = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern)
+            names |= dict.fromkeys(known or [pattern])
+        return plot_signals(self.time, self.select(names).signals, self.units, title)
 
     def select(self, names: Iterable[str]) -> Trace:
         """The trace with only these signals, in this order."""

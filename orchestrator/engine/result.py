@@ -25,6 +25,7 @@ from orchestrator.ssp.system import System
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,10 @@ class Result:
     messages: tuple[Message, ...] = ()
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
+
+    def plot(self, *patterns: str, title: str = "") -> Figure:
+        """Recorded signals over time as a matplotlib figure, see `Trace.plot`."""
+        return self.trace.plot(*patterns, title=title or self.system.name)
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""

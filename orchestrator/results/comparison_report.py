@@ -1,6 +1,6 @@
 """A comparison of runs as text for the terminal, as numbers for programs and as a picture for people.
 
-In the picture signals of several runs lie over each other, each with its differences from the reference below.
+In the picture signals of several runs lie over each other, with their differences from the reference below.
 """
 
 from __future__ import annotations

@@ -14,18 +14,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.toml import Table
 from orchestrator.data.trace import Trace
 from orchestrator.results.motion import Motion
-
-_PLACE = ("radius", "height")
 
 
 @dataclass(frozen=True)
@@ -118,67 +114,41 @@ def _known(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ...]:
     return tuple(kept)
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """The table [motion] of the file."""
+
+    angle: str = ""
+    tip: str = ""
+    points: tuple[MovingPoint, ...] = ()
+    lines: tuple[tuple[str, ...], ...] = ()
+    ground: float = 0.0
+
+
+@dataclass(frozen=True)
+class _File:
+    """The keys of the file."""
+
+    title: str = ""
+    figure: tuple[FigureSpec, ...] = ()
+    motion: _Motion = _Motion()
+
+
 def read_layout(path: Path) -> Layout:
     """Read a layout; a key that is unknown, missing or of the wrong type is a Problem."""
     try:
-        layout = toml.read(path, path.read_bytes()).only(("title", "figure", "motion"))
+        data = path.read_bytes()
     except FileNotFoundError:
         raise Problem(f"{path}: no such file") from None
     except OSError as error:
         raise Problem(f"{path}: cannot be read: {error.strerror}") from None
-    motion = layout.inside("motion").only(("angle", "tip", "points", "lines", "ground"))
-    points = tuple(_point(point) for point in motion.entries("points"))
-    labels = [point.label for point in points]
-    if not isinstance(motion.data.get("lines", []), list):
-        raise motion.wrong("lines", "a list")
-    lines = tuple(_names(line, motion, "lines") for line in motion.data.get("lines", []))
-    for label in (*(label for line in lines for label in line), _text(motion, "tip")):
+    file = toml.fill(_File, toml.read(path, data))
+    for figure in file.figure:
+        if not figure.panels:
+            raise Problem(f"{path}: figure {figure.title!r}: panels: expected at least one, got none")
+    labels = [point.label for point in file.motion.points]
+    for label in (*(label for line in file.motion.lines for label in line), file.motion.tip):
         if label and label not in labels:
-            raise Problem(f"{motion.where}: expected one of the points {', '.join(labels)}, got {label!r}")
-    return Layout(
-        title=_text(layout, "title"),
-        figures=tuple(_figure(figure) for figure in layout.entries("figure")),
-        points=points,
-        angle=_text(motion, "angle"),
-        tip=_text(motion, "tip"),
-        ground=motion.number("ground") or 0.0,
-        lines=lines,
-        source=str(path),
-    )
-
-
-def _text(table: Table, key: str) -> str:
-    """A text, which may be empty or missing."""
-    value = table.data.get(key, "")
-    if not isinstance(value, str):
-        raise table.wrong(key, "a text")
-    return value
-
-
-def _names(values: Any, table: Table, key: str) -> tuple[str, ...]:
-    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-        raise table.wrong(key, "a list of names")
-    return tuple(values)
-
-
-def _figure(figure: Table) -> FigureSpec:
-    figure.only(("title", "caption", "panels")).need("title", "a text")
-    panels = tuple(_panel(panel) for panel in figure.entries("panels"))
-    if not panels:
-        raise figure.wrong("panels", "at least one panel")
-    return FigureSpec(_text(figure, "title"), panels, _text(figure, "caption"))
-
-
-def _panel(panel: Table) -> PanelSpec:
-    panel.only(("label", "signals", "names")).need("label", "a text")
-    signals = _names(panel.need("signals", "a list of names"), panel, "signals")
-    return PanelSpec(_text(panel, "label"), signals, _names(panel.data.get("names", []), panel, "names"))
-
-
-def _point(point: Table) -> MovingPoint:
-    place = [point.only(("label", "radius", "height")).need(key, "a signal or a number") for key in _PLACE]
-    for key, value in zip(_PLACE, place, strict=True):
-        if not isinstance(value, str) and not toml.is_number(value):
-            raise point.wrong(key, "a signal or a number")
-    point.need("label", "a text")
-    return MovingPoint(_text(point, "label"), *place)
+            expected = f"one of the points {', '.join(labels)}"
+            raise Problem(f"{path}: motion: expected {expected}, got {label!r}")
+    return Layout(file.title, file.figure, **vars(file.motion), source=str(path))

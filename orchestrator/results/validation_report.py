@@ -221,6 +221,7 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
         error_unit=", ".join(sorted(units)),
         bounds={bound for _, row in compared for bound in _bounds(row)},
         remarks=[_verdict(name, row) for name, row in compared if row.tolerance],
+        heights=(2.5 if errors else 1.5, 1.0),
     )
 
 

@@ -128,27 +128,27 @@ def test_a_signal_that_the_run_lacks_is_named(
         ("titel = 'A'", r"unknown key 'titel'; did you mean title"),
         ("title = 3", r"title: expected a text, got 3"),
         ("figure = 'A'", r"figure: expected a list, got 'A'"),
-        ("figure = ['A']", r"figure 1: expected a table, got 'A'"),
+        ("figure = ['A']", r"figure: 1: expected a table of title, panels, caption, got 'A'"),
         ("[[figure]]\npanels = []", r"figure 1: title: expected a text, got nothing"),
         ("[[figure]]\ntitle = 'A'\npanels = 3", r"figure 1: panels: expected a list, got 3"),
-        ("[[figure]]\ntitle = 'A'\npanels = []", r"figure 1: panels: expected at least one panel, got \[\]"),
+        ("[[figure]]\ntitle = 'A'\npanels = []", r"figure 'A': panels: expected at least one, got none"),
         (
             "[[figure]]\ntitle = 'A'\npanels = [{label = 'b'}]",
-            r"figure 1: panels 1: signals: expected a list of names, got nothing",
+            r"figure 1: panels 1: signals: expected a list, got nothing",
         ),
         (
             "[[figure]]\ntitle = 'A'\npanels = [{label = 'b', signals = [1]}]",
-            r"figure 1: panels 1: signals: expected a list of names, got \[1\]",
+            r"figure 1: panels 1: signals: 1: expected a text, got 1",
         ),
         ("[motion]\npoints = 3", r"motion: points: expected a list, got 3"),
         ("[motion]\nangle = 3", r"motion: angle: expected a text, got 3"),
         (
             "[motion]\npoints = [{label = 'a', radius = 1}]",
-            r"motion: points 1: height: expected a signal or a number, got nothing",
+            r"motion: points 1: height: expected a text or a number, got nothing",
         ),
         (
             "[motion]\npoints = [{label = 'a', radius = true, height = 1}]",
-            r"motion: points 1: radius: expected a signal or a number, got True",
+            r"motion: points 1: radius: expected a text or a number, got True",
         ),
         (
             "[motion]\nlines = [['a', 'b']]\npoints = [{label = 'a', radius = 1, height = 1}]",

@@ -174,7 +174,7 @@ def _panel(label: str, names: Mapping[str, str], seen: Compared) -> TracePanel:
         error_label="residual",
         error_unit=unit.shown,
         remarks=remarks,
-        heights=(2.7, 1.2),
+        heights=(2.7 if errors else 1.6, 1.2),
     )
 
 
