@@ -23,6 +23,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -255,6 +256,7 @@ def joined(
         **_equations(whole, names, types["states"], types["outputs"]),
         values=folder / "parameters.toml",
         numbers=_numbers(tables, names, inputs),
+        derive=lambda p: _derived(subsystems, names, p),
         terminals=terminals,
     )
 
@@ -284,6 +286,16 @@ def _fed(
 
 def _value(start: Mapping[str, Number], variable: str) -> float:
     return start[variable].value if variable in start else 0.0
+
+
+def _derived(subsystems: Mapping[str, Subsystem], names: Names, p: Any) -> dict[str, Scalar]:
+    """What the components derive of their parameters, by its name in the whole."""
+    found: dict[str, Scalar] = {}
+    for component, sub in subsystems.items():
+        of_whole = {n: names[f"{component}.{n}"] for n in quantities(sub.parameters)}
+        own = SimpleNamespace(**{n: getattr(p, name) for n, name in of_whole.items()})
+        found |= {of_whole[n]: value for n, value in sub.derive(own).items()}
+    return found
 
 
 def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:

@@ -61,11 +61,15 @@ class Quantity:
         """Absolute tolerance of the error control over the relative one."""
         return self.nominal if self.absolute is None else self.absolute
 
-    def of(self, owner: str) -> Quantity:
-        """With the name of what it belongs to in place of "{}" in its texts."""
-        named = owner.replace("_", " ")
-        heading = self.group.replace("{}", named)
-        return replace(self, text=self.text.replace("{}", named), group=heading[:1].upper() + heading[1:])
+    def of(self, prefix: str, owner: str) -> Quantity:
+        """With `owner` in place of "{}" in its texts, and its rate by the name that it has with the prefix."""
+        heading = self.group.replace("{}", owner)
+        return replace(
+            self,
+            text=self.text.replace("{}", owner),
+            group=heading[:1].upper() + heading[1:],
+            rate=self.rate and f"{prefix}_{self.rate}",
+        )
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Quantity,))
@@ -75,24 +79,27 @@ class Group:
         class State(Group):
             pressure: Scalar = Quantity("Pa", "Pressure of the chamber", 1e7)
 
-    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too. A group as keyword of the class is
-    put in with that prefix; "{}" in its texts becomes the prefix:
+    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too. What
+    is needed twice is declared once and put in with a prefix, before the fields of the class itself:
 
         class Parameters(Group, boom=Cylinder, stick=Cylinder):      boom_bore, boom_rod, ..., stick_bore, ...
 
-    `Cylinder.of(p, "boom")` takes it out again.
+    "{}" in its texts becomes the prefix, or the words in `boom=(Cylinder, "lift")`; `Cylinder.of(p, "boom")` takes
+    it out again.
     """
 
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __init_subclass__(cls, **parts: type[Group]) -> None:
-        own = {name: q for name, q in vars(cls).items() if isinstance(q, Quantity)}
+    def __init_subclass__(cls, **parts: type[Group] | tuple[type[Group], str]) -> None:
+        declared: dict[str, Quantity] = {}
         for prefix, part in parts.items():
-            own |= {f"{prefix}_{name}": q.of(prefix) for name, q in quantities(part).items()}
-        cls.__annotations__ = {**vars(cls).get("__annotations__", {}), **dict.fromkeys(own, "Scalar")}
-        for name, quantity in own.items():
+            kind, owner = part if isinstance(part, tuple) else (part, prefix)
+            declared |= {f"{prefix}_{name}": q.of(prefix, owner) for name, q in quantities(kind).items()}
+        declared |= {name: q for name, q in vars(cls).items() if isinstance(q, Quantity)}
+        cls.__annotations__ = dict.fromkeys(declared, "Scalar")
+        for name, quantity in declared.items():
             default: dict[str, Any] = {} if quantity.value is None else {"default": quantity.value}
             setattr(cls, name, field(**default, metadata={"quantity": quantity}))
         dataclass(frozen=True, kw_only=True)(cls)
@@ -153,6 +160,7 @@ class Subsystem:
                the start values x of the others, which start at their start value
     require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
                at the start and after every step, else the FMU reports an error
+    derive     (p) -> {parameter: value}: the value of a parameter wherever its number is 0
     corner     (x, u, p) -> seconds to the next known instant at which a rate jumps, infinite for none:
                a time event in model exchange, so that no solver steps over it
     terminals  its ports
@@ -174,6 +182,7 @@ class Subsystem:
     values: Path
     initial: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
+    derive: Callable[[Any], Mapping[str, Scalar]] = _none
     corner: Callable[[Any, Any, Any], Scalar] = never
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
@@ -289,7 +298,11 @@ class Symbolic:
 
 def symbolic(sub: Subsystem) -> Symbolic:
     """Evaluate the subsystem's functions once on symbols."""
-    x, u, p = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
+    x, u, given = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
+    derived = {
+        n: ca.if_else(getattr(given, n) > 0, getattr(given, n), v) for n, v in sub.derive(given).items()
+    }
+    p = replace(given, **derived)
     computed = dict(sub.initial(x, u, p))
     unknown = set(computed) - set(quantities(sub.states))
     if unknown:
@@ -302,7 +315,7 @@ def symbolic(sub: Subsystem) -> Symbolic:
     return Symbolic(
         x=stack(x),
         u=stack(u),
-        p=stack(p),
+        p=stack(given),
         dx=stack(sub.dynamics(x, u, p)),
         y=stack(sub.observe(x, u, p)),
         start=column(*start),

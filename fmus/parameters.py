@@ -25,6 +25,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 from fmus.contract import Quantity, Subsystem, quantities
@@ -142,12 +143,29 @@ def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
         raise Problem(f"{path}: {where} is {number.value:g} {number.unit}, expected {low} to {high}")
 
 
-def values(sub: Subsystem, path: Path | None = None) -> Values:
-    """Plain numbers for a subsystem; start values not in the file are zero."""
+def derived(sub: Subsystem, path: Path | None = None) -> dict[str, Number]:
+    """The parameters that follow from others because their number is 0, with their values."""
+    given = numbers(sub, path)["parameters"]
+    formulas = sub.derive(SimpleNamespace(**{name: number.value for name, number in given.items()}))
+    return {n: replace(given[n], value=float(v)) for n, v in formulas.items() if given[n].value == 0}
+
+
+def complete(sub: Subsystem) -> Tables:
+    """The numbers of a subsystem, with the values of derived parameters."""
+    found = numbers(sub)
+    return {**found, "parameters": {**found["parameters"], **derived(sub)}}
+
+
+def values(sub: Subsystem, path: Path | None = None, derive: bool = True) -> Values:
+    """Plain numbers for a subsystem; start values not in the file are zero.
+
+    derive   with the values of derived parameters in the place of 0
+    """
     found = numbers(sub, path)
     start = found["start"]
+    parameters = {**found["parameters"], **(derived(sub, path) if derive else {})}
     return Values(
-        p={name: found["parameters"][name].value for name in quantities(sub.parameters)},
+        p={name: parameters[name].value for name in quantities(sub.parameters)},
         u={name: start[name].value if name in start else 0.0 for name in quantities(sub.inputs)},
         x={name: start[name].value if name in start else 0.0 for name in quantities(sub.states)},
     )

@@ -15,7 +15,15 @@ from fmus.components.spool_valve import Valve
 
 PS = 20.684e6  # Pa
 RHO = 970.0  # kg/m3
-VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
 
 pressures = st.floats(-2e5, 4e7)
 flows = st.floats(-5e-3, 5e-3)
@@ -152,7 +160,7 @@ def test_oil_column_starts_as_hyperbolic_tangent() -> None:
     assert final == pytest.approx(math.sqrt(dp / resistance) * math.tanh(1), rel=1e-7)
 
 
-def test_void_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
+def test_a_cavity_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
     """1 L drawn from a closed chamber leaves it above -0.1 MPa; given back, the pressure is restored."""
     p, t = ca.SX.sym("p"), ca.SX.sym("t")
     capacitance, flow = 5e-12, 1e-3
@@ -160,18 +168,18 @@ def test_void_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
     back = {"x": p, "t": t, "ode": chamber.pressure_rate(p * 1e5, flow, capacitance) / 1e5}
     tight = {"reltol": 1e-11, "abstol": 1e-11, "max_num_steps": 100000}
     low = ca.integrator("o", "cvodes", out, 0, 1, tight)(x0=10)["xf"]
-    assert -1.0e5 < float(low) * 1e5 < chamber.VOID_PRESSURE
+    assert -1.0e5 < float(low) * 1e5 < chamber.VAPOUR_PRESSURE
     # volume drawn = compression (C times 1 MPa and a little) plus void
-    assert number(chamber.void_volume(float(low) * 1e5)) == pytest.approx(1e-3, rel=0.01)
+    assert number(chamber.cavity_volume(float(low) * 1e5)) == pytest.approx(1e-3, rel=0.01)
     again = ca.integrator("b", "cvodes", back, 0, 1, tight)(x0=low)["xf"]
     # integrator error 1e-11 per step, amplified 1e5 times by the stiffening chamber
     assert float(again) == pytest.approx(10, rel=1e-4)
 
 
-def test_void_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
+def test_cavitation_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
     """At tank pressure the void adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
-    assert number(chamber.void_capacitance(0.0)) / 7e-13 < 0.03
-    assert number(chamber.void_capacitance(1e5)) / 7e-13 < 1e-10
+    assert number(chamber.cavity_capacitance(0.0)) / 7e-13 < 0.03
+    assert number(chamber.cavity_capacitance(1e5)) / 7e-13 < 1e-10
 
 
 @given(st.floats(-3e5, 3e5), st.floats(1e5, 5e6))

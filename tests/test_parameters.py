@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from fmus.components import hose
+from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
+from fmus.machine.build import data
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number, numbers, read, values, write
 from orchestrator.base.errors import Problem
@@ -50,17 +52,49 @@ def test_derived_numbers_follow_from_their_formulas():
     """Hose inertance, capacitance and resistance are what length, bore and oil give."""
     p, diameter = values(BOOM_STICK).p, 0.75 * 0.0254
     for name, length in (("boom", 3.0), ("stick", 4.0)):
-        # stated with four digits
-        assert p[f"{name}_hose_inertance"] == pytest.approx(hose.inertance(length, diameter, 970.0), rel=5e-4)
-        assert p[f"{name}_hose_capacitance"] == pytest.approx(
-            hose.capacitance(length, diameter, 1.6e9), rel=5e-4
-        )
-        assert p[f"{name}_hose_resistance"] == pytest.approx(
-            hose.scaled_resistance(3.2e10, length / 4, 1), rel=5e-4
-        )
+        area = math.pi / 4 * diameter**2
+        # exact identity: rounding only
+        assert p[f"{name}_hose_inertance"] == pytest.approx(970.0 * length / area, rel=1e-12)
+        assert p[f"{name}_hose_capacitance"] == pytest.approx(area * length / 1.6e9, rel=1e-12)
+        assert p[f"{name}_hose_resistance"] == pytest.approx(3.2e10 * length / 4, rel=1e-12)
     s = values(SWING).p
-    assert s["line_resistance"] == pytest.approx(hose.laminar_resistance(1.0, diameter, 0.02), rel=0.01)
-    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-4)
+    assert s["line_resistance"] == pytest.approx(128 * 0.02 / (math.pi * diameter**4), rel=1e-12)
+    # the motor's volume is stated with four digits
+    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-5)
+
+
+@pytest.mark.parametrize(
+    "sub", [*swing.VARIANTS.values(), *boom_stick.VARIANTS.values()], ids=lambda s: s.name
+)
+def test_a_measured_number_of_a_hose_replaces_the_derived_one(sub):
+    """In every variant: with all numbers given, length and bore mean what they say, and no more."""
+    given, free = values(sub), values(sub, derive=False)
+    names = [n for n in given.p if free.p[n] == 0 != given.p[n]]
+    assert names or sub.name == "swing_detailed"
+    model = symbolic(sub).function()
+    x = [q.nominal * 0.3 for q in quantities(sub.states).values()]
+    u = [q.nominal * 0.2 for q in quantities(sub.inputs).values()]
+
+    def rates(p):
+        return model(x, u, list(p.values()))[0].full()
+
+    # exact identity: the same formulas, in Python and in the equations
+    np.testing.assert_allclose(rates(given.p), rates(free.p), rtol=1e-12)
+    longer = {n: 1.3 * v if n.endswith("_length") else v for n, v in free.p.items()}
+    assert not np.allclose(rates(longer), rates(free.p), rtol=1e-3)
+    if sub.variant != "detailed":  # whose lines are made of length and bore
+        np.testing.assert_array_equal(rates(longer | {n: given.p[n] for n in names}), rates(given.p))
+
+
+def test_the_kept_references_belong_to_the_same_machine():
+    """What length and bore lead to is what was printed before, to the digits printed."""
+    kept = read(data("reference/hoses.toml"))["parameters"]
+    known = values(SWING).p | values(BOOM_STICK).p
+    for name, number in kept.items():
+        # four digits; the resistance of the swing lines two
+        assert number.value == pytest.approx(known[name], rel=5e-3 if name == "line_resistance" else 5e-4), (
+            name
+        )
 
 
 def test_only_what_follows_from_paper_numbers_is_called_derived():
@@ -71,7 +105,8 @@ def test_only_what_follows_from_paper_numbers_is_called_derived():
         for name, n in numbers(s)["parameters"].items()
         if n.source == "derived"
     }
-    assert derived == {"stick_hose_inertance", "stick_hose_capacitance"}  # 4 m, 3/4 in, rho, beta
+    # 4 m, 3/4 in, rho, beta; and of the 4 m hose that the others are scaled from
+    assert derived == {"stick_hose_inertance", "stick_hose_capacitance", "stick_hose_resistance"}
 
 
 def test_formulas_named_in_notes_give_the_numbers():
@@ -80,7 +115,7 @@ def test_formulas_named_in_notes_give_the_numbers():
     # rounded to two or three digits
     assert m["boom_inertia"] == pytest.approx(m["boom_mass"] * 3.6**2 / 12, rel=2e-3)
     assert m["stick_inertia"] == pytest.approx(m["stick_mass"] * 2.9**2 / 12, rel=2e-3)
-    assert s["line_inertance"] == pytest.approx(hose.inertance(1.0, 0.75 * 0.0254, 970.0), rel=5e-4)
+    assert s["line_inertance"] == pytest.approx(970.0 / (math.pi / 4 * 0.01905**2), rel=5e-4)
     area = 4.7e-6
     assert s["valve_transition_flow"] == pytest.approx(260 * 20e-6 * math.sqrt(math.pi * area) / 2, rel=0.01)
 

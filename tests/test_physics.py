@@ -22,7 +22,15 @@ from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 from orchestrator.base.units import BASES, parse
 
-VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
 PS, RHO = 20.684e6, 970.0  # Pa, kg/m3
 HYDRAULIC = ("swing", "boom_stick")
 ZERO_BY_CHOICE = {"line_turbulent_resistance": 1e10, "stick_centre_z": 0.1, "stick_pin_z": 0.05}
@@ -123,7 +131,7 @@ def test_oil_is_conserved(name):
         else:
             parts = list(itertools.chain(*(_chambers(a, u, p) for a in ("boom", "stick"))))
         filled = sum(
-            (c + float(ca.DM(chamber.void_capacitance(x[s])))) * dx[s] + displaced
+            (c + float(ca.DM(chamber.cavity_capacitance(x[s])))) * dx[s] + displaced
             for s, c, displaced in parts
         )
         # exact identity; flows of up to 1 L/s, and through open edges terms 1e3 times as large

@@ -8,6 +8,7 @@ import transcription
 
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.machine.poses import pose_grid
+from fmus.machine.reference import kept_values
 from fmus.monolith import join, simulate
 
 DATA = Path(__file__).parents[1] / "data"
@@ -21,7 +22,7 @@ STRIDE = 4  # the reference trace keeps every fourth sample
 def model():
     """The project's joined ODE; the rates of the commands do not enter it."""
     inputs = {name: targets for name, targets in INPUTS.items() if not name.endswith("_rate")}
-    return join(SUBSYSTEMS, CONNECTIONS, inputs)
+    return join(SUBSYSTEMS, CONNECTIONS, inputs, {n: kept_values(s) for n, s in SUBSYSTEMS.items()})
 
 
 def random_numbers(rng):

@@ -1,6 +1,6 @@
 """The whole machine written once more from docs/equations.md: an independent check of the project.
 
-Nothing of `fmus` or `orchestrator` is used, only the numbers in fmus/*/parameters.toml. The arm follows from
+Nothing of `fmus` or `orchestrator` is used, only the numbers in fmus/*/parameters.toml and data/reference. The arm follows from
 d'Alembert's principle (partial velocities and accelerations of particles) and the cylinder triangles from the
 law of cosines, where the project differentiates energies. Names, order and signs of states, inputs and
 observables are the project's; section numbers are those of the document.
@@ -35,12 +35,15 @@ NOMINAL = np.array(3 * [1e7, 1e7, 1e-3, 1e-3] + 6 * [1.0])
 def numbers(section: str = "parameters") -> dict[str, float]:
     """All `parameters` or all `start` values of the machine, by `component.name`.
 
-    Among the parameters are those of the project's other variants, which nothing here uses.
+    Among the parameters are those of the project's other variants, which nothing here uses. Hoses have the
+    numbers of the machine whose traces are kept.
     """
-    found = {}
+    found, root = {}, Path(__file__).parents[1]
+    kept = tomllib.loads((root / "data/reference/hoses.toml").read_text(encoding="utf-8"))
     for component in ("swing", "boom_stick", "manipulator"):
-        path = Path(__file__).parents[1] / "fmus" / component / "parameters.toml"
+        path = root / "fmus" / component / "parameters.toml"
         table = tomllib.loads(path.read_text(encoding="utf-8"))[section]
+        table |= {name: entry for name, entry in kept.get(section, {}).items() if name in table}
         found |= {f"{component}.{name}": float(entry["value"]) for name, entry in table.items()}
     return found
 

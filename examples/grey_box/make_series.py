@@ -22,7 +22,15 @@ HEAD, ROD, LENGTH = 5e-3, 2.5e-3, 2.6  # areas of the piston [m2], both chambers
 PISTON, VISCOUS, DRY = 1.5e3, 9e4, 1.5e3  # moved with the piston [kg], friction [N.s/m] and [N]
 ARM, BENDING, INNER = 1.6e4, 1.1e6, 3e3  # mass of the arm [kg], its stiffness [N/m] and damping [N.s/m]
 SPOOL, RATIO = 22.0, 0.8  # natural frequency [rad/s] and damping ratio [1]
-VALVE = Valve(9e-6, 0.62, 0.8, 4.5, 0.4, 2e-13, 1e-6)
+VALVE = Valve(
+    area=9e-6,
+    discharge_coefficient=0.62,
+    dead_band=0.8,
+    full_command=4.5,
+    command_rounding=0.4,
+    leakage=2e-13,
+    transition_flow=1e-6,
+)
 FULL, SPAN = 10.0, 4.5e6  # V and Pa that the logger writes as 1
 NOISE, CODE = 0.004, 2 / 4096  # of the pressure, of what the logger writes
 MISSED = slice(330, 338)

@@ -9,7 +9,25 @@ from __future__ import annotations
 import math
 
 from fmus.components.smooth import positive, ramp
-from fmus.contract import Scalar
+from fmus.contract import Group, Quantity, Scalar
+
+
+class Cylinder(Group):
+    """The numbers of a cylinder."""
+
+    bore: Scalar = Quantity("m", "Bore of the {} cylinder", 0.1, minimum=1e-3, group="{} cylinder")
+    rod: Scalar = Quantity("m", "Rod diameter of the {} cylinder", 0.1, minimum=0.0)
+    stroke: Scalar = Quantity("m", "Stroke of the {} cylinder", minimum=1e-3)
+    dead_volume: Scalar = Quantity("m3", "Dead volume of each chamber of the {} cylinder", 1e-4, minimum=1e-9)
+
+    @property
+    def areas(self) -> tuple[Scalar, Scalar]:
+        """Head area and rod-side area [m2]."""
+        return areas(self.bore, self.rod)
+
+    def volumes(self, position: Scalar) -> tuple[Scalar, Scalar]:
+        """Volumes [m3] of the head and rod chambers."""
+        return volumes(position, self.stroke, *self.areas, self.dead_volume)
 
 
 def areas(bore: Scalar, rod: Scalar) -> tuple[Scalar, Scalar]:

@@ -1,4 +1,6 @@
-"""Diesel engine with a droop governor, as a source of torque.
+"""Diesel engine with a droop governor, and axial piston pumps that a pressure compensator sets.
+
+**The engine** is a source of torque:
 
     J w'     = T - T_f(w) - T_load                T: torque of the combustion
     tau T'   = (T_net + T_f) share(z) - T         follows the injected fuel
@@ -15,7 +17,7 @@ References: Heywood, Internal Combustion Engine Fundamentals, 1988, ch. 13 (fric
 Introduction to Modeling and Control of Internal Combustion Engine Systems, 2010, sec. 2.5 (mean values).
 Valid for mean torque over a cycle above some 800 rpm; no turbocharger lag, no smoke limit, no stall.
 
-Axial piston pump with a swash plate that a pressure compensator sets.
+**A pump** has a swash plate that the compensator moves:
 
     x      = s D w                         flow drawn from the tank, s = share of the stroke
     q      = x - k (p - P_t)               left for the outlet line, k: leakage to the case
@@ -42,26 +44,31 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components.smooth import direction, positive, ramp, share, unlimited
-from fmus.contract import Scalar
+from fmus.contract import Group, Quantity, Scalar
 
 _ROUNDING = 0.02  # share of the fuel over which both stops of the rack are rounded
-_SPEED_ROUNDING = 1.0  # rad/s
+_SPEED_ROUNDING = 1.0  # rad/s: below, friction lets go of the shaft; far below any idle speed
 _LEAST = 0.1  # of the rated torque: keeps the curve positive far outside of its range
 
 
-@dataclass(frozen=True)
-class Engine:
-    """Numbers of the engine: speeds [rad/s], torques [N.m], inertia [kg.m2], lag [s]."""
+class Engine(Group):
+    """Numbers of the engine."""
 
-    rated_speed: Scalar
-    rated_torque: Scalar
-    peak_speed: Scalar
-    torque_rise: Scalar
-    no_load_speed: Scalar
-    friction: Scalar
-    viscous_friction: Scalar
-    inertia: Scalar
-    lag: Scalar
+    rated_speed: Scalar = Quantity("rad/s", "Speed at rated power", 100.0, minimum=1.0, group="Engine")
+    rated_torque: Scalar = Quantity("N.m", "Torque at the shaft at rated power", 100.0, minimum=1.0)
+    peak_speed: Scalar = Quantity("rad/s", "Speed of the largest torque", 100.0, minimum=1.0)
+    torque_rise: Scalar = Quantity("1", "Largest torque over rated torque, less 1", minimum=0.0)
+    no_load_speed: Scalar = Quantity(
+        "rad/s", "Speed at which the governor leaves no torque", 100.0, minimum=1.0
+    )
+    friction: Scalar = Quantity(
+        "N.m", "Friction of the engine that does not depend on speed", 10.0, minimum=0.0
+    )
+    viscous_friction: Scalar = Quantity(
+        "N.m.s/rad", "Friction of the engine in proportion to speed", minimum=0.0
+    )
+    inertia: Scalar = Quantity("kg.m2", "Inertia of engine, flywheel and pumps", minimum=1e-3)
+    lag: Scalar = Quantity("s", "Time constant from governor to torque", 0.1, minimum=1e-6)
 
 
 def net_torque(d: Engine, speed: Scalar) -> Scalar:
@@ -89,8 +96,7 @@ def governed_speed(d: Engine, load: Scalar, near: Scalar) -> Scalar:
     return d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + own) - own) / net
 
 
-_SPEED_ROUNDING_PUMP = 1.0  # rad/s: below, friction lets go of the shaft; far below any idle speed
-_PRESSURE_ROUNDING = 1e4  # Pa: the same for the friction under pressure
+_PRESSURE_ROUNDING = 1e4  # Pa: below, the friction under pressure lets go, too
 
 
 @dataclass(frozen=True)
@@ -117,7 +123,7 @@ def drawn(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
 def pump_friction(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
     """Torque [N.m] of the friction at a pressure rise [Pa]; against the motion."""
     loaded = d.pressure_friction * d.displacement * positive(rise, _PRESSURE_ROUNDING)
-    return loaded * direction(speed, _SPEED_ROUNDING_PUMP) + d.viscous_friction * speed
+    return loaded * direction(speed, _SPEED_ROUNDING) + d.viscous_friction * speed
 
 
 def torque(d: Pump, stroke: Scalar, speed: Scalar, rise: Scalar) -> Scalar:

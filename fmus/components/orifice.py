@@ -18,12 +18,10 @@ than 5 ms) and hysteresis are left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 
 from fmus.components.smooth import ramp
-from fmus.contract import Scalar
+from fmus.contract import Group, Quantity, Scalar
 
 
 def regular_root(dp: Scalar, transition: Scalar) -> Scalar:
@@ -49,13 +47,12 @@ def loss(volume_flow: Scalar, dp: Scalar) -> Scalar:
     return volume_flow * dp
 
 
-@dataclass(frozen=True)
-class PressureValve:
-    """Opening pressure P_set [Pa], slope g [m3/(s.Pa)], rounding w [Pa]."""
+class PressureValve(Group):
+    """Opening pressure P_set, slope g, rounding w."""
 
-    pressure: Scalar
-    gain: Scalar
-    rounding: Scalar
+    pressure: Scalar = Quantity("Pa", "Pressure difference at which the {} valve opens", 1e7)
+    gain: Scalar = Quantity("m3/(s.Pa)", "Flow of the {} valve per pressure above", 1e-9)
+    rounding: Scalar = Quantity("Pa", "Width over which the foot of the {} valve is rounded", 1e5)
 
 
 def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
@@ -66,3 +63,29 @@ def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
 def cross_flow(valve: PressureValve, drop: Scalar) -> Scalar:
     """Flow [m3/s] of two valves back to back, with the sign of the pressure difference [Pa]."""
     return relief_flow(valve, drop) - relief_flow(valve, -drop)
+
+
+class ReliefParameters(Group):
+    """Relief and anti-cavitation valves of an actuator: two `PressureValve`s."""
+
+    relief_pressure: Scalar = Quantity(
+        "Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"
+    )
+    relief_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of a relief valve per pressure above", 1e-9, minimum=0.0
+    )
+    relief_rounding: Scalar = Quantity(
+        "Pa", "Width over which the foot of a relief valve is rounded", 1e5, minimum=1.0
+    )
+    anti_cavitation_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure below that of the return line at which an anti-cavitation valve opens",
+        1e4,
+        minimum=0.0,
+    )
+    anti_cavitation_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of an anti-cavitation valve per pressure below", 1e-7, minimum=0.0
+    )
+    anti_cavitation_rounding: Scalar = Quantity(
+        "Pa", "Width over which the foot of an anti-cavitation valve is rounded", 1e3, minimum=1.0
+    )

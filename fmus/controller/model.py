@@ -18,7 +18,8 @@ from typing import Any
 import casadi as ca
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.components import cylinder, ports
+from fmus.components import ports
+from fmus.components.cylinder import Cylinder
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.controller import actuator, geometry
@@ -37,25 +38,17 @@ from fmus.controller.variables import (
 from fmus.manipulator import MANIPULATOR
 from fmus.swing import SWING
 
-_VALVE = ("area", "discharge_coefficient", "dead_band", "full_command", "command_rounding", "leakage")
-
-
-def _valve(p: Any, prefix: str = "") -> Valve:
-    return Valve(*(getattr(p, f"{prefix}valve_{n}") for n in (*_VALVE, "transition_flow")))
-
 
 def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     """Swing, boom and stick with the pistons at these positions [m]."""
     d = p.motor_displacement * p.gear_ratio
     lines = (p.line_capacitance, p.line_capacitance, p.line_turbulent_resistance)
-    found = {"swing": Actuator(d, d, *lines, _valve(p, "swing_"), p.swing_density)}
+    found = {"swing": Actuator(d, d, *lines, Valve.of(p, "swing_valve"), p.swing_density)}
     for name, position in zip(("boom", "stick"), positions, strict=True):
-        own = {n: getattr(p, f"{name}_{n}") for n in ("bore", "rod", "stroke", "dead_volume")}
-        head, rod = cylinder.areas(own["bore"], own["rod"])
-        volumes = cylinder.volumes(position, own["stroke"], head, rod, own["dead_volume"])
-        c_head, c_rod = (getattr(p, f"{name}_hose_capacitance") + v / p.bulk_modulus for v in volumes)
-        hose = getattr(p, f"{name}_hose_resistance")
-        found[name] = Actuator(head, rod, c_head, c_rod, hose, _valve(p), p.density)
+        own, hose = Cylinder.of(p, name), getattr(p, f"{name}_hose_capacitance")
+        c_head, c_rod = (hose + v / p.bulk_modulus for v in own.volumes(position))
+        resistance = getattr(p, f"{name}_hose_resistance")
+        found[name] = Actuator(*own.areas, c_head, c_rod, resistance, Valve.of(p, "valve"), p.density)
     return found
 
 

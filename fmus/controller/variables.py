@@ -15,7 +15,7 @@ from fmus.boom_stick.variables import BoomStickParameters
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities, symbolic
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
-from fmus.parameters import Number, Tables, numbers, read, values
+from fmus.parameters import Number, Tables, complete, read, values
 from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
@@ -39,7 +39,9 @@ NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # st
 
 
 def _taken(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
-    return {prefix + n: quantities(declared)[n] for n in names}
+    """As the parts of the machine declare them; what may be derived there is a plain number here."""
+    known = quantities(declared)
+    return {prefix + n: replace(known[n], text=known[n].text.partition("; 0:")[0]) for n in names}
 
 
 ControllerParameters = make_group(
@@ -164,7 +166,7 @@ FILE = Path(__file__).with_name("parameters.toml")
 
 def merged(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
     """All numbers of the controller of a machine of these parts."""
-    own, oil, motor, arm = read(FILE), numbers(boom_stick), numbers(swing), numbers(manipulator)
+    own, (oil, motor, arm) = read(FILE), map(complete, (boom_stick, swing, manipulator))
     found = {n: own["parameters"][n] for n in OWN}
     found |= {n: _of(arm["parameters"][n], "manipulator") for n in GEOMETRY}
     found |= {n: _of(oil["parameters"][n], "boom_stick") for n in CYLINDERS}

@@ -39,7 +39,7 @@ class Package:
 
 def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values | None = None) -> Package:
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
-    face = interface(sub, numbers or values(sub))
+    face = interface(sub, numbers or values(sub, derive=False))
     drafts = {version: _drafts(face, version, step, stop) for version in VERSIONS}
     token = fingerprint_of(drafts.values())
     content = {path: text.replace(PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}

@@ -9,8 +9,8 @@ Hose bench: a valve feeds the 4 m hose of 3/4 in, the stick's, whose end is a th
 
     supply --valve-- (P_in, Q_in) ==hose== (P_out, Q_out) --throttle-- return line
 
-lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.components.cylinder_drive`
-detailed   the line of lumps of `fmus.components.hose_line`, with elastic wall, air and both kinds of friction
+lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.boom_stick.drive`
+detailed   the line of lumps of `fmus.components.hose`, with elastic wall, air and both kinds of friction
 
 Nothing but the hose lies between the two pairs of instruments.
 
@@ -47,16 +47,22 @@ from numpy.typing import NDArray
 
 from fmus import boom_stick, swing
 from fmus.boom_stick import detailed as boom_stick_detailed
-from fmus.boom_stick.detailed_variables import DetailedParameters
-from fmus.boom_stick.variables import BoomStickParameters
-from fmus.components import chamber, hose, hose_line, motor, oil, spool_dynamics, spool_valve
-from fmus.components.detailed_parameters import fluid
-from fmus.components.spool_dynamics import SpoolState
-from fmus.components.spool_valve import PortFlow, turbulent_drop, turbulent_factor
+from fmus.boom_stick.variables import BoomStickParameters, DetailedParameters
+from fmus.components import chamber, hose, motor, spool_valve
+from fmus.components.chamber import Fluid
+from fmus.components.spool_valve import (
+    Edges,
+    PortFlow,
+    Spool,
+    SpoolState,
+    Valve,
+    turbulent_drop,
+    turbulent_factor,
+)
 from fmus.contract import Scalar, column
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
-from fmus.swing.detailed_variables import DetailedParameters as DetailedSwing
+from fmus.swing.variables import DetailedParameters as DetailedSwing
 from fmus.swing.variables import SwingParameters
 
 Array = NDArray[np.float64]
@@ -157,7 +163,7 @@ def _still() -> BenchValve:
     p = lumped()
 
     def ports(_: Named, command: Scalar, flows: Flows, tank: float) -> Ports:
-        return spool_valve.ports(p.valve, command, *flows, SUPPLY, tank, p.density)
+        return spool_valve.ports(Valve.of(p, "valve"), command, *flows, SUPPLY, tank, p.density)
 
     return BenchValve({}, lambda _, __: {}, ports)
 
@@ -166,12 +172,13 @@ def _moving() -> BenchValve:
     p = detailed()
 
     def rates(x: Named, command: Scalar) -> Named:
-        wanted = spool_dynamics.share(command, p.valve_full_command)
-        rate = spool_dynamics.rates(p.spool, SpoolState(x["position"], x["speed"]), wanted)
+        wanted = spool_valve.wanted_position(command, p.valve_full_command)
+        rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), wanted)
         return {"position": rate.position, "speed": rate.speed}
 
     def ports(x: Named, _: Scalar, flows: Flows, tank: float) -> Ports:
-        return spool_dynamics.ports(p.edges, x["position"], *flows, SUPPLY, tank, p.density)
+        parts = (Edges.of(p, "valve"), Spool.of(p, "spool"))
+        return spool_valve.spool_ports(*parts, x["position"], *flows, SUPPLY, tank, p.density)
 
     return BenchValve({"position": (0.0, 1.0), "speed": (0.0, 10.0)}, rates, ports)
 
@@ -207,15 +214,15 @@ def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Ar
 
 def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
     spool, p = bench_valve("detailed"), detailed()
-    of = boom_stick_detailed.hose(p, "stick")
+    of = boom_stick_detailed.line(p, "stick")
     lumps = boom_stick_detailed.advised_lumps()["stick"]
-    names = hose_line.names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
+    names = hose.names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
 
     def equations(x: Named, u: Named) -> tuple[Named, Named]:
         state = names.each(lambda name: x[name])
         inlet = spool.ports(x, u["command"], (state.flows[0], 0.0), RETURN)[0].pressure
         outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
-        along = hose_line.rates(of, state, inlet, outlet)
+        along = hose.rates(of, state, inlet, outlet)
         rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])
         seen = {"pressure_in": inlet, "pressure_out": outlet}
         return rates, seen | {"flow_in": state.flows[0], "flow_out": state.flows[-1]}
@@ -250,15 +257,15 @@ def _lumped_motor(x: Named, u: Named) -> tuple[Named, Named]:
 
 def _detailed_motor(x: Named, u: Named) -> tuple[Named, Named]:
     p = detailed_swing()
-    of = fluid(p, p.density, p.bulk_modulus)
+    of = Fluid.of(p)
     leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
     nodes = motor.at_ports(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)
     rates, fed = {}, {}
     for side, flow in (("a", nodes.flow_1), ("b", nodes.flow_2)):
         pressure = x[f"pressure_{side}"]
         fed[side] = (u[f"set_{side}"] - pressure) / MOTOR_THROTTLE
-        capacitance = p.motor_volume * oil.compliance(of, pressure)
-        rates[f"pressure_{side}"] = oil.pressure_rate(pressure, fed[side] - flow, capacitance)
+        capacitance = p.motor_volume * chamber.compliance(of, pressure)
+        rates[f"pressure_{side}"] = chamber.pressure_rate(pressure, fed[side] - flow, capacitance)
     return rates, dict(x) | {"flow_a": fed["a"], "drain_flow": nodes.drain}
 
 

@@ -6,9 +6,8 @@
     J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
     V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
 
-with x, T_i and the strokes from `fmus.components.engine_and_pump`, T from `fmus.components.engine_and_pump`, Q_r from
-`fmus.components.orifice`, r the `ramp` of `fmus.components.smooth`. Voids in the lines as in
-`fmus.components.chamber`.
+with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the
+`ramp` of `fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`.
 
     engine_power + P_t return_flow = P supply_flow + dE/dt + heat
 
@@ -26,12 +25,126 @@ from pathlib import Path
 import casadi as ca
 
 from fmus.components import chamber, engine_and_pump, orifice
-from fmus.components.engine_and_pump import Pump
-from fmus.contract import Scalar, Subsystem
-from fmus.supply.engine_pump_variables import EnginePumpOutputs, EnginePumpParameters, EnginePumpState
-from fmus.supply.variables import TERMINALS, SupplyInputs, return_flow, supply_flow
+from fmus.components.engine_and_pump import Engine, Pump
+from fmus.components.orifice import PressureValve
+from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.supply.variables import (
+    TERMINALS,
+    ReservoirParameters,
+    SupplyInputs,
+    SupplyOutputs,
+    return_flow,
+    supply_flow,
+)
 
 _SWEEPS = 12  # of the search for the speed at rest; each gains two digits
+
+
+class PumpParameters(Group):
+    """Two pumps of one size; each has its own setting."""
+
+    pump_1_pressure_setting: Scalar = Quantity(
+        "Pa", "Pressure at which pump 1 has no stroke left", 1e7, minimum=1e5, group="Pumps"
+    )
+    pump_2_pressure_setting: Scalar = Quantity(
+        "Pa", "Pressure at which pump 2 has no stroke left", 1e7, minimum=1e5
+    )
+    pump_displacement: Scalar = Quantity(
+        "m3/rad", "Displacement of each pump on full stroke", 1e-5, minimum=1e-9
+    )
+    pump_leakage: Scalar = Quantity("m3/(s.Pa)", "Leakage of each pump to its case", 1e-12, minimum=1e-17)
+    pump_pressure_friction: Scalar = Quantity(
+        "1", "Friction of each pump under pressure, share of the full torque", minimum=0.0
+    )
+    pump_viscous_friction: Scalar = Quantity("N.m.s/rad", "Viscous friction of each pump", minimum=0.0)
+    compensator_band: Scalar = Quantity(
+        "Pa", "Pressure by which a pump falls from no stroke to full stroke", 1e6, minimum=1.0
+    )
+    compensator_rounding: Scalar = Quantity(
+        "1", "Share of the stroke over which its ends are rounded", minimum=1e-6, maximum=0.5
+    )
+    compensator_lag: Scalar = Quantity(
+        "s", "Time constant of the compensator for small changes", minimum=1e-6
+    )
+    pump_stroke_time: Scalar = Quantity("s", "Shortest time from no stroke to full", minimum=1e-6)
+    pump_destroke_time: Scalar = Quantity("s", "Shortest time from full stroke to none", minimum=1e-6)
+
+
+class LineParameters(Group):
+    """Lines between pumps and drives, with their valves."""
+
+    pump_line_capacitance: Scalar = Quantity(
+        "m3/Pa",
+        "Capacitance of the line from each pump to its check valve",
+        1e-12,
+        minimum=1e-16,
+        group="Lines",
+    )
+    rail_capacitance: Scalar = Quantity(
+        "m3/Pa", "Capacitance of the line from the check valves to the drives", 1e-12, minimum=1e-13
+    )
+    check_resistance: Scalar = Quantity(
+        "Pa.s/m3", "Resistance of each check valve with its line", 1e8, minimum=1e3
+    )
+    check_opening: Scalar = Quantity("Pa", "Pressure within which each check valve opens", 1e4, minimum=1.0)
+    relief_pressure: Scalar = Quantity(
+        "Pa", "Pressure over the tank at which the main relief valve opens", 1e7, minimum=1e5
+    )
+    relief_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of the open relief valve per pressure above", 1e-9, minimum=0.0
+    )
+    relief_rounding: Scalar = Quantity("Pa", "Pressure within which the relief valve opens", 1e5, minimum=1.0)
+
+
+class EnginePumpParameters(LineParameters, PumpParameters, ReservoirParameters, engine=Engine):
+    """Constants; their numbers and sources are in parameters.toml."""
+
+    reservoir_volume_start: Scalar = Quantity(
+        "m3", "Oil in the tank at the start", 0.1, minimum=0.0, group="Tank"
+    )
+
+    @property
+    def pumps(self) -> tuple[Pump, Pump]:
+        """The pumps these numbers describe."""
+        alike = (
+            *(self.compensator_band, self.compensator_rounding, self.compensator_lag),
+            *(self.pump_stroke_time, self.pump_destroke_time),
+        )
+        losses = (self.pump_leakage, self.pump_pressure_friction, self.pump_viscous_friction)
+        first, second = (
+            Pump(self.pump_displacement, *losses, setting, *alike)
+            for setting in (self.pump_1_pressure_setting, self.pump_2_pressure_setting)
+        )
+        return first, second
+
+
+class EnginePumpState(Group):
+    """Pressures, strokes, the engine, and the oil in the tank."""
+
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
+    pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
+    pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
+    pump_1_stroke: Scalar = Quantity("1", "Share of the stroke of pump 1")
+    pump_2_stroke: Scalar = Quantity("1", "Share of the stroke of pump 2")
+    engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
+    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
+    reservoir_volume: Scalar = Quantity("m3", "Oil in the tank", 0.1)
+
+
+class EnginePumpOutputs(SupplyOutputs):
+    """What every variant shows, the state, and flows and torques in between."""
+
+    pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
+    pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
+    pump_1_stroke: Scalar = Quantity("1", "Share of the stroke of pump 1")
+    pump_2_stroke: Scalar = Quantity("1", "Share of the stroke of pump 2")
+    pump_1_flow: Scalar = Quantity("m3/s", "Flow from pump 1 through its check valve", 1e-3)
+    pump_2_flow: Scalar = Quantity("m3/s", "Flow from pump 2 through its check valve", 1e-3)
+    relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
+    engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
+    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
+    engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
+    reservoir_volume: Scalar = Quantity("m3", "Oil in the tank", 0.1)
 
 
 @dataclass(frozen=True)
@@ -63,13 +176,13 @@ def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Work
 
 
 def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
-    return orifice.relief_flow(p.relief, x.supply_pressure - p.reservoir_pressure)
+    return orifice.relief_flow(PressureValve.of(p, "relief"), x.supply_pressure - p.reservoir_pressure)
 
 
 def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     a, b = _pumps(x, p)
-    spilled, motor = _relief_flow(x, p), p.engine
+    spilled, motor = _relief_flow(x, p), Engine.of(p, "engine")
     accelerating = (
         x.engine_torque - engine_and_pump.engine_friction(motor, x.engine_speed) - a.torque - b.torque
     )
@@ -128,13 +241,13 @@ def _dissipated_power(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
     return (
         pumps
         + _relief_flow(x, p) * rail
-        + engine_and_pump.engine_friction(p.engine, x.engine_speed) * x.engine_speed
+        + engine_and_pump.engine_friction(Engine.of(p, "engine"), x.engine_speed) * x.engine_speed
     )
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
-    tank, motor, speed = p.reservoir_pressure, p.engine, p.engine_no_load_speed
+    tank, motor, speed = p.reservoir_pressure, Engine.of(p, "engine"), p.engine_no_load_speed
     for _ in range(_SWEEPS):
         found = engine_and_pump.governed_speed(motor, _idle_load(p, speed), speed)
         speed = ca.fmax(p.engine_peak_speed, ca.fmin(found, p.engine_no_load_speed))  # some engine may not do

@@ -4,44 +4,42 @@
     C_b dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b      C = V_m kappa(P)
     torque      = D (P_a - P_b)           D = D_m N                                   eqs. (8), (11), (12)
 
-with the flows Q_a, Q_b out of the lines of `fmus.components.hose_line`, kappa of `oil`, the spool of
-`spool_dynamics` and the valves of `relief` at the motor: relief valves from line to line, anti-cavitation
+with the flows Q_a, Q_b out of the lines of `fmus.components.hose`, kappa of `chamber`, the spool of
+`spool_valve` and the valves of `orifice` at the motor: relief valves from line to line, anti-cavitation
 valves from the return line. The motor's volume V_m holds what `lumped` puts into the line's capacitance, so
 its ports are states and the torque depends on states only. `swing_flow_a` is the flow at the valve,
 `swing_motor_flow_a` that at the motor. `detailed` chooses what changes the number of states.
-
-Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
-seen from above; a positive command drives the positive way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, hose_line, motor, oil, orifice, spool_dynamics, spool_valve
-from fmus.components.detailed_parameters import BANDWIDTH, ERROR, fluid
-from fmus.components.hose_line import Line, LineState, lumps_needed
+from fmus.components import chamber, hose, motor, orifice, spool_valve
+from fmus.components.chamber import Fluid
+from fmus.components.hose import Line, LineState
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_dynamics import SpoolState
-from fmus.components.spool_valve import PortFlow
-from fmus.contract import Scalar, Subsystem, family
+from fmus.components.orifice import PressureValve
+from fmus.components.spool_valve import Edges, PortFlow, Spool, SpoolState
+from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import read
-from fmus.swing import lumped
-from fmus.swing.detailed_variables import SIDES, DetailedOutputs, DetailedParameters, line_names, states
-from fmus.swing.drive import TERMINALS
-from fmus.swing.variables import SwingInputs
+from fmus.swing import drive, lumped
+from fmus.swing.drive import Pair
+from fmus.swing.variables import SIDES, DetailedOutputs, DetailedParameters, SwingInputs, SwingState
 
 NUMBERS = Path(__file__).with_name("parameters.toml")
 
 Names = tuple[LineState, LineState]
 
 
-def hose(p: DetailedParameters) -> Line:
+def line(p: DetailedParameters) -> Line:
     """Each of the two lines."""
-    oils = fluid(p, p.density, p.bulk_modulus)
-    return Line(p.line_length, p.line_bore, p.line_turbulent_resistance, p.hose_wall_modulus, oils)
+    wall = p.hose_wall_modulus
+    return Line(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
 
 
 @dataclass(frozen=True)
@@ -58,35 +56,29 @@ class _Now:
 
 
 def _now(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> _Now:
-    a, b = (n.each(lambda name: getattr(x, name)) for n in names)
-    spool, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
+    a, b = (n.each(partial(getattr, x)) for n in names)
+    state, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
     pressures = (x.swing_pressure_a, x.swing_pressure_b)
-    displaced = p.motor_displacement * p.gear_ratio * u.swing_speed
+    anti = PressureValve.of(p, "anti_cavitation")
     line_ends = (a.flows[0], b.flows[0], u.supply_pressure, tank, p.density)
-    drawn_a, drawn_b = (orifice.relief_flow(p.anti_cavitation, tank - pressure) for pressure in pressures)
     return _Now(
-        spool,
+        state,
         (a, b),
         pressures,
-        spool_dynamics.ports(p.edges, spool.position, *line_ends),
-        motor.at_ports(*pressures, tank, displaced, *_leakage(p)),
-        orifice.cross_flow(p.relief, pressures[0] - pressures[1]),
-        (drawn_a, drawn_b),
+        spool_valve.spool_ports(Edges.of(p, "valve"), Spool.of(p, "spool"), state.position, *line_ends),
+        motor.at_ports(*pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)),
+        orifice.cross_flow(PressureValve.of(p, "relief"), pressures[0] - pressures[1]),
+        (orifice.relief_flow(anti, tank - pressures[0]), orifice.relief_flow(anti, tank - pressures[1])),
     )
 
 
-def _leakage(p: DetailedParameters) -> tuple[Scalar, Scalar]:
-    return p.internal_leakage_resistance, p.external_leakage_resistance
-
-
-def _pressure_rates(n: _Now, p: DetailedParameters) -> tuple[Scalar, Scalar]:
-    of = hose(p).fluid
+def _pressure_rates(n: _Now, p: DetailedParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
         n.lines[1].flows[-1] - n.nodes.flow_2 + n.cross + n.anti[1],
     )
     a, b = (
-        oil.pressure_rate(pressure, net, p.motor_volume * oil.compliance(of, pressure))
+        chamber.pressure_rate(pressure, net, p.motor_volume * chamber.compliance(Fluid.of(p), pressure))
         for pressure, net in zip(n.pressures, nets, strict=True)
     )
     return a, b
@@ -94,56 +86,38 @@ def _pressure_rates(n: _Now, p: DetailedParameters) -> tuple[Scalar, Scalar]:
 
 def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[str, Scalar]:
     n = _now(names, x, u, p)
-    spool = spool_dynamics.rates(
-        p.spool, n.spool, spool_dynamics.share(u.swing_command, p.valve_full_command)
-    )
+    wanted = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
+    spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, wanted)
     rates = {"swing_spool_position": spool.position, "swing_spool_speed": spool.speed}
-    motor_side = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
-    for side, name, of, port, pressure, rate in motor_side:
-        along = hose_line.rates(hose(p), of, port.pressure, pressure)
+    sides = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
+    for side, name, of, port, pressure, rate in sides:
+        along = hose.rates(line(p), of, port.pressure, pressure)
         rates |= {f"swing_pressure_{side}": rate, **dict(zip(name.all(), along.all(), strict=True))}
     return rates
 
 
-def _stored_energy(n: _Now, p: DetailedParameters) -> Scalar:
-    of = hose(p)
-    sides = sum(p.motor_volume * oil.energy_density(of.fluid, q) + oil.void_energy(q) for q in n.pressures)
-    return sides + sum(hose_line.stored_energy(of, one) for one in n.lines)
-
-
-def _dissipated_power(n: _Now, u: SwingInputs, p: DetailedParameters) -> Scalar:
-    tank, (p_a, p_b) = u.tank_pressure, n.pressures
-    edges = sum(spool_valve.throttling_loss(node, u.supply_pressure, tank) for node in n.ports)
-    valves = n.cross * (p_a - p_b) + sum(q * (tank - at) for q, at in zip(n.anti, n.pressures, strict=True))
-    friction = sum(hose_line.heat(hose(p), one) for one in n.lines)
-    return edges + valves + friction + motor.leakage_loss(n.nodes, tank, *_leakage(p))
-
-
 def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> DetailedOutputs:
     """Outputs; the torque depends on states alone."""
-    n, displacement = _now(names, x, u, p), p.motor_displacement * p.gear_ratio
-    rate_a, rate_b = _pressure_rates(n, p)
-    shown: dict[str, Scalar] = {}
+    n, own, tank = _now(names, x, u, p), line(p), u.tank_pressure
+    (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
+    shown = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, _pressure_rates(n, p))
     for side, of, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
         shown |= {
-            f"swing_pressure_{side}": pressure,
-            f"swing_motor_pressure_{side}": pressure,
             f"swing_valve_pressure_{side}": port.pressure,
-            f"swing_flow_{side}": of.flows[0],
             f"swing_motor_flow_{side}": of.flows[-1],
-            f"swing_bulk_modulus_{side}": oil.bulk_modulus(hose(p).fluid, pressure),
+            f"swing_bulk_modulus_{side}": chamber.bulk_modulus(own.fluid, pressure),
         }
-    voids = sum(map(chamber.void_volume, n.pressures)) + sum(map(hose_line.void_volume, n.lines))
+    sides = sum(
+        p.motor_volume * chamber.energy_density(own.fluid, q) + chamber.stored_energy(q, 0.0)
+        for q in n.pressures
+    )
+    valves = n.cross * (p_a - p_b) + sum(q * (tank - at) for q, at in zip(n.anti, n.pressures, strict=True))
+    shown["return_flow"] -= sum(n.anti)
+    shown["swing_void_volume"] += sum(map(hose.cavity_volume, n.lines))
+    shown["dissipated_power"] += valves + sum(hose.heat(own, one) for one in n.lines)
     return DetailedOutputs(
         **shown,
-        swing_torque=displacement * (n.pressures[0] - n.pressures[1]),
-        swing_torque_rate=displacement * (rate_a - rate_b),
-        supply_flow=n.ports[0].supply + n.ports[1].supply,
-        return_flow=n.ports[0].tank + n.ports[1].tank + n.nodes.drain - sum(n.anti),
-        swing_drain_flow=n.nodes.drain,
-        swing_void_volume=voids,
-        stored_energy=_stored_energy(n, p),
-        dissipated_power=_dissipated_power(n, u, p),
+        stored_energy=sides + sum(hose.stored_energy(own, one) for one in n.lines),
         swing_spool_position=n.spool.position,
         swing_relief_flow=n.cross,
         swing_anti_cavitation_flow=sum(n.anti),
@@ -152,7 +126,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> Det
 
 def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[str, Scalar]:
     """Both lines at the preload, the oil at rest: no torque; the spool where it is told."""
-    position = spool_dynamics.share(u.swing_command, p.valve_full_command)
+    position = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
     state: dict[str, Scalar] = {"swing_spool_position": position, "swing_spool_speed": 0.0}
     for side, of in zip(SIDES, names, strict=True):
         state |= dict.fromkeys(of.all(), 0.0)
@@ -161,21 +135,40 @@ def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dic
     return state
 
 
+def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
+    usual = quantities(SwingState)
+    yield "swing_spool_position", Quantity("1", "Spool position of the swing valve, share of its stroke")
+    yield "swing_spool_speed", Quantity("1/s", "Spool speed of the swing valve", 10.0)
+    for side, of in zip(SIDES, names, strict=True):
+        where = f"swing line {side.upper()}"
+        last = Quantity("m3/s", f"Flow from {where} to the motor", 1e-3)
+        yield f"swing_pressure_{side}", usual[f"swing_pressure_{side}"]
+        yield from hose.states(of, where, usual[f"swing_flow_{side}"], last)
+
+
 def advised_lumps() -> int:
-    """Lumps per line that `BANDWIDTH` and `ERROR` need with the numbers of parameters.toml."""
+    """Lumps per line with the numbers of parameters.toml."""
     found = read(NUMBERS)["parameters"]
-    h = hose(DetailedParameters(**{f.name: found[f.name].value for f in fields(DetailedParameters)}))
-    return lumps_needed(h.length, h.bore, BANDWIDTH, ERROR, h.fluid, h.wall_modulus)
+    p = DetailedParameters(**{name: found[name].value for name in quantities(DetailedParameters)})
+    return hose.advised_lumps(line(p))
 
 
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
     """The detailed drive.
 
-    lumps               T-lumps per line; by default what `lumps_needed` advises up to 75 Hz
+    lumps               T-lumps per line; by default what `hose.lumps_needed` advises up to 75 Hz
     unsteady_friction   with the frequency-dependent friction of the lines: three more states for each flow
     """
-    names = line_names(advised_lumps() if lumps is None else lumps, unsteady_friction)
-    state = states(names)
+    count = advised_lumps() if lumps is None else lumps
+    a, b = (
+        hose.names(
+            *(f"swing_flow_{side}", f"swing_motor_flow_{side}", "swing_line", f"_{side}"),
+            *(count, unsteady_friction),
+        )
+        for side in SIDES
+    )
+    names = (a, b)
+    state = make_group("DetailedState", dict(_states(names)))
     sub = Subsystem(
         name="swing",
         text="Hydraulic swing drive in detail: moving spool, lines, motor and gear, air, relief valves",
@@ -188,7 +181,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         initial=lambda x, u, p: _initial(names, x, u, p),
         values=NUMBERS,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
-        terminals=TERMINALS,
+        terminals=drive.TERMINALS,
     )
     return family("swing", lumped=lumped.SWING, detailed=sub)["detailed"]
 

@@ -1,15 +1,80 @@
-"""Requirements and ports of every variant of the swing drive."""
+"""What the variants of the swing drive have in common: motor and gear, outputs, requirements, ports.
+
+torque = D (P_1 - P_2)           D = D_m N                                   eqs. (8), (11), (12)
+"""
 
 from __future__ import annotations
 
-from fmus.components import ports
-from fmus.components.spool_valve import ValveParameters
+from typing import Any
+
+from fmus.components import chamber, hose, motor, ports, spool_valve
+from fmus.components.motor import MotorNodes
+from fmus.components.spool_valve import PortFlow, Valve
 from fmus.contract import Scalar, Terminal
+from fmus.swing.variables import SwingInputs
+
+Pair = tuple[Scalar, Scalar]  # of line A and line B, or of motor port 1 and 2
 
 
-def require(x: object, u: object, p: ValveParameters) -> dict[str, Scalar]:
+def displacement(p: Any) -> Scalar:
+    """D [m3/rad], of the swing."""
+    return p.motor_displacement * p.gear_ratio
+
+
+def leakage(p: Any) -> Pair:
+    """R_in and R_ex [Pa.s/m3]."""
+    return p.internal_leakage_resistance, p.external_leakage_resistance
+
+
+def derive_capacitance(p: Any) -> dict[str, Scalar]:
+    """Of the volumes of line and motor side."""
+    line = hose.capacitance(p.line_length, p.line_bore, p.bulk_modulus)
+    return {"line_capacitance": line + p.motor_volume / p.bulk_modulus}
+
+
+def derive(p: Any) -> dict[str, Scalar]:
+    """Numbers of the lines that follow from length and bore."""
+    size = (p.line_length, p.line_bore)
+    return derive_capacitance(p) | {
+        "line_inertance": hose.inertance(*size, p.density),
+        "line_resistance": hose.laminar_resistance(*size, p.viscosity),
+    }
+
+
+def observe(
+    p: Any,
+    u: SwingInputs,
+    pressures: Pair,
+    flows: Pair,
+    valve: tuple[PortFlow, PortFlow],
+    nodes: MotorNodes,
+    node_rates: Pair,
+) -> dict[str, Scalar]:
+    """Outputs from line pressures and flows, the ports of valve and motor, and the rates of the motor's pressures.
+
+    The energy is that of the lines' oil, the heat that of edges and leakage.
+    """
+    edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in valve)
+    return {
+        "swing_pressure_a": pressures[0],
+        "swing_pressure_b": pressures[1],
+        "swing_flow_a": flows[0],
+        "swing_flow_b": flows[1],
+        "swing_torque": displacement(p) * (nodes.pressure_1 - nodes.pressure_2),
+        "swing_torque_rate": displacement(p) * (node_rates[0] - node_rates[1]),
+        "supply_flow": valve[0].supply + valve[1].supply,
+        "return_flow": valve[0].tank + valve[1].tank + nodes.drain,
+        "swing_motor_pressure_a": nodes.pressure_1,
+        "swing_motor_pressure_b": nodes.pressure_2,
+        "swing_drain_flow": nodes.drain,
+        "swing_void_volume": sum(map(chamber.cavity_volume, pressures)),
+        "dissipated_power": edges + motor.leakage_loss(nodes, u.tank_pressure, *leakage(p)),
+    }
+
+
+def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
     """What must hold beyond the bounds of single parameters."""
-    return {"valve_full_command exceeds valve_dead_band": p.valve_full_command - p.valve_dead_band}
+    return spool_valve.opens(Valve.of(p, "valve"))
 
 
 TERMINALS: tuple[Terminal, ...] = (

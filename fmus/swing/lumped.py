@@ -7,8 +7,7 @@
 with the motor ports P_1, P_2 from `fmus.components.motor`. Swing lines are short: laminar (R_line),
 and C_R,line is zero unless somebody measures one.
 
-Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
-seen from above; a positive command drives the positive way. The torque depends on the speed by
+The torque depends on the speed by
 2 D^2 R_line only (28 N.m.s/rad); it has to, or the port would not conserve power.
 """
 
@@ -18,28 +17,21 @@ from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow
+from fmus.components.spool_valve import PortFlow, Valve
 from fmus.contract import Scalar, Subsystem
-from fmus.swing.drive import TERMINALS, require
+from fmus.swing import drive
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
 
 def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[PortFlow, PortFlow]:
     flows, pressures = (x.swing_flow_a, x.swing_flow_b), (u.supply_pressure, u.tank_pressure)
-    return spool_valve.ports(p.valve, u.swing_command, *flows, *pressures, p.density)
+    return spool_valve.ports(Valve.of(p, "valve"), u.swing_command, *flows, *pressures, p.density)
 
 
 def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:
     """The motor nodes; linear, so that of rates it returns the rates."""
-    displaced = p.motor_displacement * p.gear_ratio * speed
-    return motor.nodes(
-        *pressures,
-        displaced,
-        p.line_resistance,
-        p.line_resistance,
-        p.internal_leakage_resistance,
-        p.external_leakage_resistance,
-    )
+    lines = (p.line_resistance, p.line_resistance)
+    return motor.nodes(*pressures, drive.displacement(p) * speed, *lines, *drive.leakage(p))
 
 
 def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
@@ -56,39 +48,24 @@ def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
     )
 
 
-def _dissipated_power(x: SwingState, u: SwingInputs, p: SwingParameters, nodes: MotorNodes) -> Scalar:
-    edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in _ports(x, u, p))
-    lines = sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
-        q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow)
-        for q in (x.swing_flow_a, x.swing_flow_b)
-    )
-    leakage = (p.internal_leakage_resistance, p.external_leakage_resistance)
-    return edges + lines + motor.leakage_loss(nodes, u.tank_pressure, *leakage)
-
-
 def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     """Outputs."""
-    ports, dx = _ports(x, u, p), dynamics(x, u, p)
-    nodes = _motor((x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure), u.swing_speed, p)
+    dx, pressures, flows = (
+        dynamics(x, u, p),
+        (x.swing_pressure_a, x.swing_pressure_b),
+        (x.swing_flow_a, x.swing_flow_b),
+    )
+    nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     rates = _motor((dx.swing_pressure_a, dx.swing_pressure_b, 0), u.swing_acceleration, p)
-    displacement = p.motor_displacement * p.gear_ratio
-    compression = sum(
-        chamber.stored_energy(pressure, p.line_capacitance)
-        for pressure in (x.swing_pressure_a, x.swing_pressure_b)
+    shown = drive.observe(
+        p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2)
     )
-    return SwingOutputs(
-        **vars(x),
-        swing_torque=displacement * (nodes.pressure_1 - nodes.pressure_2),
-        swing_torque_rate=displacement * (rates.pressure_1 - rates.pressure_2),
-        supply_flow=ports[0].supply + ports[1].supply,
-        return_flow=ports[0].tank + ports[1].tank + nodes.drain,
-        swing_motor_pressure_a=nodes.pressure_1,
-        swing_motor_pressure_b=nodes.pressure_2,
-        swing_drain_flow=nodes.drain,
-        swing_void_volume=chamber.void_volume(x.swing_pressure_a) + chamber.void_volume(x.swing_pressure_b),
-        stored_energy=compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2,
-        dissipated_power=_dissipated_power(x, u, p, nodes),
+    compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    shown["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2
+    shown["dissipated_power"] += sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
+        q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow) for q in flows
     )
+    return SwingOutputs(**shown)
 
 
 def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
@@ -107,8 +84,9 @@ SWING = Subsystem(
     dynamics=dynamics,
     observe=observe,
     initial=initial,
-    require=require,
+    require=drive.require,
+    derive=drive.derive,
     values=Path(__file__).with_name("parameters.toml"),
     validity="lines laminar and short beside the wavelength, below 200 Hz; spool faster than the motion",
-    terminals=TERMINALS,
+    terminals=drive.TERMINALS,
 )

@@ -7,9 +7,6 @@
 with the line flows Q_a, Q_b from the pressures (`fmus.components.spool_valve.direct_ports`): the limit of the
 lumped drive for lines without inertance and laminar resistance, which costs 8 kPa at 74 L/min. The pressures
 stand at the motor ports. Torque depends on states only.
-
-Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
-seen from above; a positive command drives the positive way.
 """
 
 from __future__ import annotations
@@ -18,9 +15,9 @@ from pathlib import Path
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow
+from fmus.components.spool_valve import PortFlow, Valve
 from fmus.contract import Group, Scalar, Subsystem
-from fmus.swing.drive import TERMINALS, require
+from fmus.swing import drive
 from fmus.swing.variables import QuasistaticParameters, SwingInputs, SwingOutputs
 
 
@@ -35,23 +32,13 @@ def _ports(
     x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters
 ) -> tuple[tuple[PortFlow, PortFlow], MotorNodes]:
     """The valve's ports and the motor's."""
-    valve = spool_valve.direct_ports(
-        p.valve,
-        u.swing_command,
-        x.swing_pressure_a,
-        x.swing_pressure_b,
-        u.supply_pressure,
-        u.tank_pressure,
-        p.density,
-        p.line_turbulent_resistance,
+    lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
+    pressures = (*lines, u.supply_pressure, u.tank_pressure)
+    ports = spool_valve.direct_ports(
+        valve, u.swing_command, *pressures, p.density, p.line_turbulent_resistance
     )
-    displaced = p.motor_displacement * p.gear_ratio * u.swing_speed
-    pressures = (x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure)
-    return valve, motor.at_ports(*pressures, displaced, *_leakage(p))
-
-
-def _leakage(p: QuasistaticParameters) -> tuple[Scalar, Scalar]:
-    return p.internal_leakage_resistance, p.external_leakage_resistance
+    taken = drive.displacement(p) * u.swing_speed
+    return ports, motor.at_ports(*lines, u.tank_pressure, taken, *drive.leakage(p))
 
 
 def dynamics(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> QuasistaticState:
@@ -66,25 +53,12 @@ def dynamics(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> Q
 
 def observe(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> SwingOutputs:
     """Outputs."""
-    (a, b), at = _ports(x, u, p)
-    dx, displacement = dynamics(x, u, p), p.motor_displacement * p.gear_ratio
-    lines = (x.swing_pressure_a, x.swing_pressure_b)
-    edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in (a, b))
-    return SwingOutputs(
-        **vars(x),
-        swing_flow_a=a.line,
-        swing_flow_b=b.line,
-        swing_torque=displacement * (x.swing_pressure_a - x.swing_pressure_b),
-        swing_torque_rate=displacement * (dx.swing_pressure_a - dx.swing_pressure_b),
-        supply_flow=a.supply + b.supply,
-        return_flow=a.tank + b.tank + at.drain,
-        swing_motor_pressure_a=x.swing_pressure_a,
-        swing_motor_pressure_b=x.swing_pressure_b,
-        swing_drain_flow=at.drain,
-        swing_void_volume=sum(chamber.void_volume(pressure) for pressure in lines),
-        stored_energy=sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in lines),
-        dissipated_power=edges + motor.leakage_loss(at, u.tank_pressure, *_leakage(p)),
-    )
+    valve, at = _ports(x, u, p)
+    dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
+    flows = (valve[0].line, valve[1].line)
+    shown = drive.observe(p, u, pressures, flows, valve, at, (dx.swing_pressure_a, dx.swing_pressure_b))
+    energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    return SwingOutputs(**shown, stored_energy=energy)
 
 
 def initial(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> dict[str, Scalar]:
@@ -103,9 +77,10 @@ SWING = Subsystem(
     dynamics=dynamics,
     observe=observe,
     initial=initial,
-    require=require,
+    require=drive.require,
+    derive=drive.derive_capacitance,
     values=Path(__file__).with_name("parameters.toml"),
     validity="motions slow beside the oil in the lines, below some 10 Hz; spool faster than the motion",
-    terminals=TERMINALS,
+    terminals=drive.TERMINALS,
     stiff=False,
 )

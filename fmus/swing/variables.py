@@ -1,38 +1,35 @@
-"""Variables of the swing drive: parameters, states, inputs, outputs; signs as in model.py."""
+"""Variables of the swing drive: parameters, states, inputs, outputs.
+
+Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
+seen from above; a positive command drives the positive way.
+"""
 
 from __future__ import annotations
 
 from fmus.components import chamber
-from fmus.components.spool_valve import ValveParameters
+from fmus.components.chamber import Fluid, Oil
+from fmus.components.hose import HoseSize, HoseWall
+from fmus.components.orifice import ReliefParameters
+from fmus.components.spool_valve import Edges, Spool, Valve
 from fmus.contract import Group, Quantity, Scalar
 
+SIDES = ("a", "b")
 
-class LineParameters(Group):
-    """What every variant knows of the lines."""
 
+class DriveParameters(Group, line=(HoseSize, "swing line")):
+    """What every variant knows of lines, motor and gear."""
+
+    line_turbulent_resistance: Scalar = Quantity(
+        "Pa.s2/m6", "Turbulent resistance C_R of each swing line; 0: laminar", 1e10, minimum=0.0
+    )
     initial_preload: Scalar = Quantity(
         "Pa", "Pressure of both swing lines at the start", 1e6, minimum=1e3, group="Start"
     )
-    line_turbulent_resistance: Scalar = Quantity(
-        "Pa.s2/m6", "Turbulent resistance C_R of each swing line", 1e10, minimum=0.0, group="Swing lines"
-    )
-
-
-class VolumeParameters(Group):
-    """The lines as volumes."""
-
-    line_capacitance: Scalar = Quantity(
-        "m3/Pa", "Capacitance C of each line with its motor side", 1e-12, minimum=1e-18, group="Swing lines"
-    )
-
-
-class MotorParameters(Group):
-    """The motor and its gear."""
-
     motor_displacement: Scalar = Quantity(
         "m3/rad", "Displacement D_m of the swing motor", 1e-5, minimum=1e-9, group="Swing motor and gear"
     )
     gear_ratio: Scalar = Quantity("1", "Gear ratio N: motor speed over swing speed", 10.0, minimum=0.1)
+    motor_volume: Scalar = Quantity("m3", "Volume of each motor side, without the line", 1e-3, minimum=1e-9)
     internal_leakage_resistance: Scalar = Quantity(
         "Pa.s/m3", "Cross-port leakage resistance R_in of the swing motor", 1e12, minimum=1e6
     )
@@ -41,19 +38,41 @@ class MotorParameters(Group):
     )
 
 
-class QuasistaticParameters(MotorParameters, VolumeParameters, LineParameters, ValveParameters):
+class QuasistaticParameters(DriveParameters, Oil, valve=Valve):
     """Constants of the quasistatic drive; their numbers and sources are in parameters.toml."""
+
+    line_capacitance: Scalar = Quantity(
+        *(
+            "m3/Pa",
+            "Capacitance C of each line with its motor side; 0: of both volumes and bulk modulus",
+            1e-12,
+        ),
+        minimum=0.0,
+        group="Swing lines",
+    )
 
 
 class SwingParameters(QuasistaticParameters):
     """Constants of the lumped drive; their numbers and sources are in parameters.toml."""
 
     line_inertance: Scalar = Quantity(
-        "kg/m4", "Inertance I of each swing line", 1e6, minimum=1.0, group="Swing lines"
+        *("kg/m4", "Inertance I of each swing line; 0: of length, bore and density", 1e6),
+        minimum=0.0,
+        group="Swing lines",
     )
     line_resistance: Scalar = Quantity(
-        "Pa.s/m3", "Laminar resistance R_1 = R_2 of each swing line", 1e6, minimum=1.0
+        *(
+            "Pa.s/m3",
+            "Laminar resistance R_1 = R_2 of each swing line; 0: of length, bore and viscosity",
+            1e6,
+        ),
+        minimum=0.0,
     )
+    viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
+
+
+class DetailedParameters(DriveParameters, ReliefParameters, HoseWall, Fluid, valve=Edges, spool=Spool):
+    """Constants of the detailed drive; their numbers and sources are in parameters.toml."""
 
 
 class SwingState(Group):
@@ -99,8 +118,24 @@ class SwingOutputs(SwingState):
     swing_motor_pressure_a: Scalar = Quantity("Pa", "Pressure P_1 at motor port A", 1e7)
     swing_motor_pressure_b: Scalar = Quantity("Pa", "Pressure P_2 at motor port B", 1e7)
     swing_drain_flow: Scalar = Quantity("m3/s", "External leakage of the motor to the drain", 1e-5)
-    swing_void_volume: Scalar = Quantity(
-        "m3", "Void in the swing lines: above 1e-7 the oil has torn", 1e-6, warn_above=1e-7
-    )
+    swing_void_volume: Scalar = chamber.cavity("the swing lines")
     stored_energy: Scalar = Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
     dissipated_power: Scalar = Quantity("W", "Heat of metering edges, lines and leakage", 1e4)
+
+
+class DetailedOutputs(SwingOutputs):
+    """With what happens at both ends of the lines and in the relief valves."""
+
+    swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, share of its stroke")
+    swing_motor_flow_a: Scalar = Quantity("m3/s", "Flow from swing line A to the motor", 1e-3)
+    swing_motor_flow_b: Scalar = Quantity("m3/s", "Flow from swing line B to the motor", 1e-3)
+    swing_valve_pressure_a: Scalar = Quantity("Pa", "Pressure at port A of the swing valve", 1e7)
+    swing_valve_pressure_b: Scalar = Quantity("Pa", "Pressure at port B of the swing valve", 1e7)
+    swing_relief_flow: Scalar = Quantity(
+        "m3/s", "Flow of the cross-port relief valves from line A to line B", 1e-3
+    )
+    swing_anti_cavitation_flow: Scalar = Quantity(
+        "m3/s", "Flow of both anti-cavitation valves of the swing motor", 1e-3
+    )
+    swing_bulk_modulus_a: Scalar = Quantity("Pa", "Effective bulk modulus of the oil at motor port A", 1e9)
+    swing_bulk_modulus_b: Scalar = Quantity("Pa", "Effective bulk modulus of the oil at motor port B", 1e9)

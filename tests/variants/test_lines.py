@@ -15,10 +15,10 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jve
 
-from fmus.boom_stick.detailed import advised_lumps, detailed, hose
-from fmus.components import hose_line
-from fmus.components.hose_line import Line, lumps_needed
-from fmus.components.oil import Fluid
+from fmus.boom_stick.detailed import advised_lumps, detailed, line
+from fmus.components import hose
+from fmus.components.chamber import Fluid
+from fmus.components.hose import Line, lumps_needed
 from fmus.contract import quantities, symbolic
 from fmus.parameters import values
 
@@ -26,22 +26,26 @@ from fmus.parameters import values
 BETA, RHO, LENGTH, BORE, MU = 1.6e9, 970.0, 4.0, 0.75 * 0.0254, 0.030
 SPEED = math.sqrt(BETA / RHO)
 STIFF = 1e30  # Pa: a wall that does not give
-WORK = 1e7  # Pa: far above the pressure at which voids open
+WORK = 1e7  # Pa: far above the pressure at which the oil cavitates
 AREA = math.pi / 4 * BORE**2
+
+
+def oil(viscosity: float) -> Fluid:
+    return Fluid(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
 
 
 def pipe(viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE) -> Line:
     """A line without air and without turbulent friction."""
-    return Line(length, bore, 0.0, wall, Fluid(RHO, viscosity, BETA, 0.0, 1.4))
+    return Line(length, bore, 0.0, wall, oil(viscosity))
 
 
 @cache
 def jacobian(one: Line, lumps: int, unsteady: bool = False) -> np.ndarray:
     """df/dx of the component at rest: flows, pressures, layers, between two constant pressures."""
-    names = hose_line.names("first", "last", "inner", "", lumps, unsteady)
+    names = hose.names("first", "last", "inner", "", lumps, unsteady)
     x = {name: ca.SX.sym(name) for name in names.all()}
     state = names.each(x.get)
-    rates = hose_line.rates(one, state, WORK, WORK)
+    rates = hose.rates(one, state, WORK, WORK)
     symbols = ca.vertcat(*x.values())
     found = ca.Function("J", [symbols], [ca.jacobian(ca.vertcat(*rates.all()), symbols)])
     rest = [0.0] * (lumps + 1) + [WORK] * lumps + [0.0] * (len(x) - 2 * lumps - 1)
@@ -137,7 +141,7 @@ def test_the_adviser_asks_for_no_lump_too_many(length, bandwidth, error):
 
 def test_a_narrow_bore_needs_more_lumps():
     """Viscosity slows the waves: of two lines of the same length the narrow one has the shorter waves."""
-    fluid = Fluid(RHO, MU, BETA, 0.0, 1.4)
+    fluid = oil(MU)
     wide, narrow = (lumps_needed(4.0, bore, 100.0, 0.05, fluid) for bore in (0.02, 0.002))
     assert narrow > wide
 
@@ -185,7 +189,7 @@ def hose_modes(p: dict[str, float]) -> np.ndarray:
 
 def hose_of(p: dict[str, float], axis: str) -> Line:
     """The hose of an axis from plain numbers."""
-    return hose(detailed(1).parameters(**p), axis)
+    return line(detailed(1).parameters(**p), axis)
 
 
 def test_the_subsystem_has_the_modes_of_its_hoses():
@@ -240,12 +244,12 @@ def zielke(one: Line, omega: float) -> complex:
     return 1j * omega * one.inertance / (1 - 2 * jve(1, z) / (z * jve(0, z)))
 
 
-@given(st.floats(-2, math.log10(hose_line.RANGE)))
+@given(st.floats(-2, math.log10(hose.RANGE)))
 def test_friction_follows_the_exact_impedance_in_the_stated_range(decade):
     """Up to w r^2/nu = 2e4 the real part is within 26 % of Zielke's and the whole within 2.5 %."""
     one = pipe(MU)
     omega = 10**decade * MU / RHO / (BORE / 2) ** 2
-    exact, found = zielke(one, omega), hose_line.impedance(one, omega)
+    exact, found = zielke(one, omega), hose.impedance(one, omega)
     assert found.real == pytest.approx(exact.real, rel=0.26)
     assert abs(found - exact) < 0.025 * abs(exact)
 
@@ -253,7 +257,7 @@ def test_friction_follows_the_exact_impedance_in_the_stated_range(decade):
 def test_slow_flow_has_poiseuilles_resistance_and_four_thirds_of_the_inertance():
     """The limits of V19 for slow flow: R and 4/3 I."""
     one, omega = pipe(MU), 1e-4
-    z = hose_line.impedance(one, omega)
+    z = hose.impedance(one, omega)
     # exact up to w r^2/nu = 3e-4, squared; the inertance: the sum of m_i/n_i is 0.08338, not 1/12
     assert z.real == pytest.approx(one.laminar_resistance, rel=1e-6)
     assert z.imag / omega == pytest.approx(4 / 3 * one.inertance, rel=2e-4)
@@ -262,8 +266,8 @@ def test_slow_flow_has_poiseuilles_resistance_and_four_thirds_of_the_inertance()
 def test_the_range_is_not_understated():
     """At ten times the stated range the terms have lost more of the damping than that."""
     one = pipe(MU)
-    omega = 10 * hose_line.RANGE * MU / RHO / (BORE / 2) ** 2
-    assert hose_line.impedance(one, omega).real < 0.75 * zielke(one, omega).real
+    omega = 10 * hose.RANGE * MU / RHO / (BORE / 2) ** 2
+    assert hose.impedance(one, omega).real < 0.75 * zielke(one, omega).real
 
 
 def test_states_of_the_friction_have_its_impedance():
@@ -276,7 +280,7 @@ def test_states_of_the_friction_have_its_impedance():
     q = np.linalg.solve(1j * omega * np.eye(3 * (n + 1)) - a[inner, inner], a[inner, flows] @ flow)
     drop = one.inertance * (1j * omega * flow - a[flows, flows] @ flow - a[flows, inner] @ q)
     # exact identity
-    assert drop == pytest.approx(np.full(n + 1, hose_line.impedance(one, omega)), rel=1e-9)
+    assert drop == pytest.approx(np.full(n + 1, hose.impedance(one, omega)), rel=1e-9)
 
 
 def test_frequency_dependent_friction_damps_the_first_mode_as_zielke():

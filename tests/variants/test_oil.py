@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.components import chamber, oil
-from fmus.components.oil import ATMOSPHERE, FLOOR, Fluid
+from fmus.components import chamber
+from fmus.components.chamber import ATMOSPHERE, FLOOR, Fluid
 
 BETA = 1.6e9
 pressures = st.floats(-1.5e5, 4e7)
 
 
 def fluid(air: float = 0.01, exponent: float = 1.4) -> Fluid:
-    return Fluid(970.0, 0.02, BETA, air, exponent)
+    return Fluid(density=970.0, viscosity=0.02, bulk_modulus=BETA, air_share=air, air_exponent=exponent)
 
 
 def number(value: object) -> float:
@@ -34,7 +34,7 @@ def mixture(air: float, exponent: float, absolute: float) -> float:
 @given(st.floats(1e6, 4e7), st.floats(0.0, 0.01), st.floats(1.01, 1.4))
 def test_modulus_is_that_of_the_mixture_above_ten_bar(absolute, air, exponent):
     """V20: within 0.3 % for up to 1 % of air, at least 10 bar absolute. V20's share is of the whole."""
-    found = number(oil.bulk_modulus(fluid(air / (1 - air), exponent), absolute - ATMOSPHERE))
+    found = number(chamber.bulk_modulus(fluid(air / (1 - air), exponent), absolute - ATMOSPHERE))
     # what the module says: the volume of the air is neglected beside that of the oil
     assert found == pytest.approx(mixture(air, exponent, absolute), rel=3e-3)
 
@@ -42,7 +42,7 @@ def test_modulus_is_that_of_the_mixture_above_ten_bar(absolute, air, exponent):
 @given(st.floats(0.0, 0.02), st.floats(1.01, 1.4))
 def test_modulus_at_atmospheric_pressure_is_off_by_the_share_of_air(air, exponent):
     """V20 at 1 bar: by the share of air itself."""
-    found = number(oil.bulk_modulus(fluid(air / (1 - air), exponent), 0.0))
+    found = number(chamber.bulk_modulus(fluid(air / (1 - air), exponent), 0.0))
     # exact identity: both compliances have the same terms, V20's times 1 - air
     expected = mixture(air, exponent, ATMOSPHERE) * (1 - air)
     assert found == pytest.approx(expected, rel=1e-12)
@@ -53,25 +53,25 @@ def test_oil_without_air_is_the_chamber_of_lumped(pressure):
     """No air: modulus, pressure rate and energy are those of `fmus.components.chamber`, void and all."""
     plain, volume, net = fluid(0.0), 3e-3, 1e-4
     # exact identities: rounding of the closed forms
-    assert number(oil.bulk_modulus(plain, pressure)) == pytest.approx(BETA, rel=1e-14)
-    capacitance = volume * oil.compliance(plain, pressure)
-    assert number(oil.pressure_rate(pressure, net, capacitance)) == pytest.approx(
+    assert number(chamber.bulk_modulus(plain, pressure)) == pytest.approx(BETA, rel=1e-14)
+    capacitance = volume * chamber.compliance(plain, pressure)
+    assert number(chamber.pressure_rate(pressure, net, capacitance)) == pytest.approx(
         number(chamber.pressure_rate(pressure, net, volume / BETA)), rel=1e-12
     )
-    energy = volume * oil.energy_density(plain, pressure) + oil.void_energy(pressure)
+    energy = volume * chamber.energy_density(plain, pressure) + chamber.stored_energy(pressure, 0.0)
     assert number(energy) == pytest.approx(number(chamber.stored_energy(pressure, volume / BETA)), rel=1e-12)
 
 
 P = ca.SX.sym("P")
 AIR, EXPONENT = ca.SX.sym("air"), ca.SX.sym("exponent")
-MIXED = Fluid(970.0, 0.02, BETA, AIR, EXPONENT)
+MIXED = fluid(AIR, EXPONENT)
 SLOPES = ca.Function(
     "slopes",
     [P, AIR, EXPONENT],
     [
-        oil.compliance(MIXED, P),
-        ca.jacobian(oil.energy_density(MIXED, P), P),
-        ca.jacobian(oil.compliance(MIXED, P), P),
+        chamber.compliance(MIXED, P),
+        ca.jacobian(chamber.energy_density(MIXED, P), P),
+        ca.jacobian(chamber.compliance(MIXED, P), P),
     ],
 )
 
@@ -83,7 +83,7 @@ def test_energy_is_the_integral_of_pressure_over_volume(pressure, air, exponent)
     # exact identity; the closed form is a difference of terms 1/(1 - 1/n) = 100 times as large
     assert slope == pytest.approx(pressure * compliance, rel=1e-10, abs=1e-9)
     # rounding of terms of air p_0/(1 - 1/n), up to 5e5 J/m3
-    assert number(oil.energy_density(fluid(air, exponent), 0.0)) == pytest.approx(0.0, abs=1e-8)
+    assert number(chamber.energy_density(fluid(air, exponent), 0.0)) == pytest.approx(0.0, abs=1e-8)
 
 
 @given(st.floats(-1e12, 1e12), st.floats(0.0, 0.05))

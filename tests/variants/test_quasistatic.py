@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -20,7 +21,15 @@ from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 
 SUPPLY, RHO = 20.684e6, 970.0  # Pa, kg/m3
-VALVE = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
 HOSE = 3.2e10  # Pa.s2/m6
 QUASISTATIC = {part: FAMILIES[part]["quasistatic"] for part in ("swing", "boom_stick")}
 
@@ -77,7 +86,7 @@ def test_flow_over_an_edge_is_odd_and_increasing(one, other, command):
 @given(st.floats(-1e-2, 1e-2), st.sampled_from([0.8, 3.0, 10.0]))
 def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
     """The drop of the lumped edge and hose at a flow Q, put over the quasistatic edge, gives Q back."""
-    tight = Valve(*[*vars(VALVE).values()][:5], leakage=0.0, transition_flow=1e-5)
+    tight = replace(VALVE, leakage=0.0)
     drop = float(spool_valve.turbulent_drop(flow, 1 / square_gain(command), 1e-5))
     port, _ = ports(command, -drop, 0.0, supply=0.0, tank=0.0, valve=tight)
     # exact identity: some rounding errors of numbers that are never subtracted

@@ -13,7 +13,7 @@ from fmus.machine.parts import parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import values
 
-VALVE = PressureValve(24.8e6, 1e-9, 2e5)
+VALVE = PressureValve(pressure=24.8e6, gain=1e-9, rounding=2e5)
 
 
 @given(st.floats(-5e7, 5e7))
@@ -81,7 +81,7 @@ def test_anti_cavitation_valves_keep_the_oil_from_tearing():
     def lowest(y):
         return min(y[f"boom_stick.boom_{side}_pressure"].min() for side in ("head", "rod"))
 
-    assert lowest(usual) < 3 * chamber.VOID_PRESSURE
-    assert lowest(fine) > chamber.VOID_PRESSURE
+    assert lowest(usual) < 3 * chamber.VAPOUR_PRESSURE
+    assert lowest(fine) > chamber.VAPOUR_PRESSURE
     assert fine["boom_stick.boom_void_volume"].max() < usual["boom_stick.boom_void_volume"].max() / 5
     assert fine["boom_stick.boom_anti_cavitation_flow"].max() > 1e-5  # m3/s: they work

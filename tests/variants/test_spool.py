@@ -11,16 +11,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from fmus.components import spool_dynamics, spool_valve
-from fmus.components.spool_dynamics import Edges, Spool, SpoolState
-from fmus.components.spool_valve import Valve
+from fmus.components import spool_valve
+from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve
 
 W, Z, V_MAX = 2 * math.pi * 30.0, 0.707, 20.0
-SPOOL = Spool(W, Z, V_MAX)
+
+
+def moving(w, z, speed, overlaps=(0.06,) * 4) -> Spool:
+    """A spool of angular frequency w."""
+    names = ("overlap_pa", "overlap_at", "overlap_pb", "overlap_bt")
+    edges = dict(zip(names, overlaps, strict=True))
+    return Spool(frequency=w / (2 * math.pi), damping=z, speed=speed, **edges)
+
+
+SPOOL = moving(W, Z, V_MAX)
 STEP = 2e-4  # s
 
 _x, _v, _u, _w, _z, _m = (ca.SX.sym(n) for n in ("x", "v", "u", "w", "z", "m"))
-_RATES = spool_dynamics.rates(Spool(_w, _z, _m), SpoolState(_x, _v), _u)
+_RATES = spool_valve.spool_rates(moving(_w, _z, _m), SpoolState(_x, _v), _u)
 FIELD = ca.Function("field", [_x, _v, _u, _w, _z, _m], [_RATES.position, _RATES.speed])
 
 
@@ -63,7 +71,7 @@ def test_full_step_takes_the_rate_limit():
 @given(st.lists(st.floats(-5.0, 5.0), min_size=5, max_size=40), st.floats(-1.0, 1.0))
 def test_no_command_drives_the_spool_too_fast_or_out_of_its_stroke(levels, start):
     """Whatever the commands, also beyond full: |v| <= v_max and |x| <= 1."""
-    wanted = [float(spool_dynamics.share(level * 10.0, 10.0)) for level in levels]
+    wanted = [float(spool_valve.wanted_position(level * 10.0, 10.0)) for level in levels]
     found = follow(np.repeat(wanted, 50), start)
     # invariants of the equations; Runge-Kutta may leave them by its error of 1e-6
     assert np.abs(found[:, 1]).max() <= V_MAX * (1 + 1e-6)
@@ -90,35 +98,44 @@ def test_the_stroke_is_never_exceeded(x, u, w, z, v_max):
     assert rate + z * w * speed <= 1e-10 * w * w  # d/dt (v - z w (1 - x)); rounding
 
 
-EDGES = Edges(4e-5, 0.62, 0.06, 0.1, 0.2, 0.3, 0.04, 1.6e-14, 1e-5)
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
+EDGES = Edges.of(VALVE)
+ROUNDING = 0.04  # of the foot, as share of the stroke
+UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
 P_S, RHO = 20.684e6, 970.0
 
 
 @given(anything)
 def test_each_edge_opens_from_its_own_overlap_on(x):
     """Oil from and to a port at 10 MPa: only leakage up to the overlap, more beyond, edge by edge."""
-    a, b = spool_dynamics.ports(EDGES, x, 0.0, 0.0, P_S, 0.0, RHO)
+    a, b = spool_valve.spool_ports(EDGES, UNEQUAL, x, 0.0, 0.0, P_S, 0.0, RHO)
     for port, x_s, s, x_t, t in (
-        (a, x, EDGES.overlap_pa, -x, EDGES.overlap_at),
-        (b, -x, EDGES.overlap_pb, x, EDGES.overlap_bt),
+        (a, x, UNEQUAL.overlap_pa, -x, UNEQUAL.overlap_at),
+        (b, -x, UNEQUAL.overlap_pb, x, UNEQUAL.overlap_bt),
     ):
         # without line flow both conductances show in the port pressure: P (G_s + G_t) = G_s P_s
         share = float(port.pressure) / P_S
         if x_s <= s and x_t <= t:
             assert share == pytest.approx(0.5, rel=1e-12)
         elif x_s > s + 1e-3:  # the foot is cubic: 1e-3 into it 1e-6 of the leakage
-            assert share > (0.99 if x_s > s + EDGES.rounding else 0.5)
+            assert share > (0.99 if x_s > s + ROUNDING else 0.5)
         elif x_t > t + 1e-3:
-            assert share < (0.01 if x_t > t + EDGES.rounding else 0.5)
+            assert share < (0.01 if x_t > t + ROUNDING else 0.5)
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-2e-3, 2e-3))
 def test_equal_overlaps_make_the_valve_of_lumped(x, flow):
     """With the dead band as overlap of all edges and the spool at its command: the ports of lumped."""
-    valve = Valve(4e-5, 0.62, 0.6, 10.0, 0.4, 1.6e-14, 1e-5)
-    edges = Edges(4e-5, 0.62, 0.06, 0.06, 0.06, 0.06, 0.04, 1.6e-14, 1e-5)
-    usual = spool_valve.ports(valve, 10.0 * x, flow, -flow, P_S, 0.0, RHO)
-    found = spool_dynamics.ports(edges, x, flow, -flow, P_S, 0.0, RHO)
+    usual = spool_valve.ports(VALVE, 10.0 * x, flow, -flow, P_S, 0.0, RHO)
+    found = spool_valve.spool_ports(EDGES, SPOOL, x, flow, -flow, P_S, 0.0, RHO)
     for mine, theirs in zip(found, usual, strict=True):
         # exact identity; volts and shares differ by rounding, which the foot of the opening multiplies
         assert float(mine.pressure) == pytest.approx(float(theirs.pressure), rel=1e-6, abs=1.0)

@@ -101,7 +101,7 @@ def build_python(
     platforms    names of `platforms.PLATFORMS`; by default the one this runs on
     where        "module:NAME" by which the FMU finds the subsystem; by default what `origin` finds
     """
-    given, found = numbers or values(sub), where or origin(sub)
+    given, found = numbers or values(sub, derive=False), where or origin(sub)
     face = interface(sub, given)
     card = {"origin": found, "fingerprint": fingerprint(face), "numbers": asdict(given)}
     flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"}

@@ -196,7 +196,7 @@ def refuse(text: str) -> NoReturn:
 
 def of_subsystem(sub: Subsystem, numbers: Values | None = None) -> Instance:
     """An instance of a subsystem, with the numbers of its parameters.toml or others."""
-    face = interface(sub, numbers or values(sub))
+    face = interface(sub, numbers or values(sub, derive=False))
     return Instance(Continuous(Functions(face), face.variables))
 
 

@@ -5,7 +5,7 @@ Two ways. By regression on the equations of a hose of one lump, filtered over wi
     I dQ/dt = P_in - P_out - R Q - C_R Q|Q| - p_0        Q = Q_in + s (Q_out - Q_in)
     C dP/dt = Q_in - Q_out - q_0                         P = P_out + s (P_in - P_out)
 
-where the machine (`fmus.components.cylinder_drive`) has the flow of the inlet and the capacitance at the
+where the machine (`fmus.boom_stick.drive`) has the flow of the inlet and the capacitance at the
 outlet, s = 0. A hose along which both are spread has s = 1/2: the mean of its ends. The share s, the friction
 and the offsets p_0, q_0 between two instruments of one kind are estimated with I and C, so that none of them
 is mistaken for these. The result goes to the machine: I ~ l/A and C ~ A l for its other lines.

@@ -88,7 +88,7 @@ def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
 
 
 def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose_line`; R^2 may be negative."""
+    """Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose`; R^2 may be negative."""
     return flow * np.sqrt(np.maximum(v["laminar_square"] + (v["resistance"] * flow) ** 2, 0.0))
 
 
