@@ -206,7 +206,7 @@ def _common(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) ->
 Inputs = Mapping[str, Sequence[str]]  # input of the whole -> `component.variable` that it feeds
 
 
-def joined(
+def compose(
     name: str,
     text: str,
     subsystems: Mapping[str, Subsystem],
@@ -214,18 +214,18 @@ def joined(
     inputs: Inputs,
     tables: Mapping[str, Tables] | None = None,
     *,
-    folder: Path,
+    folder: Path | None = None,
     hidden: Collection[str] = (),
     totals: Collection[str] = (),
     texts: Mapping[str, str] | None = None,
     terminals: tuple[Terminal, ...] = (),
 ) -> Subsystem:
-    """Join subsystems by (source output, target input) pairs; inputs fed by nobody keep their start value.
+    """One subsystem of several, connected by (source output, target input) pairs; inputs fed by nobody keep their start value.
 
     Components that have a `corner` are refused: the whole would not tell it.
 
     tables   numbers by component; by default those of its parameters.toml
-    folder   where README.md and icon.png are
+    folder   where README.md and icon.png are, if there are any
     hidden   outputs, `component.variable`, that nobody outside needs
     totals   names that several components give to an output, of which the sum is shown
     texts    output of the whole -> what it is, where the words of the component do not fit
@@ -254,7 +254,7 @@ def joined(
         text=text,
         **types,
         **_equations(whole, names, types["states"], types["outputs"]),
-        values=folder / "parameters.toml",
+        values=folder and folder / "parameters.toml",
         numbers=_numbers(tables, names, inputs),
         derive=lambda p: _derived(subsystems, names, p),
         terminals=terminals,

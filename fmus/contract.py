@@ -12,6 +12,7 @@ A name that stands both in the states and in the outputs is one variable.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -154,8 +155,8 @@ class Subsystem:
     """One FMU-to-be.
 
     name       identifier: model identifier and file name of the FMU
-    values     the parameters.toml with the numbers of parameters and start values;
-               README.md and icon.png beside it go into the FMU
+    values     the parameters.toml with the numbers of parameters and start values; README.md and icon.png
+               beside it go into the FMU. Without a file the numbers are the `value`s of the quantities
     initial    (x, u, p) -> {state: value}: states computed at initialisation, perhaps from
                the start values x of the others, which start at their start value
     require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
@@ -179,7 +180,7 @@ class Subsystem:
     outputs: type[Any]
     dynamics: Callable[[Any, Any, Any], Any]
     observe: Callable[[Any, Any, Any], Any]
-    values: Path
+    values: Path | None = None
     initial: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     derive: Callable[[Any], Mapping[str, Scalar]] = _none
@@ -191,6 +192,11 @@ class Subsystem:
     variant: str = ""
     validity: str = ""
     elsewhere: frozenset[str] = frozenset()
+
+    @property
+    def folder(self) -> Path:
+        """Where README.md, icon.png and the reference experiment are, if it has any."""
+        return Path(os.devnull) if self.values is None else self.values.parent
 
     @property
     def component(self) -> str:

@@ -116,6 +116,8 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
     """
     given: Tables | None = sub.numbers if path is None else None
     path = path or sub.values
+    if path is None:
+        path, given = Path(sub.name), given or _declared(sub)
     found = read(path) if given is None else given
     parameters = quantities(sub.parameters)
     startable = quantities(sub.inputs) | quantities(sub.states)
@@ -132,6 +134,20 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
             elif name not in sub.elsewhere:
                 raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return own
+
+
+def _declared(sub: Subsystem) -> Tables:
+    """The numbers that stand in the declaration."""
+
+    def stated(*groups: type[Any]) -> dict[str, Number]:
+        return {
+            name: Number(q.value, q.unit, "assumed", "stated in the code")
+            for group in groups
+            for name, q in quantities(group).items()
+            if q.value is not None
+        }
+
+    return {"parameters": stated(sub.parameters), "start": stated(sub.inputs, sub.states)}
 
 
 def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:

@@ -12,7 +12,7 @@ import pytest
 from driver import driving
 from fmpy.validation import validate_fmu
 
-from fmus.composition import declared, flat_names, joined
+from fmus.composition import compose, declared, flat_names
 from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
@@ -130,7 +130,7 @@ def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: A
     tables = {sub.name: table for sub, table in (first, second)}
     wires = more.pop("wires", [("a.y", "b.u")])
     inputs = more.pop("inputs", {"aim_of_all": ("a.u",)})
-    return joined("chain", "Chain", parts, wires, inputs, tables, folder=Path("none"), **more)
+    return compose("chain", "Chain", parts, wires, inputs, tables, folder=Path("none"), **more)
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, toleran
         record_step=0.02,
         tolerance=tolerance,
         set={
-            name: kept_values(HARVESTER).p[name] for name in read(data("reference/hoses.toml"))["parameters"]
+            f"harvester.{name}": kept_values(HARVESTER).p[name] for name in read(data("reference/hoses.toml"))["parameters"]
         },
     )
     outcome = compare(by_variable(found.trace, reference.signals), reference, rate=False)

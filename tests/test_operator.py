@@ -17,7 +17,7 @@ from fmpy.fmi3 import FMU3Model
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.composition import joined
+from fmus.composition import compose
 from fmus.contract import symbolic
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
@@ -177,7 +177,7 @@ def exchanging(path, start):
 def test_no_event_is_lost_in_a_whole():
     """Components with corners cannot be joined: the FMU of the whole would not tell them."""
     with pytest.raises(Problem, match="whole: operator has corners, expected components without"):
-        joined("whole", "The operator alone", {"operator": OPERATOR}, (), {}, folder=OPERATOR.values.parent)
+        compose("whole", "The operator alone", {"operator": OPERATOR}, (), {}, folder=OPERATOR.values.parent)
 
 
 def test_the_shipped_program_is_the_work_cycle():

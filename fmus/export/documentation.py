@@ -172,7 +172,7 @@ def hidden(face: Interface) -> list[Row]:
 
 
 def _provenance(sub: Subsystem) -> dict[str, Number]:
-    if sub.numbers is None and not sub.values.is_file():
+    if sub.numbers is None and sub.values is not None and not sub.values.is_file():
         return {}
     tables: Tables = numbers(sub)
     return {name: n for table in tables.values() for name, n in table.items()}
@@ -247,7 +247,7 @@ def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, ic
     environment = Environment(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    text, sections = prose(sub.values.parent / "README.md", sub.variant)
+    text, sections = prose(sub.folder / "README.md", sub.variant)
     groups = parameters(sub, face)
     start = start_values(sub, face)
     used = {row.number.source for group in (*groups, *start) for row in group.rows if row.number}

@@ -69,7 +69,7 @@ def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
 
 def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -> dict[str, bytes]:
     """What a person reads: icon, documentation, licence, numbers with their sources."""
-    picture, licence = sub.values.parent / "icon.png", shipped("LICENSE")
+    picture, licence = sub.folder / "icon.png", shipped("LICENSE")
     icon = picture.read_bytes() if picture.is_file() else None
     content = {"documentation/index.html": page(sub, face, fmi, step, stop, icon).encode()}
     if icon is not None:
@@ -78,6 +78,6 @@ def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -
         content["documentation/licenses/license.txt"] = licence.read_bytes()
     if sub.numbers is not None:
         content["resources/parameters.toml"] = document(sub.numbers).encode()
-    elif sub.values.is_file():
+    elif sub.values is None or sub.values.is_file():
         content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
     return content

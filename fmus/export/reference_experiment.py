@@ -46,7 +46,7 @@ def data_file(sub: Subsystem, name: str) -> Path:
     """Where a file of the experiment is kept; all variants of a part get the same inputs."""
     own = sub.name.removeprefix(sub.component).strip("_")
     which = f"reference_{own}" if own and name != "input.csv" else "reference"
-    return sub.values.parent / f"{which}_{name}"
+    return sub.folder / f"{which}_{name}"
 
 
 def proof(sub: Subsystem) -> dict[str, bytes]:

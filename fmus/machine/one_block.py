@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fmus.components.ports import lever, return_line, supply_line
-from fmus.composition import joined
+from fmus.composition import compose
 from fmus.contract import Subsystem
 from fmus.machine.parts import CONNECTIONS, HOLDING, INPUTS, RATES, SUBSYSTEMS
 
@@ -32,7 +32,7 @@ TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 def whole(parts: Mapping[str, Subsystem]) -> Subsystem:
     """The machine of swing, boom_stick and manipulator, with their numbers."""
-    return joined(
+    return compose(
         name="harvester",
         text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
         subsystems=parts,

@@ -248,7 +248,7 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def main(folder: Path) -> None:
     """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
-    write(OPERATOR.values, program_numbers())
+    write(OPERATOR.folder / "parameters.toml", program_numbers())
     time, commands = work_cycle()
     write_columns(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10

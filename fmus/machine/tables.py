@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
-from fmus.parameters import SOURCES, Number, numbers
+from fmus.parameters import SOURCES, Number, complete
 from orchestrator.base.errors import Problem
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
@@ -67,7 +67,7 @@ def _parameter_lines(sub: Subsystem, source: str | None) -> Iterator[str]:
     """The numbers of one subsystem, with its start values; or those of one source."""
     found = [
         (f"{name} (start)" if section == "start" else name, name, n)
-        for section, entries in numbers(sub).items()
+        for section, entries in complete(sub).items()
         for name, n in entries.items()
         if source in (None, n.source)
     ]
@@ -92,7 +92,7 @@ def _indented(text: str, width: int) -> str:
 
 def _count(subs: Iterable[Subsystem], source: str | None) -> str:
     """How many numbers come from where, start values included: `11 of 90 numbers: paper`."""
-    found = Counter(n.source for sub in subs for entries in numbers(sub).values() for n in entries.values())
+    found = Counter(n.source for sub in subs for entries in complete(sub).values() for n in entries.values())
     if source is not None:
         return f"{found[source]} of {found.total()} numbers: {source}"
     return f"{found.total()} numbers: " + ", ".join(f"{found[s]} {s}" for s in SOURCES if found[s])

@@ -10,11 +10,11 @@ import numpy as np
 from fmus.identification.procedures.momentum_balance import ALL_PRESSURES, ANGLES
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
-from fmus.parameters import numbers
+from fmus.parameters import complete
 from orchestrator.data.recording import Recording, Sensor
 
 STEP, REST = 0.005, 1.0  # 200 Hz as the paper's, at rest at first
-KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in numbers(s)["parameters"].items()}
+KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in complete(s)["parameters"].items()}
 ENCODER = Sensor("encoder of 65536 counts", 0.0, 2 * np.pi / 65536)
 PRESSURE = Sensor("pressure transducer", 1e4, 4e7 / 4096, 0.0, 4e7)
 UNITS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
