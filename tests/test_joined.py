@@ -258,7 +258,8 @@ def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, toleran
         record_step=0.02,
         tolerance=tolerance,
         set={
-            f"harvester.{name}": kept_values(HARVESTER).p[name] for name in read(data("reference/hoses.toml"))["parameters"]
+            f"harvester.{name}": kept_values(HARVESTER).p[name]
+            for name in read(data("reference/hoses.toml"))["parameters"]
         },
     )
     outcome = compare(by_variable(found.trace, reference.signals), reference, rate=False)
