@@ -17,7 +17,7 @@ from fmus.identification.refinement.data import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
-from fmus.parameters import Number, Values, numbers, read, values
+from fmus.parameters import Number, Values, derived, numbers, read, values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
@@ -51,11 +51,11 @@ SMOOTH = {"supply_pressure": 20.0}  # s, or as long as it takes no more than the
 
 
 def nominal() -> dict[str, Number]:
-    """All parameters of the parts and their variants; lengths of hoses are numbers of `detailed` only."""
+    """All parameters of the parts and their variants; with the values of what is derived."""
     return {
         f"{part}.{name}": number
         for part, sub in SUBSYSTEMS.items()
-        for name, number in read(sub.values)["parameters"].items()
+        for name, number in (read(sub.folder / "parameters.toml")["parameters"] | derived(sub)).items()
     }
 
 
