@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.xml import Element, child, children, local, parse
+from orchestrator.base.xml import Element, child, children, local, parse, read_xml
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{PLACE}/fmi-ls-manifest.xml"
@@ -151,14 +151,10 @@ def _source(folder: Path, file: Path, e: Element, tag: str) -> Path | None:
 
 def parameter_set(path: Path) -> dict[str, str]:
     """Name -> value of a parameter set in SSV format."""
-    root = parse(Location(path), "ParameterSet")
-    found = {}
-    for p in children(root, "Parameters", "Parameter"):
-        value = next((e for e in p if e.get("value") is not None), None) if len(p) else None
-        if value is None:
-            raise Problem(f"{path.name}: parameter {p.get('name')!r}: expected a value, got none")
-        found[p.get("name")] = value.get("value")
-    return found
+    from orchestrator.ssp.parameters import read_parameter_set
+
+    values = read_parameter_set(read_xml(Location(path), "ParameterSet"), {})
+    return {value.name: value.text for value in values}
 
 
 def table(path: Path) -> Table:

@@ -105,10 +105,8 @@ class Diagram:
             sides[side].append(v)
             connected += [v] if towards else []
         stems = list(dict.fromkeys(v.partition("_")[0] for v in connected))
-        for names in sides:
-            names.sort(
-                key=lambda v: (v not in connected, v in connected and stems.index(v.partition("_")[0]))
-            )
+        for names in sides:  # connected ones by their port, then the others
+            names.sort(key=lambda v: stems.index(v.partition("_")[0]) if v in connected else len(stems))
         return sides
 
     def _peers(self, port: Port) -> list[Port]:

@@ -99,7 +99,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 
 def test_the_committed_experiments_are_those_of_the_equations():
-    """Inputs, parameters and the beginning of each result are what `python -m fmus.machine.reference` writes."""
+    """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
     known = machine()
     for sub in SUBSYSTEMS.values():
         moving = stimuli(sub, known)
