@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orchestrator.check.finding import Finding, Rule
-    from orchestrator.check.report import Report
+    from orchestrator.check.finding import CheckRule, Finding
+    from orchestrator.check.report import CheckReport
     from orchestrator.check.subject import Subject
 
 DEFECT = "check.defect"
 
 
-def all_rules() -> tuple[Rule, ...]:
+def all_rules() -> tuple[CheckRule, ...]:
     """All rules, in the order in which they are applied."""
     from orchestrator.check.probes import PROBES
     from orchestrator.check.reference_experiment import EXPERIMENT
@@ -26,16 +26,16 @@ def all_rules() -> tuple[Rule, ...]:
     return (*STATIC, *PROBES, EXPERIMENT)
 
 
-def check(path: Path, tool: str = "any", run: bool = True) -> Report:
+def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     """Check one FMU.
 
     tool   id of the tool that shall take it; any: all findings
     run    also load and run it, in child processes
     """
     from orchestrator.base.errors import Problem
-    from orchestrator.check.report import ANY, TOOLS, Report
+    from orchestrator.check.report import ANY, TOOLS, CheckReport
     from orchestrator.check.rules import STATIC
-    from orchestrator.check.rules.description import without_repeats
+    from orchestrator.check.rules.identity import without_repeats
     from orchestrator.check.subject import opened
 
     if tool != ANY and tool not in TOOLS:
@@ -46,10 +46,10 @@ def check(path: Path, tool: str = "any", run: bool = True) -> Report:
     with opened(path) as subject:
         rules = all_rules() if run else STATIC
         findings = [finding for rule in rules for finding in _applied(rule, subject)]
-        return Report(path, _title(subject), without_repeats(findings), tool)
+        return CheckReport(path, _title(subject), without_repeats(findings), tool)
 
 
-def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
+def _applied(rule: CheckRule, subject: Subject) -> Iterator[Finding]:
     """The findings of a rule; one that fails on a strange FMU must not hide those of the others."""
     from orchestrator.check.finding import Finding
 
@@ -62,7 +62,7 @@ def _applied(rule: Rule, subject: Subject) -> Iterator[Finding]:
 
 def _title(subject: Subject) -> str:
     """What the file is, in a few words."""
-    from orchestrator.fmi.model_description import INTERFACES
+    from orchestrator.fmi.raw_description import INTERFACES
 
     model = subject.model
     if not model.interfaces:

@@ -1,9 +1,8 @@
 """What the shared libraries of an FMU say about themselves: ELF, PE and Mach-O in the same terms.
 
-The functions that a shared library must export, by version and kind; all of them, whatever it can do.
-
-FMI 2.0.5, section 2.3: those of Model Exchange, of Co-Simulation or of both, also where a capability flag is
-false. FMI 3.0.1, section 2.5: those of fmi3Functions.h, for whichever interface types.
+And the functions that one must export, whatever the FMU can do. FMI 2.0.5, section 2.3: those of Model
+Exchange, of Co-Simulation or of both, also where a capability flag is false. FMI 3.0.1, section 2.5: those of
+fmi3Functions.h, for whichever interface types.
 """
 
 from __future__ import annotations

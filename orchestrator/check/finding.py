@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
-    from orchestrator.fmi.model_description import DeclaredVariable
+    from orchestrator.fmi.raw_description import DeclaredVariable
 
 Severity = Literal["error", "warning", "note"]
 LONGEST = 60  # characters of a name that are shown
@@ -65,7 +65,7 @@ Check = Callable[["Subject"], Iterable[Finding]]
 
 
 @dataclass(frozen=True)
-class Rule:
+class CheckRule:
     """One thing to check.
 
     id        topic and word: "unit.undefined"
@@ -85,14 +85,14 @@ class Rule:
             yield replace(found, rule=self.id, thread=found.thread or " ".join(self.threads))
 
 
-class Table(list[Rule]):
+class RuleTable(list[CheckRule]):
     """Rules in the order in which they are applied."""
 
     def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
         """Enter the function below as the rule `name`."""
 
         def enter(check: Check) -> Check:
-            self.append(Rule(name, text, check, threads))
+            self.append(CheckRule(name, text, check, threads))
             return check
 
         return enter

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from orchestrator.check.child import Outcome, in_parallel, run
-from orchestrator.check.finding import MAKE, Check, Finding, Rule, note
+from orchestrator.check.finding import MAKE, Check, CheckRule, Finding, note
+from orchestrator.check.probe_process import Outcome, in_parallel, run
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find, folders
-from orchestrator.fmi.model_description import INTERFACES, ModelDescription
+from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
 
 KINDS = ("CoSimulation", "ModelExchange")
 
@@ -155,7 +155,11 @@ def _probe(
     def check(subject: Subject) -> Iterable[Finding]:
         found, model = first_run(subject), subject.model
         kinds = [k for k in found.kinds if found.sound(k) and kind in ("", k)]
-        able = [k for k in kinds if fmi in (0, model.major) and (not needs or _has(model, k, needs))]
+        able = [
+            k
+            for k in kinds
+            if fmi in (0, model.major) and (not needs or model.interfaces[k].declares(*needs))
+        ]
 
         def work(kind: str) -> Outcome:
             whole = Outcome()
@@ -173,27 +177,21 @@ def _probe(
     return check
 
 
-def _has(model: ModelDescription, kind: str, needs: Sequence[str]) -> bool:
-    """A capability: "true", or a number above zero."""
-    values = [model.interfaces[kind].get(name) for name in needs]
-    return any(v == "true" or (v.isdigit() and int(v) > 0) for v in values)
-
-
-def _from_file() -> Iterator[Rule]:
+def _from_file() -> Iterator[CheckRule]:
     for name, entry in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")).items():
         text, threads = entry.pop("text"), tuple(entry.pop("threads", "").split())
-        yield Rule(f"run.{name}", text, _probe(**entry), threads)
+        yield CheckRule(f"run.{name}", text, _probe(**entry), threads)
 
 
-PROBES: tuple[Rule, ...] = (
-    Rule("run.possible", "The FMU can be run on this machine, so that it can be tried", _possible),
-    Rule(
+PROBES: tuple[CheckRule, ...] = (
+    CheckRule("run.possible", "The FMU can be run on this machine, so that it can be tried", _possible),
+    CheckRule(
         "run.load",
         "The binary for this machine loads and has the functions of its interfaces",
         _loads,
         ("PythonFMU#110", "FMPy#545", "FMPy#642"),
     ),
-    Rule(
+    CheckRule(
         "run.default",
         "The default experiment runs to its end with finite values",
         _runs,

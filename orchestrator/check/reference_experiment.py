@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.check.child import run
-from orchestrator.check.finding import Finding, Rule, error, note, warning
+from orchestrator.check.finding import CheckRule, Finding, error, note, warning
+from orchestrator.check.probe_process import run
 from orchestrator.check.probes import first_run
 from orchestrator.check.reference_files import (
     MANIFEST,
-    Case,
     Related,
-    Table,
+    ResultTable,
+    ShippedExperiment,
     experiments,
     manifest,
     parameter_set,
@@ -31,14 +31,14 @@ from orchestrator.check.reference_files import (
     table,
 )
 from orchestrator.check.subject import Subject
-from orchestrator.check.tasks.simulation import experiment, flat, inner_step, usual_step
-from orchestrator.fmi.model_description import DeclaredVariable, ModelDescription, numbers
+from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
+from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, numbers
 
 SETTABLE = ("parameter", "structuralParameter", "input")
 
 
 @dataclass
-class Comparison:
+class ExperimentComparison:
     """errors   signal -> NRMSE over range
     problems   what could not be compared or set
     end        why the run did not come to its end; empty when it did
@@ -51,16 +51,16 @@ class Comparison:
     late: bool = False
 
 
-def compare(subject: Subject, case: Case) -> Comparison:
+def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     """Run and compare; raises Problem when a file cannot be read."""
     model, kind = subject.model, first_run(subject).kinds[0]
-    reference, result = table(case.reference), Comparison()
+    reference, result = table(case.reference), ExperimentComparison()
     signals = _signals(model, reference, result)
     job = _job(model, case, reference, signals, result)
     if not signals:
         result.problems.append(f"{case.reference.name} has no column that is a number of the model")
         return result
-    outcome = run(subject.folder, model, kind, "reference:experiment", payload=job)
+    outcome = run(subject.folder, model, kind, "shipped_experiment:run", payload=job)
     result.late = outcome.late
     result.end = outcome.end or next((text for severity, text in outcome.said if severity == "error"), "")
     if not result.end:
@@ -68,7 +68,7 @@ def compare(subject: Subject, case: Case) -> Comparison:
     return result
 
 
-def _signals(model: ModelDescription, reference: Table, result: Comparison) -> list[str]:
+def _signals(model: ModelDescription, reference: ResultTable, result: ExperimentComparison) -> list[str]:
     """Columns that are numeric variables; the others are reported, but texts."""
     known = model.by_name
     strange = [n for n in reference.columns if n not in known]
@@ -81,7 +81,11 @@ def _signals(model: ModelDescription, reference: Table, result: Comparison) -> l
 
 
 def _job(
-    model: ModelDescription, case: Case, reference: Table, signals: Sequence[str], result: Comparison
+    model: ModelDescription,
+    case: ShippedExperiment,
+    reference: ResultTable,
+    signals: Sequence[str],
+    result: ExperimentComparison,
 ) -> dict[str, Any]:
     default = experiment(model, "startTime") or 0.0
     start = case.start if case.start is not None else default
@@ -98,14 +102,16 @@ def _job(
     return job | _stimuli(model, case, result)
 
 
-def _step(model: ModelDescription, reference: Table) -> float:
+def _step(model: ModelDescription, reference: ResultTable) -> float:
     """As declared; what an FMU says nothing about is taken from the rows of the result."""
     gaps = [b - a for a, b in pairwise(reference.time) if b > a]
     declared = experiment(model, "stepSize") or inner_step(model)
     return declared or min(gaps, default=usual_step(model))
 
 
-def _parameters(model: ModelDescription, case: Case, result: Comparison) -> dict[str, Any]:
+def _parameters(
+    model: ModelDescription, case: ShippedExperiment, result: ExperimentComparison
+) -> dict[str, Any]:
     if case.parameters is None:
         return {}
     values: dict[str, Any] = {}
@@ -134,7 +140,9 @@ def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
     return values
 
 
-def _stimuli(model: ModelDescription, case: Case, result: Comparison) -> dict[str, Any]:
+def _stimuli(
+    model: ModelDescription, case: ShippedExperiment, result: ExperimentComparison
+) -> dict[str, Any]:
     if case.stimuli is None:
         return {"inputs": [], "input_times": [], "input_rows": []}
     given = table(case.stimuli)
@@ -158,7 +166,7 @@ def _column(v: DeclaredVariable, texts: Sequence[str], file: str) -> NDArray[np.
 
 
 def _errors(
-    model: ModelDescription, reference: Table, signals: Sequence[str], found: Mapping[str, Any]
+    model: ModelDescription, reference: ResultTable, signals: Sequence[str], found: Mapping[str, Any]
 ) -> dict[str, float]:
     """NRMSE of each signal; of rows before and after the inputs were set those that fit better."""
     variables = [model.by_name[n] for n in signals]
@@ -219,17 +227,17 @@ def _missing(related: list[Related]) -> Iterator[Finding]:
 # ---- which experiments there are
 
 
-def cases(folder: Path, related: list[Related]) -> tuple[list[Case], list[str]]:
+def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment], list[str]]:
     """Experiments of the files with this role, then results without experiment; and what is left out."""
     there = [r for r in related if r.path is not None and r.path.is_file()]
-    found: list[Case] = []
+    found: list[ShippedExperiment] = []
     texts: list[str] = []
     for r in there:
         if r.path is None or r.role.partition("/")[0] != "experiment":
             continue
         try:
             for case in experiments(folder, r.path):
-                if isinstance(case, Case):
+                if isinstance(case, ShippedExperiment):
                     found.append(case)
                 else:
                     texts.append(f"{shown(folder, r.path)}: {case}")
@@ -241,7 +249,7 @@ def cases(folder: Path, related: list[Related]) -> tuple[list[Case], list[str]]:
         if r.path is None or r.role != "result" or r.path in used or r.path.suffix.lower() != ".csv":
             continue
         one = sets[0] if len(sets) == 1 else None  # several are variants: none of them is the default
-        found.append(Case(r.path.stem, r.path, one, _inputs_of(r.path)))
+        found.append(ShippedExperiment(r.path.stem, r.path, one, _inputs_of(r.path)))
     return found, texts
 
 
@@ -257,7 +265,7 @@ def _inputs_of(result: Path) -> Path | None:
 # ---- how well they are met
 
 
-def _judged(subject: Subject, case: Case) -> Iterator[Finding]:
+def _judged(subject: Subject, case: ShippedExperiment) -> Iterator[Finding]:
     if why := first_run(subject).problem:
         yield note(f'experiment "{case.name}" was not run: {why}')
         return
@@ -275,7 +283,7 @@ def _judged(subject: Subject, case: Case) -> Iterator[Finding]:
         yield _summary(case, result)
 
 
-def _summary(case: Case, result: Comparison) -> Finding:
+def _summary(case: ShippedExperiment, result: ExperimentComparison) -> Finding:
     """The signals, worst first."""
     ranked = sorted(result.errors.items(), key=lambda item: -item[1])
     worst = ranked[0][1]
@@ -286,6 +294,6 @@ def _summary(case: Case, result: Comparison) -> Finding:
     return (error if worst > WRONG else warning if worst > POOR else note)(text)
 
 
-EXPERIMENT = Rule(
+EXPERIMENT = CheckRule(
     "reference.result", "The experiment that the FMU ships gives the result it ships", _experiment
 )

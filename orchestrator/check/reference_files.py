@@ -38,7 +38,7 @@ class Related:
 
 
 @dataclass(frozen=True)
-class Case:
+class ShippedExperiment:
     """One experiment: times [s] that are None are those of the default experiment."""
 
     name: str
@@ -52,7 +52,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """Columns over time, as text."""
 
     time: list[float]
@@ -94,7 +94,7 @@ def _related(folder: Path, base: Path, element: Element) -> Related:
 # ---- experiments
 
 
-def experiments(folder: Path, file: Path) -> Iterator[Case | str]:
+def experiments(folder: Path, file: Path) -> Iterator[ShippedExperiment | str]:
     """The experiments of a file; a text where one is left out."""
     root = parse(Location(file), "Experiments")
     for e in children(root, "Experiment"):
@@ -112,7 +112,7 @@ def experiments(folder: Path, file: Path) -> Iterator[Case | str]:
             yield _case(folder, file, e, name, reference)
 
 
-def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> Case:
+def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> ShippedExperiment:
     inner = child(e, "TransientSimulation")
 
     def number(key: str) -> float | None:
@@ -124,7 +124,7 @@ def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> C
                 f"{shown(folder, file)}: {name}: expected a number for {key}, got {text!r}"
             ) from None
 
-    return Case(
+    return ShippedExperiment(
         name=name,
         reference=reference,
         parameters=_source(folder, file, e, "Parameters"),
@@ -157,7 +157,7 @@ def parameter_set(path: Path) -> dict[str, str]:
     return {value.name: value.text for value in values}
 
 
-def table(path: Path) -> Table:
+def table(path: Path) -> ResultTable:
     """A CSV file whose first column is the time."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -176,4 +176,4 @@ def table(path: Path) -> Table:
         time = [float(row[0]) for row in rows[1:]]
     except ValueError as error:
         raise Problem(f"{path.name}: the first column is not the time: {error}") from None
-    return Table(time, {name: [row[i] for row in rows[1:]] for i, name in enumerate(names) if i})
+    return ResultTable(time, {name: [row[i] for row in rows[1:]] for i, name in enumerate(names) if i})

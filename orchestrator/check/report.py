@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from orchestrator.check.finding import SEVERITIES, Finding, Rule, Severity
+from orchestrator.check.finding import SEVERITIES, CheckRule, Finding, Severity
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Tool:
+class JudgedTool:
     """One tool; `known_by` tells how its verdicts were found."""
 
     id: str
@@ -34,16 +34,16 @@ class Tool:
 ANY = "any"
 
 
-def _tools() -> Iterator[Tool]:
+def _tools() -> Iterator[JudgedTool]:
     for id_, entry in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items():
         verdicts = {rule: Verdict(*verdict) for rule, verdict in entry["verdicts"].items()}
-        yield Tool(id_, entry["name"], entry["known_by"], verdicts)
+        yield JudgedTool(id_, entry["name"], entry["known_by"], verdicts)
 
 
 TOOLS = {tool.id: tool for tool in _tools()}
 
 
-def seen_in(rule: str) -> tuple[Tool, ...]:
+def seen_in(rule: str) -> tuple[JudgedTool, ...]:
     """The tools that have a verdict on a rule."""
     return tuple(t for t in TOOLS.values() if rule in t.verdicts)
 
@@ -53,7 +53,7 @@ TITLES = {"error": "errors", "warning": "warnings", "note": "notes"}
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckReport:
     """All findings on one FMU; `tool` is the tool asked for, or any."""
 
     path: Path
@@ -141,7 +141,7 @@ def _judged(f: Finding, tool: str) -> Finding:
     return replace(f, severity=verdict.severity)
 
 
-def table(rules: tuple[Rule, ...]) -> str:
+def table(rules: tuple[CheckRule, ...]) -> str:
     """All rules as a Markdown table."""
     lines = ["| rule | what must hold | tools | seen in |", "|---|---|---|---|"]
     for rule in rules:

@@ -20,7 +20,7 @@ from orchestrator.check.finding import Finding
 
 if TYPE_CHECKING:
     from orchestrator.check.binary import Binary
-    from orchestrator.fmi.model_description import ModelDescription
+    from orchestrator.fmi.raw_description import ModelDescription
 
 DESCRIPTION = "modelDescription.xml"
 MOST_BYTES = 2 << 30  # a description of half a million variables and five binaries stay far below

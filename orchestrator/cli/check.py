@@ -35,7 +35,7 @@ def check(
     """
     from orchestrator.check import all_rules
     from orchestrator.check import check as run_check
-    from orchestrator.check.child import ProbeLimits, limits
+    from orchestrator.check.probe_process import ProbeLimits, limits
     from orchestrator.check.report import table
 
     if rules:

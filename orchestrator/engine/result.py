@@ -20,7 +20,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.recorder import BondEnergy
-from orchestrator.fmi.messages import Message
+from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.system import System
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Result:
     system: System
     trace: Trace
     card: Card
-    messages: tuple[Message, ...] = ()
+    messages: tuple[LogMessage, ...] = ()
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
 

@@ -29,7 +29,7 @@ from orchestrator.fmi.calls import (
     unpacked,
 )
 from orchestrator.fmi.description import Interface, Value
-from orchestrator.fmi.instance import Before, Instance, resources
+from orchestrator.fmi.instance import Before, FmuInstance, resources
 from orchestrator.fmi.library import unpacked_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, label
 
@@ -62,7 +62,7 @@ class RunningFmu:
             self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
             fmu.extract(folder)
         library = unpacked_library(folder, face.identifier, face.fmi, self._label)
-        self.fmu = Instance(library, self.log, self.exchange, self._before)
+        self.fmu = FmuInstance(library, self.log, self.exchange, self._before)
         self._undo.callback(self._unless_fatal, library.close)
         self._undo.callback(self.fmu.free)
         place = resources(folder, face.fmi)

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem, Unsupported
 from orchestrator.base.files import Location
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import parse
-from orchestrator.fmi.model_description import (
+from orchestrator.fmi.raw_description import (
     FLOATS,
     INTERFACES,
     SIGNED,
@@ -227,20 +227,20 @@ def _interface(description: ModelDescription, kind: str) -> Interface:
         guid=description.token,
         fmi=fmi,
         refused=refused,
-        interpolates=able.is_true("canInterpolateInputs") and fmi == 2,
+        interpolates=able.declares("canInterpolateInputs") and fmi == 2,
         rates=_rates(declared, description, variables),
         slopes=whole(able.get("maxOutputDerivativeOrder")) or 0,
-        rollback=able.is_true("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-        serializes=able.is_true("canSerializeFMUstate", "canSerializeFMUState"),
-        only_one=able.is_true("canBeInstantiatedOnlyOncePerProcess"),
-        needs_tool=able.is_true("needsExecutionTool"),
+        rollback=able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+        serializes=able.declares("canSerializeFMUstate", "canSerializeFMUState"),
+        only_one=able.declares("canBeInstantiatedOnlyOncePerProcess"),
+        needs_tool=able.declares("needsExecutionTool"),
         indicators=len(indicators) if fmi == 3 else whole(about.get("numberOfEventIndicators")) or 0,
-        varies=able.is_true("canHandleVariableCommunicationStepSize"),
+        varies=able.declares("canHandleVariableCommunicationStepSize"),
         stateless=exchange and not derivatives,
         inert=frozenset() if silent else frozenset(inputs.difference(*(d for d in needed if d is not None))),
         states=_states(description, variables),
         knowns=outputs | derivatives,
-        directional=able.is_true("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+        directional=able.declares("providesDirectionalDerivative", "providesDirectionalDerivatives"),
         categories=description.categories,
         start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(able.attributes, "fixedInternalStepSize"),

@@ -108,7 +108,7 @@ class Bound:
             self.judge(status)
 
 
-class Instance:
+class FmuInstance:
     """An instance; its calls raise CallFailed, with component, variables and time, when the FMU fails.
 
     exchange   for Model Exchange, else for Co-Simulation

@@ -26,7 +26,7 @@ def label(status: int) -> str:
 
 
 @dataclass(frozen=True)
-class Message:
+class LogMessage:
     """One log message of an FMU; time [s] is the last communication point, step the beginning of the step."""
 
     time: float
@@ -53,7 +53,7 @@ class Log:
     component: str = ""
     names: Mapping[int, str] = field(default_factory=dict)
     kept: int = 1000
-    messages: list[Message] = field(default_factory=list)
+    messages: list[LogMessage] = field(default_factory=list)
     dropped: int = 0
     clock: ctypes.Array[ctypes.c_double] = field(
         default_factory=lambda: (ctypes.c_double * 2)(math.nan, math.nan)
@@ -79,7 +79,9 @@ class Log:
             return
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # the function that was called is of no use to a reader
         text = " ".join(named(text, self.names).split() if self.names else text.split())
-        self.messages.append(Message(self.time, self.component, label(status), text, self.clock[1], category))
+        self.messages.append(
+            LogMessage(self.time, self.component, label(status), text, self.clock[1], category)
+        )
 
     def withdraw(self) -> None:
         """Forget the messages of steps from the last communication point on, which are to be repeated."""
@@ -104,7 +106,7 @@ class Log:
 
         trace   the record: a message has the value when it was noticed, the record may have larger ones
         """
-        alike: dict[str, list[Message]] = {}
+        alike: dict[str, list[LogMessage]] = {}
         for m in self.messages:
             if m.status != "ok":
                 alike.setdefault(_NUMBER.sub("#", m.text), []).append(m)
@@ -122,7 +124,7 @@ def named(text: str, names: Mapping[int, str]) -> str:
     return re.sub(r"#(\d*)#", name, text)
 
 
-def _merged(alike: list[Message], trace: Trace | None) -> str:
+def _merged(alike: list[LogMessage], trace: Trace | None) -> str:
     """Messages that differ in numbers only, as the first of them."""
     first, largest = alike[0], _largest(alike[0], trace)
     if len(alike) == 1:
@@ -133,7 +135,7 @@ def _merged(alike: list[Message], trace: Trace | None) -> str:
     return f"{first.component}: {first.text} ({'; '.join(filter(None, (count, largest)))})"
 
 
-def _largest(message: Message, trace: Trace | None) -> str:
+def _largest(message: LogMessage, trace: Trace | None) -> str:
     """The largest magnitude in the record of the variable that a message is about."""
     match = _NAME.match(message.text)
     name = f"{message.component}.{match[1]}" if match else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from orchestrator.base.xml import Element, child, children, local
-from orchestrator.fmi.model_description import (
+from orchestrator.fmi.raw_description import (
     FLOATS,
     INITIAL,
     INTERFACES,

@@ -1,9 +1,4 @@
-"""The operating point at a time of a co-simulation: its states and inputs, by name.
-
-What to say about inputs and loops through which nothing moves at the operating point.
-
-One call that linearises a system of FMUs at an operating point.
-"""
+"""Linearise a system of FMUs at its start, at a time of a co-simulation, or at a steady state."""
 
 from __future__ import annotations
 
@@ -17,8 +12,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
-from orchestrator.linear.choice import choose
-from orchestrator.linear.choice import outputs as chosen_outputs
+from orchestrator.linear.cut_system import choose
+from orchestrator.linear.cut_system import outputs as chosen_outputs
 from orchestrator.linear.model import Linear, Named
 from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import steady as find_steady

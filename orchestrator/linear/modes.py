@@ -1,9 +1,8 @@
-"""What a mode is, in words, from the states that take part in it: their names and their units.
+"""Modes of a linear model: eigenvalues, how much each state takes part in them, and what to call them.
 
-Nothing here knows a machine. The unit tells what a state is (a motion, a pressure, a flow), the words of its
-name what it belongs to: boom_speed and boom_rod_pressure make "boom on its oil".
-
-Modes of a linear model: eigenvalues, how much each state takes part in them, and what to call them.
+A mode is named by the states that take part in it. Nothing here knows a machine: the unit of a state says
+what it is (a motion, a pressure, a flow), the words of its name what it belongs to, so that boom_speed and
+boom_rod_pressure make "boom on its oil".
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Central differences, for FMUs that tell no derivatives.
-
-One component in a plant: its places in the stacked arrays, its calls, its own derivatives.
-
-The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
+"""The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
 
 With the states x of all components, v all their inputs, y all their outputs and u the inputs from outside,
 
@@ -24,7 +20,7 @@ from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.fmi.calls import Call, Slave
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
-from orchestrator.linear.choice import Choice
+from orchestrator.linear.cut_system import CutSystem
 from orchestrator.ssp.system import Port
 
 Array = NDArray[np.float64]
@@ -56,7 +52,7 @@ class Stacked(Protocol):
     f: Array
 
 
-class Member:
+class PlantComponent:
     """One component: its places in the stacked arrays, and its calls."""
 
     def __init__(self, slave: ExchangeFmu, x: slice, v: slice, y: slice) -> None:
@@ -111,10 +107,10 @@ class Plant:
     states, ports   names; inputs and outputs as ports
     """
 
-    def __init__(self, choice: Choice) -> None:
+    def __init__(self, choice: CutSystem) -> None:
         self.choice, self.system = choice, choice.system
         self.slaves: dict[str, ExchangeFmu] = {}
-        self.members: list[Member] = []
+        self.members: list[PlantComponent] = []
         try:
             for name, component in self.system.components.items():
                 self.slaves[name] = open_exchange(name, component.source)
@@ -123,7 +119,7 @@ class Plant:
             raise
         nx = nv = ny = 0
         for slave in self.slaves.values():
-            member = Member(slave, slice(nx, 0), slice(nv, 0), slice(ny, 0))
+            member = PlantComponent(slave, slice(nx, 0), slice(nv, 0), slice(ny, 0))
             ends = nx + len(slave.interface.states), nv + len(member.inputs), ny + len(member.outputs)
             member.x, member.v, member.y = slice(nx, ends[0]), slice(nv, ends[1]), slice(ny, ends[2])
             nx, nv, ny = ends

@@ -1,13 +1,4 @@
-"""The equations of a steady state, scaled, and Newton's method for them.
-
-The search for a steady state: let time pass until Newton's method does the rest.
-
-Newton's method alone finds none from a machine at rest: a valve in its dead band tells nothing of where it
-opens. So the machine settles in time, with the joints held at their speeds, while each input goes against the
-acceleration of its joint (pseudo-transient continuation: C. T. Kelley and D. E. Keyes 1998, SIAM J. Numer.
-Anal. 35(2) 508-523). The steps grow, and at long ones Newton's method is tried.
-
-Steady states: joints held or moving at given speeds, all the rest at rest.
+"""Steady states: joints held or moving at given speeds, all the rest at rest.
 
 Which states are which is read off the linearised equations and the names, not off the machine:
 
@@ -19,6 +10,11 @@ Which states are which is read off the linearised equations and the names, not o
 All other states and the inputs of the joints are found, so that the time derivatives of all states but the
 positions of joints are zero. Where that leaves directions free, such as a command in its dead band, they are
 where settling left them.
+
+Newton's method alone finds none from a machine at rest: a valve in its dead band does not show where it
+opens. So the machine settles in time, with the joints held at their speeds, while each input goes against the
+acceleration of its joint (pseudo-transient continuation: C. T. Kelley and D. E. Keyes 1998, SIAM J. Numer.
+Anal. 35(2) 508-523). The steps grow, and at long ones Newton's method is tried.
 """
 
 from __future__ import annotations
@@ -40,7 +36,7 @@ TINY = 1e-14  # of the size of the unknowns: rounding
 
 
 @dataclass(frozen=True)
-class Joint:
+class HeldJoint:
     """Places of a position and its speed among the states, and of the input that moves them."""
 
     name: str
@@ -49,14 +45,14 @@ class Joint:
     input: int
 
 
-class Equations:
+class SteadyEquations:
     """Unknowns: the states `states`, then `inputs`. To be zero: the time derivatives of the states `rows`.
 
     size   magnitudes of the unknowns, shape (n,); those of the inputs are the last ones
     free   directions that are steady anyway, at the last solution
     """
 
-    def __init__(self, plant: Plant, joints: Iterable[Joint], idle: Iterable[int]) -> None:
+    def __init__(self, plant: Plant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
         """idle: states that need not be steady."""
         self.plant, self.joints, self.free = plant, list(joints), 0
         fixed = {*idle, *(i for j in self.joints for i in (j.position, j.speed))}
@@ -148,9 +144,9 @@ BENT, STRAIGHT = 0.5, 0.05  # the next correction over the step: too far, and ha
 class Search:
     """One search; inputs are looked for within their magnitude, the nominal value that the FMU tells."""
 
-    def __init__(self, plant: Plant, joints: Iterable[Joint], idle: Iterable[int]) -> None:
+    def __init__(self, plant: Plant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
         """idle: states that need not be steady."""
-        self._plant, self.equations = plant, Equations(plant, joints, idle)
+        self._plant, self.equations = plant, SteadyEquations(plant, joints, idle)
 
     def run(self, speeds: Mapping[str, float]) -> bool:
         """Find the steady state; False where there is none, and the plant is left where the search ended."""
@@ -164,7 +160,7 @@ class Search:
                     return True
         return False
 
-    def _sign(self, joint: Joint, x: Array, u: Array) -> float:
+    def _sign(self, joint: HeldJoint, x: Array, u: Array) -> float:
         """1 where a larger input soon pushes a joint forwards, -1 backwards; the joints are held."""
         pushed = []
         at = self.equations.inputs.index(joint.input) - len(self.equations.inputs)
@@ -252,10 +248,10 @@ def steady(plant: Plant, speeds: Mapping[str, float] | None = None) -> tuple[str
     return _told(plant, joints, idle, search.equations.free)
 
 
-def _joints(plant: Plant, m: Matrices) -> dict[str, Joint]:
+def _joints(plant: Plant, m: Matrices) -> dict[str, HeldJoint]:
     """The joints by the first word of their names."""
     inputs = [inlet.name.rpartition(".")[2] for inlet in plant.choice.inputs]
-    found: dict[str, Joint] = {}
+    found: dict[str, HeldJoint] = {}
     for i, j in _positions(m):
         word = _word(plant.states[i].variable)
         if not _moves(plant.system.variable(plant.states[i]).unit):
@@ -268,7 +264,7 @@ def _joints(plant: Plant, m: Matrices) -> dict[str, Joint]:
             names = ", ".join(plant.choice.inputs[k].name for k in mine)
             other = f"{SETTLE}, or name one with --input"
             raise Problem(f"--steady: {plant.states[i]} has more than one input, {names}: {other}")
-        found[word] = Joint(word, i, j, mine[0])
+        found[word] = HeldJoint(word, i, j, mine[0])
     return found
 
 
@@ -291,7 +287,7 @@ def _word(name: str) -> str:
     return name.partition("_")[0]
 
 
-def _told(plant: Plant, joints: Mapping[str, Joint], idle: list[int], free: int) -> tuple[str, ...]:
+def _told(plant: Plant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
     held = [str(plant.states[j.position]) for j in joints.values()]
     rest = [str(plant.states[i]) for i in idle if str(plant.states[i]) not in held]
     notes = [f"held: {', '.join(held)}" if held else "no joint is held: all states were found"]

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.units import DeclaredUnit, Linear
 from orchestrator.base.xml import XmlElement, read_xml
-from orchestrator.fmi.model_description import FLOATS
+from orchestrator.fmi.raw_description import FLOATS
 from orchestrator.ssp.common import as_linear, read_transformation, read_units
 
 DEFINITION = "SystemStructure.ssd"

@@ -43,7 +43,7 @@ _NOTHING = object()
 
 
 @dataclass(frozen=True)
-class Limits:
+class WorkerLimits:
     """What a worker process may take.
 
     call     longest single call into an FMU [s], as the beacon shows it; a longer one is a hang
@@ -174,7 +174,7 @@ class Worker:
             self._child.wait()
             raise EOFError(self.ending)
 
-    def messages(self, limits: Limits, stop: threading.Event | None = None) -> Iterator[Any]:
+    def messages(self, limits: WorkerLimits, stop: threading.Event | None = None) -> Iterator[Any]:
         """All messages until the process ends; raises LimitExceeded where it takes too much or is to stop."""
         begin = moved = time.monotonic()
         count = -1

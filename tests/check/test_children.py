@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from check.test_probes import apply, opened
-from orchestrator.check import child
-from orchestrator.check.child import ProbeLimits, limits
+from orchestrator.check import probe_process
+from orchestrator.check.probe_process import ProbeLimits, limits
 from orchestrator.worker.beacon import Beacon
-from orchestrator.worker.process import MOST, LimitExceeded, Limits, Worker
+from orchestrator.worker.process import MOST, LimitExceeded, Worker, WorkerLimits
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
@@ -49,12 +49,12 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
     """A process that the FMU has left behind does not outlive the probe."""
     started = []
 
-    class Noted(child.Worker):
+    class Noted(probe_process.Worker):
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
             started.append(self.pid)
 
-    monkeypatch.setattr(child, "Worker", Noted)
+    monkeypatch.setattr(probe_process, "Worker", Noted)
     with limits(ProbeLimits(call=PATIENCE, work=2.0)):
         apply(oscillators.make(fault="starts"), tmp_path, "default")
     assert started
@@ -85,7 +85,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     errors.write_bytes(bytes(MOST + 1))
     Beacon(sleeper.folder / "beacon").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
-        list(sleeper.messages(Limits(call=0.2)))
+        list(sleeper.messages(WorkerLimits(call=0.2)))
     assert not exceeded.value.late
     assert errors.stat().st_size == 0
 
@@ -94,7 +94,7 @@ def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
     text = r"^not done within 0.3 s, stopped before the first call$"
     with pytest.raises(LimitExceeded, match=text) as exceeded:
-        list(sleeper.messages(Limits(call=0.1, total=0.3)))
+        list(sleeper.messages(WorkerLimits(call=0.1, total=0.3)))
     assert exceeded.value.late
 
 
@@ -112,7 +112,9 @@ def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
 def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
     """A task that stumbles is a warning that says whose fault it is."""
     subject = opened(oscillators.make(), tmp_path)
-    outcome = child.run(subject.folder, subject.model, "CoSimulation", "reference:experiment", payload={})
+    outcome = probe_process.run(
+        subject.folder, subject.model, "CoSimulation", "shipped_experiment:run", payload={}
+    )
     assert outcome.said == [("warning", "could not be tried (a defect of this check): KeyError('start')")]
     assert outcome.end == ""
 

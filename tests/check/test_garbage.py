@@ -181,7 +181,7 @@ def test_fmpy_speaks_where_no_rule_does(
     lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
     path = lacking.write(tmp_path / "lag.fmu")
     assert rules(path) == {"structure.initial"}
-    monkeypatch.setattr("orchestrator.check.rules.description.COVERED", {})
+    monkeypatch.setattr("orchestrator.check.rules.identity.COVERED", {})
     assert rules(path) == {"structure.initial", "fmpy.validate"}
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.check.child import ProbeLimits, current, limits
 from orchestrator.check.finding import Finding
+from orchestrator.check.probe_process import ProbeLimits, current, limits
 from orchestrator.check.probes import PROBES
 from orchestrator.check.subject import Subject, unpacked
-from orchestrator.check.tasks import leaks, solver
+from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.worker.beacon import Beacon
 
@@ -202,7 +202,7 @@ def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
     """Of this FMU one instance can live at a time, and each probe makes some."""
     subject = opened(oscillators.make(2, "once"), tmp_path)
     trial = Trial(subject.folder, subject.model, "ModelExchange", Beacon(tmp_path / "beacon"))
-    for task in (solver.nominals, solver.late, solver.stiff) * 2:
+    for task in (importing_solver.nominals, importing_solver.late, importing_solver.stiff) * 2:
         assert list(task(trial)) == []
 
 

@@ -29,7 +29,7 @@ from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start
 from fmus.operator.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
-from orchestrator.check.reference_experiment import Comparison, cases, compare
+from orchestrator.check.reference_experiment import ExperimentComparison, cases, compare
 from orchestrator.check.reference_files import manifest, table
 from orchestrator.check.reference_files import parameter_set as read_parameters
 from orchestrator.check.subject import unpacked
@@ -51,7 +51,7 @@ def test_the_source_without_states_carries_nothing():
     assert proof(ALL["supply"]) == {}
 
 
-def compared(path: Path, folder: Path) -> Comparison:
+def compared(path: Path, folder: Path) -> ExperimentComparison:
     """The first experiment of an FMU."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)

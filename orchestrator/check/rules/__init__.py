@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from orchestrator.check.finding import Rule
-from orchestrator.check.rules import archive, description, libraries, structure, units, variables
+from orchestrator.check.finding import CheckRule
+from orchestrator.check.rules import archive, identity, libraries, structure, units, variables
 
 TABLES = (
     archive.ARCHIVE,
-    description.DESCRIPTION_FILE,
-    description.IDENTITY,
+    identity.DESCRIPTION_FILE,
+    identity.IDENTITY,
     structure.STRUCTURE,
     variables.VARIABLES,
     variables.VALUES,
@@ -19,9 +19,9 @@ TABLES = (
     libraries.LIBRARIES,
     libraries.PYTHON,
     structure.CAPABILITIES,
-    description.DEFAULT_EXPERIMENT,
+    identity.DEFAULT_EXPERIMENT,
     archive.CONTENTS,
     archive.SOURCES,
     units.TERMINALS,
 )
-STATIC: tuple[Rule, ...] = tuple(rule for table in TABLES for rule in table)
+STATIC: tuple[CheckRule, ...] = tuple(rule for table in TABLES for rule in table)

@@ -1,9 +1,4 @@
-"""The zip archive: what the standards allow in it, and what was found while unpacking.
-
-What a tool shows its user: icon, documentation, licence, texts; and what should not be in the files.
-
-Sources: what is listed is there, and what is there is listed.
-"""
+"""The zip archive and what is in it besides the model: icon, documentation, licence, texts, sources."""
 
 from __future__ import annotations
 
@@ -14,12 +9,12 @@ from functools import partial
 from pathlib import PurePosixPath
 
 from orchestrator.base.xml import child, children, local
-from orchestrator.check.finding import Finding, Table, error, note, some, warning
-from orchestrator.check.rules.description import violations
+from orchestrator.check.finding import Finding, RuleTable, error, note, some, warning
+from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml, unsafe
 
-ARCHIVE = Table()
+ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
 LONGEST = 150  # Windows takes 260 characters, of which a temporary folder and the FMU's name need some
 
@@ -53,14 +48,11 @@ def description(subject: Subject) -> Iterator[Finding]:
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
     if "SystemStructure.ssd" in subject.names:
-        yield error(
-            "is a system (SSP), expected an FMU; check the .fmu files in its folder resources one by one,"
-            " run the system with harvester run"
-        )
+        text = "is a system (SSP), expected an FMU; check the .fmu files in its folder resources one by one"
+        yield error(f"{text}, run the system with harvester run")
         return
-    near = [
-        n for n in subject.names if PurePosixPath(n.replace("\\", "/")).name.lower() == DESCRIPTION.lower()
-    ]
+    names = {n: PurePosixPath(n.replace("\\", "/")).name for n in subject.names}
+    near = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
     found = f"found {near[0]}" if near else f"the archive holds {', '.join(subject.names[:5]) or 'nothing'}"
     yield error(f"{DESCRIPTION} is missing at the top of the archive; {found}")
 
@@ -98,7 +90,7 @@ def extra(subject: Subject) -> Iterator[Finding]:
         yield note(f"extra/{name}: expected a reverse domain name such as extra/com.example")
 
 
-CONTENTS = Table()
+CONTENTS = RuleTable()
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}
 CATEGORIES = """logEvents logSingularLinearSystems logNonlinearSystems logDynamicStateSelection
     logStatusWarning logStatusDiscard logStatusError logStatusFatal logStatusPending logAll"""
@@ -109,19 +101,8 @@ MACHINE = re.compile(
 )
 LARGEST = 50e6
 TEXT_FILES = (
-    ".xml",
-    ".html",
-    ".htm",
-    ".txt",
-    ".md",
-    ".json",
-    ".toml",
-    ".csv",
-    ".ssv",
-    ".c",
-    ".h",
-    ".py",
-    ".svg",
+    *(".xml", ".html", ".htm", ".txt", ".md", ".json", ".toml"),
+    *(".csv", ".ssv", ".c", ".h", ".py", ".svg"),
 )
 
 
@@ -214,7 +195,7 @@ def size(subject: Subject) -> Iterator[Finding]:
         yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")
 
 
-SOURCES = Table()
+SOURCES = RuleTable()
 BUILD = "sources/buildDescription.xml"
 CODE = (".c", ".cc", ".cpp", ".cxx")
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")

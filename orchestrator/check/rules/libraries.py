@@ -1,10 +1,6 @@
-"""What the libraries export: every function of the version, on every platform.
+"""Shared libraries: what they export, what they need from the target machine, for which platforms they are.
 
-What a library needs from the machine it will run on.
-
-Platforms: folders with the names of the version, with a library of the right name and machine inside.
-
-FMUs that need an interpreter on the target machine: Python above all.
+FMUs that need an interpreter on the target machine, Python above all, are told here, too.
 """
 
 from __future__ import annotations
@@ -13,12 +9,13 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.finding import Finding, Table, error, note, some, warning
+from orchestrator.check.finding import Finding, RuleTable, error, note, some, warning
 from orchestrator.check.subject import Subject
 
-EXPORTS = Table()
+EXPORTS = RuleTable()
 
 
 def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
@@ -109,7 +106,7 @@ def traits(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{b}: {trait}; {why[trait]}")
 
 
-LIBRARIES = Table()
+LIBRARIES = RuleTable()
 SYSTEM = {  # what every machine of the system has
     "ELF": r"lib(c|m|dl|pthread|rt|util)\.so\.\d|ld-linux.*\.so\.\d|linux-vdso\.so\.1",
     "PE": r"(?i)(kernel32|user32|advapi32|gdi32|shell32|ole32|oleaut32|ws2_32|wsock32|msvcrt|ucrtbase|ntdll"
@@ -234,7 +231,7 @@ def documented(subject: Subject) -> Iterator[Finding]:
         )
 
 
-PLATFORMS = Table()
+PLATFORMS = RuleTable()
 TUPLES = {  # FMI 2 name -> FMI 3 tuple
     "win32": "x86-windows",
     "win64": "x86_64-windows",
@@ -282,23 +279,17 @@ def any_platform(subject: Subject) -> Iterator[Finding]:
         )
 
 
-def _lacks(subject: Subject, system: str) -> bool:
-    offered = {as_tuple(b.platform) for b in subject.binaries}
-    return bool(offered) and ("x86_64", system) not in offered
+def _lacking(system: str, subject: Subject) -> Iterator[Finding]:
+    offered, wanted = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
+    if offered and tuple(wanted.split("-")) not in offered:
+        name = NAMES[wanted] if subject.major == 2 else wanted
+        yield note(f"no binaries/{name}: no tool on {system} can run it")
 
 
-@PLATFORMS.rule("platform.windows", "The FMU runs on 64-bit Windows", THREADS)
-def windows(subject: Subject) -> Iterator[Finding]:
-    if _lacks(subject, "windows"):
-        name = "win64" if subject.major == 2 else "x86_64-windows"
-        yield note(f"no binaries/{name}: no tool on Windows can run it")
-
-
-@PLATFORMS.rule("platform.linux", "The FMU runs on 64-bit Linux", THREADS)
-def linux(subject: Subject) -> Iterator[Finding]:
-    if _lacks(subject, "linux"):
-        name = "linux64" if subject.major == 2 else "x86_64-linux"
-        yield note(f"no binaries/{name}: no tool on Linux can run it")
+for _system in ("Windows", "Linux"):
+    PLATFORMS.rule(f"platform.{_system.lower()}", f"The FMU runs on 64-bit {_system}", THREADS)(
+        partial(_lacking, _system)
+    )
 
 
 @PLATFORMS.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines")
@@ -362,7 +353,7 @@ def name(subject: Subject) -> Iterator[Finding]:
                 yield error(f"binaries/{folder_}: expected {expected} for {kind}, found {found}")
 
 
-PYTHON = Table()
+PYTHON = RuleTable()
 SCRIPTS = "resources/"
 FMU_PACKAGES = ("pythonfmu", "pythonfmu3", "unifmu_fmi2", "unifmu")
 

@@ -1,18 +1,19 @@
-"""ModelStructure: the right unknowns in the right lists, and honest dependencies.
-
-What the FMU says it can and cannot do.
-"""
+"""ModelStructure: the right unknowns in the right lists, honest dependencies; what the FMU can do."""
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-from orchestrator.check.finding import Finding, Table, error, note, some, warning
+from orchestrator.check.finding import MAKE, Finding, RuleTable, error, note, some, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.model_description import DeclaredVariable, Entry, ModelDescription, Unknown, whole
+from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
 
-STRUCTURE = Table()
+STRUCTURE = RuleTable()
 WHERE = "modelDescription.xml: ModelStructure"
 UNKNOWN = ("calculated", "approx")  # values of `initial` of what initialisation computes
 PLAIN = ("dependent", "constant")
@@ -206,93 +207,19 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
         )
 
 
-CAPABILITIES = Table()
-SPELLINGS = {
-    2: ("canGetAndSetFMUstate", "canSerializeFMUstate"),
-    3: ("canGetAndSetFMUState", "canSerializeFMUState"),
-}
-DERIVATIVES = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
+CAPABILITIES = RuleTable()
 
 
-def _interfaces(subject: Subject) -> Iterator[tuple[str, Entry]]:
-    """Where a kind stands, and its element."""
-    for kind, element in subject.model.interfaces.items():
-        yield f"{DESCRIPTION} line {element.line}: {kind}", element
+def _abilities(findings: Sequence[Mapping[str, Any]], subject: Subject) -> Iterator[Finding]:
+    """What abilities.toml has to say about each interface."""
+    for kind, entry in subject.model.interfaces.items():
+        for f in findings:
+            concerned = f.get("kind", kind) == kind and f.get("fmi", subject.major) == subject.major
+            has, lacks = f.get("has", ()), f.get("lacks", ())
+            if concerned and (not has or entry.declares(*has)) and not entry.declares(*lacks):
+                yield MAKE[f["severity"]](f"{DESCRIPTION} line {entry.line}: {kind}: {f['text']}")
 
 
-@CAPABILITIES.rule(
-    "ability.once",
-    "Many instances can live in one process",
-    "casadi#3937 casadi#4212 FMIKit#328 FMIKit#397 into-cps#17",
-)
-def once(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if element.is_true("canBeInstantiatedOnlyOncePerProcess"):
-            yield warning(f"{where}: canBeInstantiatedOnlyOncePerProcess; no simulation can have two of it")
-
-
-@CAPABILITIES.rule("ability.tool", "The FMU runs without the tool that made it", "FMIKit#373")
-def tool(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if element.is_true("needsExecutionTool"):
-            yield warning(f"{where}: needsExecutionTool; the target machine needs that tool and its licence")
-
-
-@CAPABILITIES.rule(
-    "ability.state",
-    "The state can be saved and restored",
-    "OMSimulator#1542 UniFMU#83 OpenModelica#7939 FMIKit#136",
-)
-def state(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        can, bytes_ = (element.is_true(name) for name in SPELLINGS[subject.major])
-        if bytes_ and not can:
-            yield error(f"{where}: {SPELLINGS[subject.major][1]} without {SPELLINGS[subject.major][0]}")
-        elif not can:
-            yield note(f"{where}: the state cannot be saved; no rollback, no iterated or adaptive steps")
-
-
-@CAPABILITIES.rule("ability.serialize", "The state can be written to a file", "FMPy#811")
-def serialize(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        can, bytes_ = (element.is_true(name) for name in SPELLINGS[subject.major])
-        if can and not bytes_:
-            yield note(f"{where}: the state cannot be serialised; no warm start in another process")
-
-
-@CAPABILITIES.rule(
-    "ability.derivatives", "The FMU gives directional derivatives", "OpenModelica#7371 PyFMI#83"
-)
-def directional_derivatives(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if not element.is_true(DERIVATIVES[subject.major]):
-            yield note(
-                f"{where}: no directional derivatives; tools take differences, which cost and err more"
-            )
-
-
-@CAPABILITIES.rule("ability.step", "The communication step can vary")
-def step(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if "CoSimulation" in where and not element.is_true("canHandleVariableCommunicationStepSize"):
-            yield note(
-                f"{where}: the communication step must not vary; masters with step control cannot use it"
-            )
-
-
-@CAPABILITIES.rule("ability.slopes", "Outputs give derivatives, and inputs take them")
-def slopes(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if "CoSimulation" not in where:
-            continue
-        if not whole(element.get("maxOutputDerivativeOrder")):
-            yield note(f"{where}: no output derivatives; masters can only hold or difference the outputs")
-        if subject.major == 2 and not element.is_true("canInterpolateInputs"):
-            yield note(f"{where}: inputs are held over the step (canInterpolateInputs is false)")
-
-
-@CAPABILITIES.rule("ability.asynchronous", "Steps end when doStep returns")
-def asynchronous(subject: Subject) -> Iterator[Finding]:
-    for where, element in _interfaces(subject):
-        if element.is_true("canRunAsynchronuously"):
-            yield note(f"{where}: canRunAsynchronuously; hardly any master waits for a step that is pending")
+for _id, _entry in tomllib.loads(Path(__file__).with_name("abilities.toml").read_text("utf-8")).items():
+    _threads = _entry.get("threads", "").split()
+    CAPABILITIES.rule(_id, _entry["holds"], *_threads)(partial(_abilities, _entry["findings"]))

@@ -1,7 +1,4 @@
-"""Units: defined, with a meaning in SI that is right.
-
-Terminals and icons: members that exist, names that match.
-"""
+"""Units: defined, with the right meaning in SI. Terminals: members that exist, names that match."""
 
 from __future__ import annotations
 
@@ -9,58 +6,20 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from orchestrator.base.units import BASES
+from orchestrator.base.units import BASES, parse
 from orchestrator.base.xml import children
-from orchestrator.check.finding import Finding, Table, error, listed, note, warning
-from orchestrator.check.rules.description import violations
+from orchestrator.check.finding import Finding, RuleTable, error, listed, note, warning
+from orchestrator.check.rules.identity import violations
+from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml
-from orchestrator.fmi.model_description import UnitDefinition, whole
+from orchestrator.fmi.raw_description import UnitDefinition, whole
 
-UNITS = Table()
-DEGREE = math.pi / 180
-FORCE, PRESSURE = {"kg": 1, "m": 1, "s": -2}, {"kg": 1, "m": -1, "s": -2}
-ENERGY, POWER, FLOW = {"kg": 1, "m": 2, "s": -2}, {"kg": 1, "m": 2, "s": -3}, {"m": 3, "s": -1}
-# What well-known names mean: exponents (without the radian, which tools treat differently), factor, offset.
-WELL_KNOWN: Mapping[str, tuple[Mapping[str, int], float, float]] = {
-    "m": ({"m": 1}, 1, 0),
-    "mm": ({"m": 1}, 1e-3, 0),
-    "cm": ({"m": 1}, 1e-2, 0),
-    "m/s": ({"m": 1, "s": -1}, 1, 0),
-    "km/h": ({"m": 1, "s": -1}, 1 / 3.6, 0),
-    "m3": ({"m": 3}, 1, 0),
-    "L": ({"m": 3}, 1e-3, 0),
-    "l": ({"m": 3}, 1e-3, 0),
-    "m3/s": (FLOW, 1, 0),
-    "L/min": (FLOW, 1e-3 / 60, 0),
-    "l/min": (FLOW, 1e-3 / 60, 0),
-    "kg": ({"kg": 1}, 1, 0),
-    "s": ({"s": 1}, 1, 0),
-    "ms": ({"s": 1}, 1e-3, 0),
-    "min": ({"s": 1}, 60, 0),
-    "h": ({"s": 1}, 3600, 0),
-    "N": (FORCE, 1, 0),
-    "kN": (FORCE, 1e3, 0),
-    "N.m": (ENERGY, 1, 0),
-    "J": (ENERGY, 1, 0),
-    "kJ": (ENERGY, 1e3, 0),
-    "W": (POWER, 1, 0),
-    "kW": (POWER, 1e3, 0),
-    "Pa": (PRESSURE, 1, 0),
-    "kPa": (PRESSURE, 1e3, 0),
-    "MPa": (PRESSURE, 1e6, 0),
-    "bar": (PRESSURE, 1e5, 0),
-    "rad": ({}, 1, 0),
-    "deg": ({}, DEGREE, 0),
-    "rad/s": ({"s": -1}, 1, 0),
-    "deg/s": ({"s": -1}, DEGREE, 0),
-    "rpm": ({"s": -1}, math.pi / 30, 0),
-    "K": ({"K": 1}, 1, 0),
-    "degC": ({"K": 1}, 1, 273.15),
-    "A": ({"A": 1}, 1, 0),
-    "mA": ({"A": 1}, 1e-3, 0),
-    "V": ({"kg": 1, "m": 2, "s": -3, "A": -1}, 1, 0),
-    "%": ({}, 1e-2, 0),
-}
+UNITS = RuleTable()
+DIMENSIONS = [b for b in BASES if b != "rad"]  # tools treat the radian differently
+WELL_KNOWN = words(  # names that mean the same everywhere
+    """m mm cm m/s km/h m3 L l m3/s L/min l/min kg s ms min h N kN N.m J kJ W kW Pa kPa MPa bar rad deg rad/s
+    deg/s rpm K degC A mA V %"""
+)
 
 
 def _at(unit: UnitDefinition) -> str:
@@ -112,30 +71,22 @@ def wrong(subject: Subject) -> Iterator[Finding]:
     for unit in subject.model.units:
         if unit.base is None or unit.name not in WELL_KNOWN:
             continue
-        exponents, factor, offset = WELL_KNOWN[unit.name]
-        said = {b: _exponent(unit.base.get(b, "0")) for b in BASES if b != "rad"}
-        if said != {b: exponents.get(b, 0) for b in BASES if b != "rad"}:
-            yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, found {_text(said)}")
-            continue
-        found = _float(unit.base.get("factor", "1")), _float(unit.base.get("offset", "0"))
-        # names are written with five digits or more
-        if not (
-            math.isclose(found[0], factor, rel_tol=1e-4) and math.isclose(found[1], offset, abs_tol=1e-2)
+        known = parse(unit.name)
+        exponents = {b: str(known.base().get(b, 0)) for b in DIMENSIONS}
+        declared = {b: unit.base.get(b, "0") for b in DIMENSIONS}
+        factor, offset = _float(unit.base.get("factor", "1")), _float(unit.base.get("offset", "0"))
+        if {b: whole(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
+            yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, found {_text(declared)}")
+        elif not (  # factors are written with five digits or more
+            math.isclose(factor, known.factor, rel_tol=1e-4)
+            and math.isclose(offset, known.offset, abs_tol=1e-2)
         ):
-            yield error(
-                f"{_at(unit)}: expected factor {factor:.6g} and offset {offset:g},"
-                f" found {found[0]:g} and {found[1]:g}"
-            )
+            expected = f"expected factor {known.factor:.6g} and offset {known.offset:g}"
+            yield error(f"{_at(unit)}: {expected}, found {factor:g} and {offset:g}")
 
 
-def _text(exponents: Mapping[str, int | str]) -> str:
-    return " ".join(f"{b}^{e}" for b, e in exponents.items() if e) or "none"
-
-
-def _exponent(text: str) -> int | str:
-    """A whole number; what is none stays as it is written, and so is wrong."""
-    number = whole(text)
-    return text if number is None else number
+def _text(exponents: Mapping[str, str]) -> str:
+    return " ".join(f"{b}^{e}" for b, e in exponents.items() if e != "0") or "none"
 
 
 def _float(text: str) -> float:
@@ -149,11 +100,11 @@ def _float(text: str) -> float:
     "unit.factor", "Inputs and outputs are in SI units: factor 1, offset 0", "libcosim#519 OMSimulator#942"
 )
 def factor(subject: Subject) -> Iterator[Finding]:
-    scaled = {
-        u.name
-        for u in subject.model.units
-        if u.base and (_float(u.base.get("factor", "1")) != 1 or _float(u.base.get("offset", "0")) != 0)
+    bases = {u.name: u.base for u in subject.model.units if u.base}
+    in_si = {
+        n for n, b in bases.items() if (_float(b.get("factor", "1")), _float(b.get("offset", "0"))) == (1, 0)
     }
+    scaled = bases.keys() - in_si
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
@@ -167,12 +118,13 @@ def missing(subject: Subject) -> Iterator[Finding]:
         yield note(f"{listed(without)}: real numbers without unit")
 
 
-TERMINALS = Table()
+TERMINALS = RuleTable()
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 NAMES = {
     "TerminalMemberVariable": ("variableName",),
     "TerminalStreamMemberVariable": ("inStreamVariableName", "outStreamVariableName"),
 }
+FLOWING = ("signal", "inflow", "outflow")  # kinds of members that are exchanged
 CONNECTED = ("input", "output", "parameter", "calculatedParameter")
 
 
@@ -204,11 +156,7 @@ def members(subject: Subject) -> Iterator[Finding]:
             where = f"{FILE} line {element.sourceline}: {element.getparent().get('name')}"
             if name not in known:
                 yield error(f"{where}: member {name!r} is no variable of the FMU")
-            elif known[name].causality not in CONNECTED and element.get("variableKind") in (
-                "signal",
-                "inflow",
-                "outflow",
-            ):
+            elif known[name].causality not in CONNECTED and element.get("variableKind") in FLOWING:
                 yield error(f"{where}: member {name} is {known[name].causality}, expected an input or output")
 
 
@@ -226,10 +174,9 @@ def names(subject: Subject) -> Iterator[Finding]:
 def _member_names(terminal: Element) -> Iterator[Finding]:
     where = f"{FILE} line {terminal.sourceline}: {terminal.get('name')}"
     found = [m.get("memberName") for m in children(terminal, "TerminalMemberVariable")]
-    if terminal.get("matchingRule") in ("plug", "bus") and None in found:
-        yield error(
-            f"{where}: a member has no memberName, which matching by {terminal.get('matchingRule')} needs"
-        )
+    rule = terminal.get("matchingRule")
+    if rule in ("plug", "bus") and None in found:
+        yield error(f"{where}: a member has no memberName, which matching by {rule} needs")
     for name, count in Counter(n for n in found if n is not None).items():
         if count > 1:
             yield error(f"{where}: {count} members {name}, expected unique names")

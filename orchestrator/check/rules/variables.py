@@ -1,9 +1,4 @@
-"""Variables: unique, of a legal kind, with a start value where one is needed.
-
-Names of variables that every tool can show, find and use.
-
-Start values and ranges: numbers that can be true.
-"""
+"""Variables: legal, with names that every tool can use, and with start values and ranges that can be true."""
 
 from __future__ import annotations
 
@@ -12,12 +7,12 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, Table, error, listed, note, warning
+from orchestrator.check.finding import Finding, RuleTable, error, listed, note, warning
 from orchestrator.check.subject import Subject
-from orchestrator.fmi.model_description import SIGNED, UNSIGNED
-from orchestrator.fmi.model_description import DeclaredVariable as Variable
+from orchestrator.fmi.raw_description import SIGNED, UNSIGNED
+from orchestrator.fmi.raw_description import DeclaredVariable as Variable
 
-VARIABLES = Table()
+VARIABLES = RuleTable()
 CALCULATED, FREE = ("calculated", "approx"), ("calculated", "exact", "approx")
 LEGAL = {  # (causality, variability) -> what `initial` may be, in FMI 2; () means: must not be given
     ("parameter", "fixed"): ("exact",),
@@ -203,7 +198,7 @@ def text(subject: Subject) -> Iterator[Finding]:
         yield note(f"{listed(silent)}: no description")
 
 
-NAMES = Table()
+NAMES = RuleTable()
 LONGEST = 63  # namelengthmax of MATLAB
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
@@ -212,23 +207,24 @@ PATH = rf"{PART}(?:\.{PART})*"
 STRUCTURED = re.compile(rf"{PATH}|der\({PATH}(?:,[0-9]+)?\)")
 
 
-def _words(text: str) -> frozenset[str]:
+def words(text: str) -> frozenset[str]:
+    """The words of a text."""
     return frozenset(text.split())
 
 
-MODELICA = _words(
+MODELICA = words(
     """algorithm and annotation assert block break class connect connector constant constrainedby der
     discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external false
     final flow for function if import impure in initial inner input loop model not operator or outer output
     package parameter partial protected public pure record redeclare replaceable return stream then time true
     type when while within"""
 )
-C = _words(
+C = words(
     """auto break case char const continue default do double else enum extern float for goto if inline int
     long register restrict return short signed sizeof static struct switch typedef union unsigned void
     volatile while"""
 )
-CPP = _words(
+CPP = words(
     """and asm bool catch class delete explicit export false friend mutable namespace new not operator or
     private protected public template this throw true try typename using virtual xor"""
 )
@@ -311,7 +307,7 @@ def length(subject: Subject) -> Iterator[Finding]:
         yield note(f"{listed(long)}: {len(long[0].name)} characters, expected at most {LONGEST}")
 
 
-VALUES = Table()
+VALUES = RuleTable()
 
 
 def number(v: Variable, text: str | None) -> float | None:

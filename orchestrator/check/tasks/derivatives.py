@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Simulation, numeric, usual_step
+from orchestrator.check.tasks.trial_run import Simulation, numeric, usual_step
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.model_description import DeclaredVariable
+from orchestrator.fmi.raw_description import DeclaredVariable
 
 SHIFT = 1e-4  # of the magnitude of a variable
 KNOWNS = 60  # columns that are looked at
 Row = list[float]
 
 
-class Point:
+class ShiftedPoint:
     """An instance that rests in time, whose inputs and states are shifted one by one."""
 
     def __init__(self, trial: Trial, simulation: Simulation) -> None:
@@ -56,12 +56,12 @@ class Point:
         return known in self.states or known.low <= self.u[known.name] + shift <= known.high
 
 
-def _points(trial: Trial) -> Iterator[Point]:
+def _points(trial: Trial) -> Iterator[ShiftedPoint]:
     """After initialisation, and after a few steps with moving inputs."""
     for steps in (0, 5) if trial.pokes else (0,):
         simulation = Simulation(trial).begin()
         simulation.run(steps, poke=True)
-        yield Point(trial, simulation)
+        yield ShiftedPoint(trial, simulation)
 
 
 def dependencies(trial: Trial) -> Iterator[Remark]:
@@ -82,7 +82,7 @@ def dependencies(trial: Trial) -> Iterator[Remark]:
                     yield "error", f"{text} {', '.join(sorted(given)[:5]) or 'none'}{more}"
 
 
-def _changed(point: Point, known: DeclaredVariable, shift: float) -> list[DeclaredVariable]:
+def _changed(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> list[DeclaredVariable]:
     """What changes; nothing when the FMU refuses the value."""
     try:
         if not point.allowed(known, shift):
@@ -109,7 +109,9 @@ def directional(trial: Trial) -> Iterator[Remark]:
                 return
 
 
-def _against_differences(point: Point, known: DeclaredVariable, exact: Sequence[float]) -> Iterator[str]:
+def _against_differences(
+    point: ShiftedPoint, known: DeclaredVariable, exact: Sequence[float]
+) -> Iterator[str]:
     try:
         coarse, fine = (_central(point, known, k * SHIFT * known.scale) for k in (1.0, 0.1))
     except CallFailed:
@@ -126,7 +128,7 @@ def _against_differences(point: Point, known: DeclaredVariable, exact: Sequence[
             yield f"{text}, by differences {b:.6g}"
 
 
-def _central(point: Point, known: DeclaredVariable, shift: float) -> Row | None:
+def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Row | None:
     if not point.allowed(known, shift) or not point.allowed(known, -shift):
         return None
     plus, minus = point.shifted(known, shift), point.shifted(known, -shift)
@@ -154,7 +156,7 @@ def adjoint(trial: Trial) -> Iterator[Remark]:
 
 def output_derivatives(trial: Trial) -> Iterator[Remark]:
     """Output derivatives are about the slope of the outputs along the run, inputs held."""
-    fine = trial.able.is_true("canHandleVariableCommunicationStepSize")
+    fine = trial.able.declares("canHandleVariableCommunicationStepSize")
     simulation = Simulation(trial, step=usual_step(trial.description) * (0.1 if fine else 1.0)).begin()
     if trial.pokes:
         simulation.poke()

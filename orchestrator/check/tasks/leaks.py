@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Simulation
+from orchestrator.check.tasks.trial_run import Simulation
 
 ROUNDS = 2000  # instances
 WARM = 200  # before the memory is measured: caches fill once

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Rows, Simulation, bits, difference
+from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, difference
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 

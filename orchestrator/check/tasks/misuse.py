@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Simulation, movable, not_finite, numeric
+from orchestrator.check.tasks.trial_run import Simulation, movable, not_finite, numeric
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.model_description import DeclaredVariable
+from orchestrator.fmi.raw_description import DeclaredVariable
 
 INPUTS = 20  # looked at
 STEPS = 3
@@ -134,7 +134,7 @@ def _fixed(simulation: Simulation) -> None:
 def _no_state(simulation: Simulation) -> None:
     """Free no state: to be ignored."""
     able = simulation.trial.description.interfaces[simulation.kind]
-    if able.is_true("canGetAndSetFMUstate", "canGetAndSetFMUState"):
+    if able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"):
         simulation.instance.forget(ctypes.c_void_p())
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.instance import CallFailed, Crashed, Instance, resources
+from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources
 from orchestrator.fmi.library import Library, find
 from orchestrator.fmi.messages import ERROR, Log
-from orchestrator.fmi.model_description import Entry, ModelDescription
+from orchestrator.fmi.raw_description import Entry, ModelDescription
 from orchestrator.worker.beacon import Beacon
 from orchestrator.worker.main import Channel
 
@@ -73,13 +73,13 @@ class Trial:
         self.beacon.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
-    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> Instance:
+    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
         """A new instance; raises OnlyOnce where none is left, CallFailed where the FMU gives none."""
         kind, library = kind or self.kind, library or self.library
-        if self._made and self.description.interfaces[kind].is_true("canBeInstantiatedOnlyOncePerProcess"):
+        if self._made and self.description.interfaces[kind].declares("canBeInstantiatedOnlyOncePerProcess"):
             raise OnlyOnce
         log = Log(kept=MESSAGES)
-        instance = Instance(library, log, kind == "ModelExchange", self.beacon.call)
+        instance = FmuInstance(library, log, kind == "ModelExchange", self.beacon.call)
         usual = {"token": self.description.token, "name": "probe"}
         place = {"resources": resources(self.folder, self.description.major)}
         if not instance.instantiate(**{**usual, **place, **options}):

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import (
+from orchestrator.check.tasks.trial_run import (
     ContinuousStates,
     Rows,
     Simulation,
@@ -142,7 +142,7 @@ def drift(trial: Trial) -> Iterator[Remark]:
     """Communication points are accepted, whether they are counted or summed up and so drift by rounding."""
     own = usual_step(trial.description)
     lengths = [own]
-    if trial.able.is_true("canHandleVariableCommunicationStepSize"):
+    if trial.able.declares("canHandleVariableCommunicationStepSize"):
         # much longer steps than the FMU recommends may fail for other reasons
         lengths += [own / 3, *(x for x in (0.1, 1 / 60) if x <= 20 * own)]
     for length in lengths:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Simulation, Values, bits, difference, inner_step, numeric
+from orchestrator.check.tasks.trial_run import Simulation, VariableRow, bits, difference, inner_step, numeric
 from orchestrator.fmi.instance import CallFailed
 
 _B = ctypes.c_bool
@@ -25,7 +25,7 @@ class Witness:
 
     ask: bool = False
     times: list[float] = field(default_factory=list)
-    values: Values | None = None
+    values: VariableRow | None = None
     problem: str = ""
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from orchestrator.check.tasks.runner import OnlyOnce, Remark, Trial
-from orchestrator.check.tasks.simulation import (
+from orchestrator.check.tasks.trial_run import (
     Rows,
     Simulation,
     experiment,
@@ -31,7 +31,7 @@ def first_output(trial: Trial) -> Iterator[Remark]:
         yield from _settled(simulation, before, "inputs keep their start values")
     if trial.pokes:
         yield from _set_before(trial)
-    if trial.kind == "CoSimulation" and trial.able.is_true("canHandleVariableCommunicationStepSize"):
+    if trial.kind == "CoSimulation" and trial.able.declares("canHandleVariableCommunicationStepSize"):
         yield from _tiny_step(trial, before)
 
 

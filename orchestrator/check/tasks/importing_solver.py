@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import ContinuousStates, Simulation, numeric, usual_step
+from orchestrator.check.tasks.trial_run import ContinuousStates, Simulation, numeric, usual_step
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.model_description import DeclaredVariable
+from orchestrator.fmi.raw_description import DeclaredVariable
 
 if TYPE_CHECKING:
     from numpy import float64

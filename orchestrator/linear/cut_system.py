@@ -14,7 +14,7 @@ FEW = 8  # names in a message
 
 
 @dataclass(frozen=True)
-class Choice:
+class CutSystem:
     """What is linearised.
 
     system   without the wires to the inputs, and without components that fed nothing but them
@@ -29,7 +29,7 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose(system: System, names: Sequence[str] = (), steady: bool = False) -> Choice:
+def choose(system: System, names: Sequence[str] = (), steady: bool = False) -> CutSystem:
     """The inputs of these names, as `System.targets` knows them; a wire to one of them is cut.
 
     Default: what components without inputs feed, such as levers, and all inputs of the system. A steady state
@@ -52,7 +52,7 @@ def choose(system: System, names: Sequence[str] = (), steady: bool = False) -> C
     rest = {name: c for name, c in system.components.items() if name not in idle}
     wires = tuple(c for c in kept if c.target.component in rest)
     notes = (f"left out, because it feeds only what is an input here: {', '.join(idle)}",) if idle else ()
-    return Choice(replace(system, components=rest, connections=wires), inlets, len(asked), notes)
+    return CutSystem(replace(system, components=rest, connections=wires), inlets, len(asked), notes)
 
 
 def rate_only(face: Interface, name: str) -> str:

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.fmi.model_description import ModelDescription
-from orchestrator.worker.process import LimitExceeded, Limits, Worker, machine_memory
+from orchestrator.fmi.raw_description import ModelDescription
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 ATTEMPTS = 6  # children for one task, each of which goes on after the crash of the one before
 
 
 @dataclass(frozen=True)
-class ProbeLimits(Limits):
+class ProbeLimits(WorkerLimits):
     """What a probe may take; `work`: wall time [s] that it fills with steps and instances."""
 
     call: float = 10.0

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from orchestrator.check.tasks.runner import Trial
-from orchestrator.fmi.instance import CallFailed, Instance
+from orchestrator.fmi.instance import CallFailed, FmuInstance
 from orchestrator.fmi.messages import DISCARD, ERROR
-from orchestrator.fmi.model_description import FLOATS, DeclaredVariable, ModelDescription
+from orchestrator.fmi.raw_description import FLOATS, DeclaredVariable, ModelDescription
 
 Rows = list[list[float]]
 INNER = 12  # inner steps of model exchange per advance: enough to move, whatever the stiffness
@@ -71,10 +71,10 @@ def usual_step(description: ModelDescription) -> float:
 # ---- rows of values
 
 
-class Values:
+class VariableRow:
     """Some numeric variables of an instance, read and set together; arrays lie flat."""
 
-    def __init__(self, trial: Trial, instance: Instance, variables: Sequence[DeclaredVariable]) -> None:
+    def __init__(self, trial: Trial, instance: FmuInstance, variables: Sequence[DeclaredVariable]) -> None:
         self.trial, self.instance, self.variables = trial, instance, list(variables)
         self.names = scalars(variables)
         groups: dict[str, tuple[list[int], list[int]]] = {}  # type -> value references, places of scalars
@@ -154,7 +154,7 @@ def difference(trial: Trial, first: Rows, second: Rows) -> str:
 class ContinuousStates:
     """The continuous states of an instance for model exchange: events, and steps of an integrator."""
 
-    def __init__(self, instance: Instance, description: ModelDescription) -> None:
+    def __init__(self, instance: FmuInstance, description: ModelDescription) -> None:
         self.instance, self.ended = instance, False
         self.count = len(description.structure["derivatives"])
         self.indicators = int(description.attributes.get("numberOfEventIndicators", "0"))
@@ -324,9 +324,9 @@ class Simulation:
         self._ended = self.early = False
         self.rest: list[float] = []
 
-    def values(self, variables: Sequence[DeclaredVariable]) -> Values:
+    def values(self, variables: Sequence[DeclaredVariable]) -> VariableRow:
         """Some variables of this instance."""
-        return Values(self.trial, self.instance, variables)
+        return VariableRow(self.trial, self.instance, variables)
 
     @property
     def ended(self) -> bool:

@@ -9,10 +9,10 @@ from itertools import pairwise
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.simulation import Rows, Simulation
+from orchestrator.check.tasks.trial_run import Rows, Simulation
 
 
-def experiment(trial: Trial) -> Iterator[Remark]:
+def run(trial: Trial) -> Iterator[Remark]:
     """Hands over the rows before and after the inputs of a point were set: nobody says which are meant."""
     job = trial.payload
     if trial.kind == "ModelExchange":
@@ -53,7 +53,7 @@ def _points(trial: Trial, job: Any) -> tuple[list[float], set[int]]:
     start, stop, step, times = job["start"], job["stop"], job["step"], job["times"]
     close = 1e-6 * step
     grid = [start + n * step for n in range(int((stop - start) / step + 1 + 1e-9))]
-    if trial.able.is_true("canHandleVariableCommunicationStepSize"):
+    if trial.able.declares("canHandleVariableCommunicationStepSize"):
         off = [t for t in times if start < t <= stop and all(abs(t - g) >= close for _, g in _near(grid, t))]
         grid = sorted([*grid, *off])
     wanted = {n for t in times for n, g in _near(grid, t) if abs(t - g) < close}

@@ -1,9 +1,4 @@
-"""modelDescription.xml as a file: XML, version, schema, and what FMPy says of it.
-
-What identifies the FMU: GUID or instantiation token, and model identifiers.
-
-The default experiment: there, and possible.
-"""
+"""modelDescription.xml as a file: version, schema, what FMPy says of it; identity; default experiment."""
 
 from __future__ import annotations
 
@@ -14,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.xml import local
-from orchestrator.check.finding import Finding, Table, error, note, warning
+from orchestrator.check.finding import Finding, RuleTable, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.model_description import Entry
+from orchestrator.fmi.raw_description import Entry
 
-DESCRIPTION_FILE = Table()
+DESCRIPTION_FILE = RuleTable()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
 MANY = 2000  # variables; FMPy takes milliseconds for each name
@@ -151,7 +146,7 @@ def exchange(subject: Subject) -> Iterator[Finding]:
         yield note("no Model Exchange: the equations cannot join the solver of the importing tool")
 
 
-IDENTITY = Table()
+IDENTITY = RuleTable()
 SAMPLES = {  # tokens that were copied from examples into many FMUs
     "0{32}": "the nil GUID",
     "8c4e810f3df34a008276176fa3c9f[0-9a-f]{3}": "that of an example of the FMU SDK",
@@ -210,7 +205,7 @@ def same(subject: Subject) -> Iterator[Finding]:
         yield note(f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary")
 
 
-DEFAULT_EXPERIMENT = Table()
+DEFAULT_EXPERIMENT = RuleTable()
 
 
 def _number(element: Entry, name: str) -> float | None:

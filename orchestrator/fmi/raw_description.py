@@ -55,9 +55,9 @@ class Entry:
         """An attribute as written."""
         return self.attributes.get(name, default)
 
-    def is_true(self, *names: str) -> bool:
-        """Is one of these attributes set? The versions of FMI spell some in two ways."""
-        return any(self.attributes.get(name) in ("true", "1") for name in names)
+    def declares(self, *names: str) -> bool:
+        """Is one of these attributes true, or above 0? The versions of FMI spell some in two ways."""
+        return any(self.get(name) == "true" or (whole(self.get(name)) or 0) > 0 for name in names)
 
 
 @dataclass(frozen=True, eq=False)
