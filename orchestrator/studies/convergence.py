@@ -113,7 +113,7 @@ def possible(settings: Sequence[Setting], held: Sequence[str]) -> list[Setting]:
 
 
 @dataclass(frozen=True)
-class SignalError:
+class SignalDeviation:
     """Error of one signal.
 
     nrmse    root mean square over the range of the whole reference
@@ -181,7 +181,7 @@ class Truth:
             raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
         return float(self.time[max(spaces // ENOUGH, 1)] - self.time[0])
 
-    def errors(self, trace: Trace, step: float) -> dict[str, tuple[SignalError, ...]]:
+    def errors(self, trace: Trace, step: float) -> dict[str, tuple[SignalDeviation, ...]]:
         """Group -> errors of its signals, the largest first."""
         own, mine = _shared(trace.time, self.time, step)
         return {
@@ -197,14 +197,16 @@ def _shared(run: Array, truth: Array, step: float) -> tuple[NDArray[np.intp], ND
     return at[both], both
 
 
-def _error(signal: TrueSignal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]) -> SignalError:
+def _error(
+    signal: TrueSignal, trace: Trace, own: NDArray[np.intp], mine: NDArray[np.intp]
+) -> SignalDeviation:
     unit = trace.units.get(signal.name, signal.unit)
     factor, offset = linear(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
     with np.errstate(over="ignore"):  # of a run that grows beyond all bounds
         apart = factor * trace[signal.name][own] + offset - signal.values[mine]
         rms = float(np.sqrt(np.mean(np.square(apart))))
     span = signal.span or 1.0
-    return SignalError(signal.name, rms / span, float(np.abs(apart).max()), span, signal.unit)
+    return SignalDeviation(signal.name, rms / span, float(np.abs(apart).max()), span, signal.unit)
 
 
 def from_reference(reference: Recording, patterns: Sequence[str] = ()) -> Truth:
@@ -293,7 +295,7 @@ class SettingRun:
     setting: Setting
     step: float
     case: str = ""
-    errors: Mapping[str, tuple[SignalError, ...]] = field(default_factory=dict)
+    errors: Mapping[str, tuple[SignalDeviation, ...]] = field(default_factory=dict)
     taken: int = 0
     simulated: float = 0.0
     walls: tuple[float, ...] = ()
@@ -325,7 +327,7 @@ class SettingRun:
         """NRMSE of the worst signal of a group."""
         return self.errors[group][0].nrmse
 
-    def maximum(self, group: str) -> SignalError:
+    def maximum(self, group: str) -> SignalDeviation:
         """The signal of a group with the largest difference."""
         return max(self.errors[group], key=lambda e: e.maximum)
 

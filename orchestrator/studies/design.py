@@ -8,7 +8,7 @@ Sobol: Joe and Kuo, SIAM J. Sci. Comput. 30 (2008), scrambled after Owen; Saltel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -49,53 +49,27 @@ class Sample:
 
 def samples(study: Study) -> Array:
     """Samples in the unit cube, shape (samples, dimensions of the study)."""
-    if not study.dimensions:
+    count, runs, method = len(study.dimensions), study.runs, study.method
+    if not count:
         return np.zeros((1, 0))
-    return METHODS[study.method](study)
+    if method == "grid":  # each value in the middle of its share of 0..1; the last dimension varies fastest
+        counts = [levels(d) for d in study.dimensions]
+        return np.array(list(product(*((np.arange(n) + 0.5) / n for n in counts))))
+    if method in ("latin", "sobol"):
+        rng = np.random.default_rng(study.seed)
+        engine = qmc.LatinHypercube(count, rng=rng) if method == "latin" else qmc.Sobol(count, rng=rng)
+        return np.asarray(engine.random(runs))
+    from SALib.sample import morris, sobol
+
+    dimensions = problem([d.column for d in study.dimensions])
+    if method == "saltelli":
+        return np.asarray(sobol.sample(dimensions, runs, calc_second_order=False, seed=study.seed))
+    return np.asarray(morris.sample(dimensions, runs, num_levels=LEVELS, seed=study.seed))
 
 
 def problem(names: Sequence[str]) -> dict[str, Any]:
     """Dimensions in the form of SALib, in the unit cube."""
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
-
-
-def _latin(study: Study) -> Array:
-    rng = np.random.default_rng(study.seed)
-    return np.asarray(qmc.LatinHypercube(len(study.dimensions), rng=rng).random(study.runs))
-
-
-def _sobol(study: Study) -> Array:
-    rng = np.random.default_rng(study.seed)
-    return np.asarray(qmc.Sobol(len(study.dimensions), scramble=True, rng=rng).random(study.runs))
-
-
-def _grid(study: Study) -> Array:
-    """Each value in the middle of its share of 0..1; the last dimension varies fastest."""
-    counts = [levels(d) for d in study.dimensions]
-    return np.array(list(product(*((np.arange(n) + 0.5) / n for n in counts))))
-
-
-def _saltelli(study: Study) -> Array:
-    from SALib.sample import sobol
-
-    dimensions = problem([d.column for d in study.dimensions])
-    return np.asarray(sobol.sample(dimensions, study.runs, calc_second_order=False, seed=study.seed))
-
-
-def _morris(study: Study) -> Array:
-    from SALib.sample import morris
-
-    dimensions = problem([d.column for d in study.dimensions])
-    return np.asarray(morris.sample(dimensions, study.runs, num_levels=LEVELS, seed=study.seed))
-
-
-METHODS: Mapping[str, Callable[[Study], Array]] = {
-    "latin": _latin,
-    "sobol": _sobol,
-    "grid": _grid,
-    "saltelli": _saltelli,
-    "morris": _morris,
-}
 
 
 # ---- the numbers they stand for

@@ -22,8 +22,7 @@ import pandas as pd
 import pyarrow as pa
 from distributed import Client
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-from rich.progress import Progress as RichProgress
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.interrupts import DeferredInterrupts
@@ -157,10 +156,10 @@ def run(
     return bool((table["status"] != FAILED).any())
 
 
-class Progress:
+class StudyProgress:
     """How far a study is: a bar on a terminal, elsewhere a line for each tenth of the runs."""
 
-    def __init__(self, stream: TextIO, bar: RichProgress | None = None) -> None:
+    def __init__(self, stream: TextIO, bar: Progress | None = None) -> None:
         self._stream, self._bar = stream, bar
         self._task = bar.add_task("starting", total=None) if bar else None
         self._began, self._tenth, self._fresh, self._failed = time.perf_counter(), 0, 0, 0
@@ -188,11 +187,11 @@ def progress() -> Iterator[Watch]:
     """Progress on standard error; a bar goes when it is done."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield Progress(sys.stderr)
+        yield StudyProgress(sys.stderr)
         return
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}")
-    with RichProgress(*columns, console=console, transient=True) as bar:
-        yield Progress(sys.stderr, bar)
+    with Progress(*columns, console=console, transient=True) as bar:
+        yield StudyProgress(sys.stderr, bar)
 
 
 def summary(results: store.Results) -> str:

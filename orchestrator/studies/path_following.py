@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace, read
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
@@ -222,17 +223,9 @@ def rows(runs: Sequence[PathRun]) -> list[tuple[str, ...]]:
 
 def text(runs: Sequence[PathRun]) -> str:
     """The table, and below it the runs that failed or went far off."""
-    lines = [HEAD, *rows(runs)]
-    if all(r.feedback for r in runs):  # nothing to compare with
-        lines = [line[:-1] for line in lines]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    aligned = [str.ljust] * 3 + [str.rjust] * (len(HEAD) - 3)  # words, numbers
-    table = [
-        "  ".join(
-            align(cell, width) for align, cell, width in zip(aligned, line, widths, strict=False)
-        ).rstrip()
-        for line in lines
-    ]
+    columns = len(HEAD) - all(r.feedback for r in runs)  # the last one compares with the run with feedback
+    cells = [row[:columns] for row in rows(runs)]
+    table = TextTable(HEAD[:columns], cells, left=range(3)).lines()
     failed = [
         f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}" for r in runs if r.failure
     ]

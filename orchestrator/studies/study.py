@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import log2, prod
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
@@ -55,6 +55,7 @@ class Factor:
     numbers: Mapping[str, Any]
     relative: bool = False
     unit: str = ""
+    kind: ClassVar[str] = "factor"
 
     def __post_init__(self) -> None:
         Table(self.key, {"distribution": self.distribution}).one_of("distribution", NUMBERS)
@@ -112,9 +113,15 @@ class Choice:
     what: str
     options: tuple[str, ...]
     sampled: bool = False
+    kind: ClassVar[str] = "choice"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "options", tuple(self.options))
+
+    @property
+    def name(self) -> str:
+        """What is chosen."""
+        return self.what
 
     @property
     def column(self) -> str:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.results import Effect, Finding
+from orchestrator.studies.analysis.results import Effect, OutputAnalysis
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output, Study
 
@@ -61,12 +61,12 @@ def results(
     return Results(study, table, _bands(table, output), {output.signal: unit})
 
 
-def finding(found: Results) -> Finding:
+def finding(found: Results) -> OutputAnalysis:
     """What the analysis says about the only output."""
     return analyse(found).findings[0]
 
 
-def effects(found: Finding) -> dict[str, Effect]:
+def effects(found: OutputAnalysis) -> dict[str, Effect]:
     """By name."""
     assert found.sensitivity is not None
     return {effect.name: effect for effect in found.sensitivity.effects}

@@ -12,7 +12,7 @@ import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, Estimate
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate
 from orchestrator.studies.study import Choice, Factor
 
 TWO = Choice("swing", ("lumped", "detailed"))
@@ -25,7 +25,7 @@ def linear(x: Mapping[str, np.ndarray]) -> np.ndarray:
     return 10.0 + sum(weight * x[name] for name, weight in LINEAR.items())
 
 
-def near(estimate: Estimate, truth: float) -> bool:
+def near(estimate: IntervalEstimate, truth: float) -> bool:
     """Within 1.5 times half the 95 % interval, 3 standard deviations."""
     assert estimate.low is not None
     assert estimate.high is not None
@@ -76,7 +76,7 @@ def test_a_factor_without_effect_has_none() -> None:
     """The interval of a factor that is not in the function holds zero, and is narrow."""
     found = effects(finding(results(linear, UNIT, "saltelli", 256)))["x4"]
     # exactly zero: columns of x4 change nothing, so all differences vanish
-    assert found.estimates[TOTAL] == Estimate(0.0, 0.0, 0.0)
+    assert found.estimates[TOTAL] == IntervalEstimate(0.0, 0.0, 0.0)
     assert found.estimates[FIRST].floor <= 0 <= found.estimates[FIRST].ceiling
 
 

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 from sweep.studies import GAIN, study
 
-from orchestrator.studies.parameter_study import Progress
+from orchestrator.studies.parameter_study import StudyProgress
 from orchestrator.studies.single_run import FAILED, OK, RunOutcome
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"
@@ -23,7 +23,7 @@ def _rows(count: int, status: str = OK) -> list[RunOutcome]:
 def test_a_pipe_gets_a_line_for_each_tenth() -> None:
     """However the batches fall: one line when a tenth is full, none in between, the last one for all runs."""
     stream = io.StringIO()
-    show = Progress(stream)
+    show = StudyProgress(stream)
     show(200, 0, ())
     done = 0
     for size in [7] * 28 + [4]:
@@ -38,7 +38,7 @@ def test_a_pipe_gets_a_line_for_each_tenth() -> None:
 def test_a_study_that_goes_on_tells_what_failed() -> None:
     """Tenths that are full already are not told again; a batch over several tenths is one line."""
     stream = io.StringIO()
-    show = Progress(stream)
+    show = StudyProgress(stream)
     show(10, 4, ())
     show(10, 5, _rows(1))
     show(10, 10, _rows(5, FAILED))

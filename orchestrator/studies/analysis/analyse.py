@@ -12,7 +12,7 @@ from orchestrator.studies.analysis.results import (
     Analysis,
     Array,
     Failure,
-    Finding,
+    OutputAnalysis,
     OutputSamples,
     Sensitivity,
     Spread,
@@ -106,7 +106,7 @@ def _where_failed(results: Results) -> list[str]:
     return notes
 
 
-def _finding(results: Results, output: Output) -> Finding:
+def _finding(results: Results, output: Output) -> OutputAnalysis:
     study, ended = results.study, done(results)
     values = ended[output.column].to_numpy(float)
     whole, missing = spread(values), int(np.isnan(values).sum())
@@ -129,7 +129,7 @@ def _finding(results: Results, output: Output) -> Finding:
     notes = [found] if isinstance(found, str) else []
     if missing and whole is not None:
         notes.append(f"{missing} runs came to their end without this output; they count as failed here")
-    return Finding(
+    return OutputAnalysis(
         output.name,
         output.signal,
         output.measure,

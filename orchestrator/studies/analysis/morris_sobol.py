@@ -33,11 +33,9 @@ from orchestrator.studies.analysis.results import (
     TOTAL,
     Array,
     Effect,
-    Estimate,
+    IntervalEstimate,
     OutputSamples,
     Sensitivity,
-    kind,
-    name,
 )
 from orchestrator.studies.design import LEVELS, problem
 from orchestrator.studies.study import Factor
@@ -57,7 +55,7 @@ Rows = NDArray[np.intp]
 # ---- what all methods use
 
 
-def intervals(estimate: Callable[[Rows], Array], count: int) -> list[Estimate]:
+def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEstimate]:
     """Each number of `estimate` with its 95 % percentile interval [Efron and Tibshirani 1993, chapter 13].
 
     estimate  numbers, shape (m,), from samples with the given rows
@@ -73,7 +71,7 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[Estimate]:
         rng=np.random.default_rng(SEED),
     )
     ends = zip(estimate(rows), *drawn.confidence_interval, strict=True)
-    return [Estimate(float(value), float(low), float(high)) for value, low, high in ends]
+    return [IntervalEstimate(float(value), float(low), float(high)) for value, low, high in ends]
 
 
 def ordered(effects: list[Effect], measure: str) -> tuple[Effect, ...]:
@@ -111,7 +109,7 @@ def of_crossed(samples: OutputSamples) -> list[Effect]:
         return []
     found = intervals(shares, len(samples.y))
     return [
-        Effect(choice.what, "choice", {FIRST: first, TOTAL: total})
+        Effect(choice.name, choice.kind, {FIRST: first, TOTAL: total})
         for choice, first, total in zip(samples.crossed, found[::2], found[1::2], strict=True)
     ]
 
@@ -153,9 +151,9 @@ def _elementary_effects(design: OutputSamples) -> list[Effect]:
     directions = rank_correlations(design, y)
     return [
         Effect(
-            name(dimension),
-            kind(dimension),
-            {MU_STAR: Estimate(star, star - half, star + half)},
+            dimension.name,
+            dimension.kind,
+            {MU_STAR: IntervalEstimate(star, star - half, star + half)},
             {"mu": mu, "sigma": sigma},
             direction,
         )
@@ -176,7 +174,7 @@ def _pooled(same: tuple[Effect, ...]) -> Effect:
     return Effect(
         same[0].name,
         same[0].kind,
-        {MU_STAR: Estimate(value, value - half, value + half)},
+        {MU_STAR: IntervalEstimate(value, value - half, value + half)},
         {"mu": float(mu.mean()), "sigma": float(sigma)},
         float(np.mean(known)) if known else None,
     )
@@ -193,7 +191,7 @@ def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
         size = np.abs(change).reshape(len(y), -1).mean(axis=1)
         star = intervals(lambda rows, size=size: np.array([size[rows].mean()]), len(y))[0]  # type: ignore[misc]
         more = {"mu": float(change.mean()), "sigma": float(change.std())}
-        effects.append(Effect(choice.what, "choice", {MU_STAR: star}, more))
+        effects.append(Effect(choice.name, choice.kind, {MU_STAR: star}, more))
     return effects
 
 
@@ -245,7 +243,7 @@ def _sobol_effects(free: OutputSamples, y: Array) -> list[Effect]:
     found, k = intervals(lambda rows: _indices(y, rows), len(y)), len(free.dimensions)
     directions = rank_correlations(free, free.y.mean(axis=1))
     return [
-        Effect(name(d), kind(d), {FIRST: found[i], TOTAL: found[k + i]}, direction=directions[i])
+        Effect(d.name, d.kind, {FIRST: found[i], TOTAL: found[k + i]}, direction=directions[i])
         for i, d in enumerate(free.dimensions)
     ]
 

@@ -38,7 +38,7 @@ LONGEST = 44  # characters of a label
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A number with its 95 % interval; none where nothing was sampled."""
 
     value: float
@@ -69,7 +69,7 @@ class Effect:
 
     name: str
     kind: str
-    estimates: Mapping[str, Estimate]
+    estimates: Mapping[str, IntervalEstimate]
     more: Mapping[str, float] = field(default_factory=dict)
     direction: float | None = None
     options: tuple[str, ...] = ()
@@ -125,7 +125,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Finding:
+class OutputAnalysis:
     """Everything about one output.
 
     spread     over all runs that have it; none if there is no such run
@@ -174,7 +174,7 @@ class Analysis:
     runs: int
     succeeded: int
     failures: tuple[Failure, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[OutputAnalysis, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -199,7 +199,7 @@ class OutputSamples:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the dimensions."""
-        return tuple(name(dimension) for dimension in self.dimensions)
+        return tuple(dimension.name for dimension in self.dimensions)
 
     @property
     def combinations(self) -> tuple[str, ...]:
@@ -232,22 +232,14 @@ def done(results: Results) -> pd.DataFrame:
     return results.table[results.table["status"] == OK]
 
 
-def name(dimension: Factor | Choice) -> str:
-    """What a reader calls it."""
-    return dimension.name if isinstance(dimension, Factor) else dimension.what
-
-
-def kind(dimension: Factor | Choice) -> str:
-    """factor or choice."""
-    return "factor" if isinstance(dimension, Factor) else "choice"
-
-
 def samples(results: Results, output: Output) -> OutputSamples:
     """The runs of a study; each sample was run in each combination of crossed choices, in the same order."""
     study, runs = results.study, results.table.sort_values("run", kind="stable")
     values = runs[output.column].where(runs["status"] == OK)
-    options = itertools.product(*(choice.options for choice in study.crossed))
-    blocks = [runs.index[_chosen(runs, study.crossed, own)] for own in options]
+    blocks = [runs.index]
+    for choice in study.crossed:
+        option = runs[choice.column].astype(str)
+        blocks = [block[option[block] == o] for block in blocks for o in choice.options]
     count = {len(block) for block in blocks}
     if len(count) != 1:
         raise Problem(
@@ -262,11 +254,3 @@ def samples(results: Results, output: Output) -> OutputSamples:
         x[:, i] = column.to_numpy(float)
     y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
     return OutputSamples(study.dimensions, x, y, study.crossed)
-
-
-def _chosen(runs: pd.DataFrame, crossed: tuple[Choice, ...], options: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Which runs have these options."""
-    chosen = np.ones(len(runs), dtype=bool)
-    for choice, option in zip(crossed, options, strict=True):
-        chosen &= (runs[choice.column].astype(str) == option).to_numpy()
-    return chosen

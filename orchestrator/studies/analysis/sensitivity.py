@@ -42,11 +42,9 @@ from orchestrator.studies.analysis.results import (
     TOTAL,
     Array,
     Effect,
-    Estimate,
+    IntervalEstimate,
     OutputSamples,
     Sensitivity,
-    kind,
-    name,
 )
 from orchestrator.studies.design import problem
 from orchestrator.studies.study import Choice
@@ -59,7 +57,7 @@ FAST_RESAMPLES = 100  # as SALib: an interval here is from a standard deviation
 BLOCK = 8  # neighbours in rank: a 25th of 200 samples, a wave of the 10th harmonic is five times as long
 SPARE = 10  # samples that a linear model needs beyond its coefficients
 LEAST_FIT = 0.7  # R^2 below which a linear model does not order factors [Saltelli et al. 2004]
-NOTHING = Estimate(0.0, 0.0, 0.0)
+NOTHING = IntervalEstimate(0.0, 0.0, 0.0)
 
 
 # ---- plain samples
@@ -116,21 +114,23 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
     directions = rank_correlations(samples, y)
     effects = []
     for i, dimension in enumerate(samples.dimensions):
-        own = name(dimension)
+        own = dimension.name
         slope = slopes.get(own, NOTHING)
         low, high = sorted((slope.floor**2, slope.ceiling**2))
         low = 0.0 if slope.floor <= 0 <= slope.ceiling else low
-        share = Estimate(part * slope.value**2, part * low, part * high)
+        share = IntervalEstimate(part * slope.value**2, part * low, part * high)
         if isinstance(dimension, Choice):
             first[i] = share = NOTHING if constant else _share_of_groups(samples.x[:, i], y, part)
         estimates = {REGRESSION: share, **({FIRST: first[i]} if fast else {})}
         both = {"regression": slopes, "rank_regression": ranks}
         more = {key: model[own].value for key, model in both.items() if own in model}
-        effects.append(Effect(own, kind(dimension), estimates, more, directions[i]))
+        effects.append(Effect(own, dimension.kind, estimates, more, directions[i]))
     return effects
 
 
-def linear_model(samples: OutputSamples, y: Array, ranks: bool = False) -> tuple[dict[str, Estimate], float]:
+def linear_model(
+    samples: OutputSamples, y: Array, ranks: bool = False
+) -> tuple[dict[str, IntervalEstimate], float]:
     """Standardised coefficients of the factors that vary, by name, and R^2; of y or of its ranks.
 
     Intervals are of the bootstrap: variances differ from one set of samples to the next, also where the model
@@ -163,7 +163,7 @@ def _standard(values: Array) -> Array:
     return np.asarray((values - values.mean(axis=0)) / np.where(deviation > 0, deviation, 1.0), np.float64)
 
 
-def _share_of_groups(group: Array, y: Array, part: float) -> Estimate:
+def _share_of_groups(group: Array, y: Array, part: float) -> IntervalEstimate:
     """Share of the variance between options of a sampled choice, less what chance gives (epsilon squared).
 
     (SS_between - (m - 1) MS_within) / SS [Kelley 1935, PNAS 21, 554-559]
@@ -182,14 +182,14 @@ def _share_of_groups(group: Array, y: Array, part: float) -> Estimate:
     return intervals(estimate, len(y))[0]
 
 
-def _rbd_fast(samples: OutputSamples, y: Array, part: float) -> list[Estimate]:
+def _rbd_fast(samples: OutputSamples, y: Array, part: float) -> list[IntervalEstimate]:
     """First order indices as shares of all variance; a factor that does not vary has none."""
     rng = np.random.default_rng(SEED)
     x = np.column_stack([_shuffled_ranks(column, rng) for column in samples.x.T])
     standard = (y - y.mean()) / y.std()
     found = rbd_fast.analyze(problem(samples.names), x, standard, num_resamples=FAST_RESAMPLES, seed=rng)
     return [
-        Estimate(part * s, part * (s - half), part * (s + half)) if np.ptp(column) > 0 else NOTHING
+        IntervalEstimate(part * s, part * (s - half), part * (s + half)) if np.ptp(column) > 0 else NOTHING
         for s, half, column in zip(
             map(float, found["S1"]), map(float, found["S1_conf"]), samples.x.T, strict=True
         )
@@ -222,15 +222,17 @@ def main_effects(samples: OutputSamples) -> Sensitivity | str:
     if len(known) < 2:
         return f"{len(known)} runs have the output, expected at least 2"
     y, whole, complete = known["y"], float(known["y"].var(ddof=0)), len(known) == len(table)
-    kinds = {name(d): kind(d) for d in (*samples.dimensions, *samples.crossed)}
+    kinds = {d.name: d.kind for d in (*samples.dimensions, *samples.crossed)}
     effects = []
     for own, sort in kinds.items():
         # variance of the means at each value, weighted by the runs there
-        estimates = {FIRST: Estimate(float(known.groupby(own)["y"].transform("mean").var(ddof=0)) / whole)}
+        estimates = {
+            FIRST: IntervalEstimate(float(known.groupby(own)["y"].transform("mean").var(ddof=0)) / whole)
+        }
         if complete:  # mean variance over one factor, all others fixed
             rest = [other for other in kinds if other != own]
             means = known.groupby(rest)["y"].transform("mean") if rest else y.mean()
-            estimates[TOTAL] = Estimate(float(((y - means) ** 2).mean()) / whole)
+            estimates[TOTAL] = IntervalEstimate(float(((y - means) ** 2).mean()) / whole)
         direction = rank_correlation(known[own].to_numpy(), y.to_numpy()) if sort == "factor" else None
         effects.append(Effect(own, sort, estimates, {}, direction))
     notes = ["shares hold for the values of the grid, each as likely"]

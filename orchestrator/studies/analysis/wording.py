@@ -9,8 +9,8 @@ from orchestrator.studies.analysis.results import (
     REGRESSION,
     TOTAL,
     Effect,
-    Estimate,
-    Finding,
+    IntervalEstimate,
+    OutputAnalysis,
     Sensitivity,
     short,
 )
@@ -32,7 +32,7 @@ CLEAR = 0.3  # rank correlation above which a direction is reported
 MANY = 3  # factors that cannot be distinguished from the first; with more of them none stands out
 
 
-def what(finding: Finding) -> str:
+def what(finding: OutputAnalysis) -> str:
     """What the output is, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
     start, stop = finding.window
     ends = ""
@@ -41,7 +41,7 @@ def what(finding: Finding) -> str:
     return f"{MEASURES[finding.measure]} of {finding.signal}{ends}"
 
 
-def sentences(finding: Finding) -> list[str]:
+def sentences(finding: OutputAnalysis) -> list[str]:
     """The output in some sentences, the first of them the answer."""
     if finding.spread is None:
         return [f"No run has {finding.name}."]
@@ -56,7 +56,7 @@ def sentences(finding: Finding) -> list[str]:
     return [*_answer(finding, finding.sensitivity), where]
 
 
-def _answer(finding: Finding, sensitivity: Sensitivity) -> list[str]:
+def _answer(finding: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     if not sensitivity.reliable:
         fit = 100 * sensitivity.quality.get("r_squared", 0.0)
         return [
@@ -82,7 +82,7 @@ def _leaders(effects: tuple[Effect, ...], measure: str) -> list[Effect]:
     return [e for e in effects if e.estimates[measure].ceiling >= first.floor]
 
 
-def _first(finding: Finding, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
+def _first(finding: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
     """Who leads, if anybody does."""
     top, share = effects[0], SHARES.get(measure, "over its range")
     if _none_stands_out(effects, leaders, measure):
@@ -113,7 +113,7 @@ def _counts(effect: Effect, top: Effect, measure: str) -> bool:
     return estimate.value >= NOTICEABLE * whole and estimate.floor > 0
 
 
-def size(estimate: Estimate, measure: str, unit: DisplayUnit) -> str:
+def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
     """An estimate with its interval, such as `61 % (54 to 68)` or `12.1 bar (11 to 13.2)`."""
     if measure == MU_STAR:
         text = unit.text(estimate.value)
@@ -122,13 +122,12 @@ def size(estimate: Estimate, measure: str, unit: DisplayUnit) -> str:
         low, high = (unit.text(end, named=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
         return f"{text} ({low} to {high})"
     # a share lies between 0 and 1, an estimate of it need not
-    value, low, high = (
-        100 * min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling)
-    )
-    return f"{value:.0f} %" if estimate.low is None else f"{value:.0f} % ({low:.0f} to {high:.0f})"
+    limited = (min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling))
+    percent, least, most = (f"{100 * v:.0f}" for v in limited)
+    return f"{percent} %" if estimate.low is None else f"{percent} % ({least} to {most})"
 
 
-def _direction(finding: Finding, effect: Effect) -> str:
+def _direction(finding: OutputAnalysis, effect: Effect) -> str:
     """Whether the output rises or falls with a factor; of a choice its medians."""
     if effect.kind == "choice":
         options = finding.by_choice[effect.name]

@@ -9,6 +9,7 @@ tornado     what moves an output, the largest on top, each bar with its 95 % int
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ from orchestrator.studies.analysis.results import (
     TOTAL,
     Array,
     Effect,
-    Finding,
+    OutputAnalysis,
     Sensitivity,
     done,
     short,
@@ -57,7 +58,9 @@ BINS = 12
 COLOURS = ("#3f7fb0", "#c47a1f", "#2f8f6f")
 
 
-def scatter(results: Results, output: Output, finding: Finding, sensitivity: Sensitivity) -> Figure | None:
+def scatter(
+    results: Results, output: Output, finding: OutputAnalysis, sensitivity: Sensitivity
+) -> Figure | None:
     """Small multiples in the order of the tornado; none where no factor was varied."""
     by_name = {f.name: f for f in results.study.factors}
     top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name]
@@ -94,7 +97,7 @@ def _dots(axes: Axes, x: Array, y: Array, choice: Choice | None, runs: pd.DataFr
     drawn = slice(None, None, max(1, -(-len(runs) // DOTS)))
     size, alpha = (5, 0.45) if len(runs) > FEW else (12, 0.7)
     for (name, rows), colour in zip(_groups(runs, choice), COLOURS, strict=False):
-        style = {"s": size, "alpha": alpha, "linewidths": 0, "rasterized": True}
+        style: dict[str, Any] = {"s": size, "alpha": alpha, "linewidths": 0, "rasterized": True}
         axes.scatter(x[drawn][rows[drawn]], y[drawn][rows[drawn]], color=colour, label=name, **style)
 
 
@@ -134,7 +137,7 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
 
 
-def histogram(results: Results, output: Output, finding: Finding, choice: Choice | None) -> Figure:
+def histogram(results: Results, output: Output, finding: OutputAnalysis, choice: Choice | None) -> Figure:
     """Runs over the output, options stacked; lines at 5, 50 and 95 %."""
     made = column_figure(2.5)
     axes = made.subplots()
@@ -201,7 +204,7 @@ LABELS = {
 }
 
 
-def tornado(finding: Finding, sensitivity: Sensitivity) -> Figure:
+def tornado(finding: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     """Bars from the measure that orders them; the first order within a total; dots for each combination."""
     effects, measure = sensitivity.effects[:MOST], sensitivity.measure
     unit = finding.display if measure == MU_STAR else DisplayUnit("1", "%")

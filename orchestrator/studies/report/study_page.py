@@ -25,7 +25,7 @@ from orchestrator.studies.analysis.results import (
     TOTAL,
     Analysis,
     Effect,
-    Finding,
+    OutputAnalysis,
     Sensitivity,
     done,
     short,
@@ -135,7 +135,7 @@ def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
     return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
 
 
-def _tile(finding: Finding) -> dict[str, Any]:
+def _tile(finding: OutputAnalysis) -> dict[str, Any]:
     """An output in one line."""
     value, ends, spread, unit = NONE, "no run has it", finding.spread, finding.display
     if spread is not None:
@@ -146,7 +146,7 @@ def _tile(finding: Finding) -> dict[str, Any]:
     return {"name": finding.name, "value": value, "range": ends, "what": what(finding)}
 
 
-def _section(results: Results, output: Output, finding: Finding, place: int) -> dict[str, Any]:
+def _section(results: Results, output: Output, finding: OutputAnalysis, place: int) -> dict[str, Any]:
     """An output: figures and tables."""
     sensitivity = finding.sensitivity
     return {
@@ -160,7 +160,7 @@ def _section(results: Results, output: Output, finding: Finding, place: int) -> 
     }
 
 
-def _spreads(finding: Finding) -> Markup | None:
+def _spreads(finding: OutputAnalysis) -> Markup | None:
     """A row for all runs, then one for each option."""
     spreads = [(Markup("all"), finding.spread)] if finding.spread else []
     for choice, options in finding.by_choice.items():
@@ -212,7 +212,7 @@ def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     return TextTable(["factor", *sensitivity.apart], rows)
 
 
-def _columns(results: Results, output: Output, finding: Finding, place: int) -> list[list[Picture]]:
+def _columns(results: Results, output: Output, finding: OutputAnalysis, place: int) -> list[list[Picture]]:
     """The figures of an output in two columns of about the same height."""
     sensitivity, left, right = finding.sensitivity, list[Picture](), list[Picture]()
     if sensitivity is not None:
