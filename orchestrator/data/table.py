@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 DATA = (".csv", ".parquet", ".mat")
 GAPS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
 MOST_COLUMNS = 256  # of a matrix that are listed one by one
-SETTING = {"delimiter": 'set delimiter = "{}" in [file]', "decimal": 'set decimal = "," in [file]'}
 
 
 @dataclass(frozen=True)
@@ -97,72 +96,119 @@ def read_columns(
 def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
-    given = form or TextFormat()
-    delimiter, decimal = given.delimiter or ",", given.decimal or "."
-    _check_marks(str(file), given, delimiter, decimal)
-    lines = _lines(file)[given.skip_lines :]
-    if not lines:
-        raise Problem(f"{file}: expected two or more rows of numbers, got an empty file")
-    if delimiter not in lines[0] and len(delimiter) == 1:
-        other = next((mark for mark in ";\t," if mark in lines[0]), "")
-        if other:
-            hint = ": " + SETTING["delimiter"].format(other.replace("\t", r"\t")) if form else ""
-            raise Problem(
-                f"{file}: line {given.skip_lines + 1}: expected cells separated by {delimiter!r}"
-                f" ({_origin(given)}), got {other!r}{hint}"
-            )
-    header = [name.strip() for name in _split(lines[0], delimiter)]
+    """Columns of a text file: all at once if each cell is a number, else cell by cell."""
+    text = _Text(file, form or TextFormat(), described=form is not None)
+    lines = text.lines()
+    first = text.form.skip_lines + 1
+    text.check_marks(lines[0], first)
+    header = [name.strip() for name in text.split(lines[0])]
     if not named:
         header = [str(i) for i in range(len(header))]
-    places = _places(header, names, str(file), f"line {given.skip_lines + 1}: ")
-    mark = delimiter if len(delimiter) == 1 else None
-    rows = [i for i in range(int(named), len(lines)) if lines[i].strip(f" \t{mark or ''}")]
-    numbers = [given.skip_lines + 1 + i for i in rows]
-    kept = [lines[i] for i in rows]
+    places = _places(header, names, str(file), f"line {first}: ")
+    blank = " \t" + (text.mark or "")
+    rows = {first + i: lines[i] for i in range(int(named), len(lines)) if lines[i].strip(blank)}
     del lines
-    if not kept:
+    if not rows:
         raise Problem(f"{file}: expected two or more rows of numbers, got none")
-    _check_widths(kept, numbers, len(header), delimiter, str(file))
-    plain = [line.replace(",", ".") for line in kept] if decimal == "," else kept
+    text.check_widths(rows, len(header))
+    plain = [row.replace(",", ".") for row in rows.values()] if text.decimal == "," else list(rows.values())
+    where = list(places.values())
     try:
-        table = np.loadtxt(
-            plain, delimiter=mark, usecols=list(places.values()), comments=None, quotechar='"', ndmin=2
-        )
+        table = np.loadtxt(plain, delimiter=text.mark, usecols=where, comments=None, quotechar='"', ndmin=2)
     except ValueError:  # there are gaps, or something that is no number
-        table = _cells(kept, numbers, places, delimiter, decimal, f"{file}: line", form is not None)
+        table = text.cells(rows, places)
     values = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(places)}
-    return Columns(str(file), values, numbers, "line")
+    return Columns(str(file), values, list(rows), "line")
 
 
-def _origin(form: TextFormat) -> str:
-    return "the default" if form.delimiter is None else "as set"
+@dataclass(frozen=True)
+class _Text:
+    """A text file while it is read; rows are kept by the number of their line.
 
+    described   its format can be set in the table [file] of a description
+    """
 
-def _check_marks(file: str, form: TextFormat, delimiter: str, decimal: str) -> None:
-    """Refuse marks that cannot be, or that cannot be told apart."""
-    if decimal not in (".", ","):
-        raise Problem(f"{file}: [file] decimal: expected '.' or ',', got {decimal!r}")
-    if len(delimiter) != 1 and delimiter != r"\s+":
-        raise Problem(f"{file}: [file] delimiter: expected one character such as ';', got {delimiter!r}")
-    if delimiter == decimal:
-        raise Problem(
-            f"{file}: [file] decimal is {decimal!r}: expected another delimiter than it,"
-            f" got {delimiter!r} ({_origin(form)}): {SETTING['delimiter'].format(';')}"
-        )
+    file: Location
+    form: TextFormat
+    described: bool
 
+    @property
+    def delimiter(self) -> str:
+        return self.form.delimiter or ","
 
-def _lines(file: Location) -> list[str]:
-    content = file.read()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line, byte = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
-        raise Problem(f"{file}: line {line}: expected text in UTF-8, got the byte 0x{byte:02x}") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n") if text.strip() else []
+    @property
+    def mark(self) -> str | None:
+        """The delimiter, None for any white space."""
+        return self.delimiter if len(self.delimiter) == 1 else None
 
+    @property
+    def decimal(self) -> str:
+        return self.form.decimal or "."
 
-def _split(line: str, delimiter: str) -> list[str]:
-    return line.split() if len(delimiter) > 1 else next(csv.reader([line], delimiter=delimiter), [])
+    def lines(self) -> list[str]:
+        """The lines from the one with the names on."""
+        try:
+            text = self.file.read().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line, byte = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
+            got = f"got the byte 0x{byte:02x}"
+            raise Problem(f"{self.file}: line {line}: expected text in UTF-8, {got}") from None
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+        lines = text.rstrip("\n").split("\n")[self.form.skip_lines :]
+        if not lines or not text.strip():
+            raise Problem(f"{self.file}: expected two or more rows of numbers, got an empty file")
+        return lines
+
+    def split(self, line: str) -> list[str]:
+        """The cells of a line."""
+        return next(csv.reader([line], delimiter=self.mark), []) if self.mark else line.split()
+
+    def check_marks(self, line: str, number: int) -> None:
+        """Refuse a delimiter and a decimal mark that cannot be, or that the first line does not have."""
+        origin = "the default" if self.form.delimiter is None else "as set"
+        if self.decimal not in (".", ","):
+            raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.decimal!r}")
+        if not self.mark and self.delimiter != r"\s+":
+            expected = "expected one character such as ';'"
+            raise Problem(f"{self.file}: [file] delimiter: {expected}, got {self.delimiter!r}")
+        if self.delimiter == self.decimal:
+            raise Problem(
+                f"{self.file}: [file] decimal is {self.decimal!r}: expected another delimiter than it,"
+                f' got {self.delimiter!r} ({origin}): set delimiter = ";" in [file]'
+            )
+        other = next((mark for mark in ";\t," if mark in line), "")
+        if self.mark and self.mark not in line and other:
+            shown = other.replace("\t", r"\t")
+            hint = f': set delimiter = "{shown}" in [file]' if self.described else ""
+            raise Problem(
+                f"{self.file}: line {number}: expected cells separated by {self.delimiter!r} ({origin}),"
+                f" got {other!r}{hint}"
+            )
+
+    def check_widths(self, rows: Mapping[int, str], width: int) -> None:
+        """Refuse a row with fewer or more cells than the first one."""
+        for number, row in rows.items():
+            if self.mark and row.count(self.mark) == width - 1 and '"' not in row:
+                continue
+            if (cells := len(self.split(row))) != width:
+                raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}")
+
+    def cells(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
+        """The numbers cell by cell, shape (rows, places): gaps are NaN, what is no number is refused."""
+        table = np.empty((len(rows), len(places)))
+        for i, (number, row) in enumerate(rows.items()):
+            cells = self.split(row)
+            for j, (name, place) in enumerate(places.items()):
+                cell = cells[place].strip()
+                with_point = cell.replace(",", ".")
+                value = _number(with_point if self.decimal == "," else cell)
+                if value is None:
+                    comma = self.described and self.decimal == "." and _number(with_point) is not None
+                    got = f"{cell!r}" + (': set decimal = "," in [file]' if comma else "")
+                    where = f"{self.file}: line {number}: column {name!r}"
+                    raise Problem(f"{where}: expected a number, got {got}")
+                table[i, j] = value
+        return table
 
 
 def _places(
@@ -182,41 +228,6 @@ def _places(
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join([*names[:8], *(["..."] if len(names) > 8 else [])]) or "no names"
-
-
-def _check_widths(
-    lines: Sequence[str], numbers: Sequence[int], width: int, delimiter: str, file: str
-) -> None:
-    """Refuse a row with fewer or more cells than the first one."""
-    for line, number in zip(lines, numbers, strict=True):
-        if len(delimiter) == 1 and line.count(delimiter) == width - 1 and '"' not in line:
-            continue
-        if (cells := len(_split(line, delimiter))) != width:
-            raise Problem(f"{file}: line {number}: expected {width} cells, got {cells}")
-
-
-def _cells(
-    lines: Sequence[str],
-    numbers: Sequence[int],
-    places: Mapping[str, int],
-    delimiter: str,
-    decimal: str,
-    where: str,
-    described: bool,
-) -> Array:
-    """The numbers cell by cell: gaps are NaN, what is no number is refused."""
-    table = np.empty((len(lines), len(places)))
-    for i, line in enumerate(lines):
-        cells = _split(line, delimiter)
-        for j, (name, place) in enumerate(places.items()):
-            cell = cells[place].replace(",", ".") if decimal == "," else cells[place]
-            if (value := _number(cell)) is None:
-                comma = described and decimal == "." and _number(cell.replace(",", ".")) is not None
-                hint = f": {SETTING['decimal']}" if comma else ""
-                found = f"{cells[place].strip()!r}{hint}"
-                raise Problem(f"{where} {numbers[i]}: column {name!r}: expected a number, got {found}")
-            table[i, j] = value
-    return table
 
 
 def _number(cell: str) -> float | None:

@@ -151,12 +151,12 @@ def test_a_model_that_does_not_fit_says_so(folder, told):
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("words.txt", "1 2\n3 x\n", "line 2: column '1': expected a number, found 'x'"),
-        ("empty.txt", "", "expected two or more rows of numbers, found an empty file"),
+        ("words.txt", "1 2\n3 x\n", "line 2: column '1': expected a number, got 'x'"),
+        ("empty.txt", "", "expected two or more rows of numbers, got an empty file"),
         (
             "names.csv",
             "Stellsignal;Druck\n1;2\n3;4\n",
-            "line 1: expected numbers, found names: give those of the columns, such as 'Stellsignal', "
+            "line 1: expected numbers, got names: give those of the columns, such as 'Stellsignal', "
             "not their places",
         ),
         ("still.txt", "0 1\n0 2\n0 3\n", "command is 0 throughout or a gap, expected one that moves"),
