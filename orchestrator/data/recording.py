@@ -116,6 +116,11 @@ class Recording:
             )
         return self.signals[name]
 
+    @property
+    def heading(self) -> str:
+        """The title in its description, else the name of its file."""
+        return str(self.about.get("title", self.source.name))
+
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; one of which nothing is known if none is described."""
         return self.sensors.get(name, Sensor())

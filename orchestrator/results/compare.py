@@ -150,7 +150,7 @@ def compare(trace: Trace, reference: Recording, *, rate: bool = True) -> Validat
     return Validation(
         rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
-        title=reference.title,
+        title=reference.heading,
         source=reference.source.name,
         about=reference.about,
         notes=notes,

@@ -69,12 +69,16 @@ class Layout:
     ground: float = 0.0
     source: str = "layout"
 
-    def check(self, trace: Trace) -> None:
-        """Refuse a layout that names a signal the run does not have."""
+    @property
+    def named(self) -> list[tuple[str, str]]:
+        """Where a signal is named, and which one."""
         named = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
         named += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
-        named += [("[motion] angle", self.angle)] if self.angle else []
-        for where, signal in named:
+        return named + ([("[motion] angle", self.angle)] if self.angle else [])
+
+    def check(self, trace: Trace) -> None:
+        """Refuse a layout that names a signal the run does not have."""
+        for where, signal in self.named:
             if signal not in trace.signals:
                 raise UnknownSignal(signal, trace.signals, f"{self.source}: {where}: ")
 

@@ -250,9 +250,9 @@ def validate(
     write_metadata(result, trace, given(scenario=scenario, **options))
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
-        title = named or f"{(scenario or system).stem} against {against.title}"
+        title = named or f"{(scenario or system).stem} against {against.heading}"
         shown = replace(shown.within(recorded), title=title)
-    facts = _facts(system, scenario, against.title, card, **options)
+    facts = _facts(system, scenario, against.heading, card, **options)
     validation, html, data = judge(replace(result, trace=recorded), against, shown, out, facts, rate)
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {contents(result, trace)}")
@@ -269,7 +269,7 @@ def _drive(commands: Trace | None) -> str:
 def _doubt(scenario: Path, against: Recording) -> str:
     """Why the usual reference may not fit."""
     doubt = f"which may be of another scenario than {scenario}"
-    return f"no --reference given: judged against {against.title}, {doubt}"
+    return f"no --reference given: judged against {against.heading}, {doubt}"
 
 
 def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **options: Any) -> dict[str, Any]:

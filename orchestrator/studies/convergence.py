@@ -220,10 +220,10 @@ def from_reference(reference: Recording, patterns: Sequence[str] = ()) -> Truth:
     by_name = {s.name: s for s in named}
     if patterns:
         chosen = {p: [by_name[name] for name in _matching(p, by_name)] for p in patterns}
-        return _moving(reference.title, reference.time, chosen)
+        return _moving(reference.heading, reference.time, chosen)
     groups = list(dict.fromkeys(s.group for s in named))
     return _moving(
-        reference.title, reference.time, _grouped(named, [g for g in USUAL if g in groups] or groups)
+        reference.heading, reference.time, _grouped(named, [g for g in USUAL if g in groups] or groups)
     )
 
 
