@@ -1,4 +1,4 @@
-"""Power bonds: found from units, and the energy that the coupling makes up."""
+"""Power bonds: found from units, and the energy error of the coupling."""
 
 import numpy as np
 import pytest
@@ -67,6 +67,17 @@ def test_residual_shrinks_with_the_step(bounce):
     sizes = [run(bounce, step=h, stop=1.0).card.bonds[0].relative for h in (1e-3, 5e-4)]
     # the energy grows by about h omega^2 T; the next term is of the size of that, 5 % at these steps
     assert sizes[0] / sizes[1] == pytest.approx(2, rel=0.06)
+
+
+def test_energies_are_the_sums_over_the_recorded_steps(bounce):
+    """Held inputs are what their sources were at the start of the step, so the record tells all of it."""
+    result = run(bounce, master="jacobi", step=1e-2, stop=1.0)
+    (bond,), effort, flow = result.card.bonds, result["mass.force"], result["spring.v"]
+    errors = 0.5e-2 * (effort[1:] * flow[:-1] - effort[:-1] * flow[1:])
+    power = np.abs(effort * flow)
+    expected = [errors.sum(), np.abs(errors).sum(), 0.5e-2 * (power[1:] + power[:-1]).sum()]
+    # the lengths of steps, differences of rounded times, and the order of a hundred summands: rounding
+    assert [bond.residual, bond.turnover, bond.exchanged] == pytest.approx(expected, rel=1e-11)
 
 
 def test_exchanged_energy_is_the_integral_of_power(bounce):
