@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orchestrator import Problem, System, assemble, run
+from orchestrator import Coupling, Problem, System, assemble, run
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.engine.result import Card
@@ -38,11 +38,14 @@ def pairs(system):
     return {(b.effort.variable, b.flow.variable) for b in find_bonds(system)}
 
 
+PARTS = {"mass": "mass_b", "spring": "spring"}
+WIRES = ["spring.force -> mass.force", "mass.v -> spring.v"]
+
+
 @pytest.fixture(scope="module")
 def bounce(fmus):
     """A mass on a spring, in two FMUs: force one way, velocity the other. 1 kg, 100 N/m, 100 m/s."""
-    files = {"mass": fmus["mass_b"], "spring": fmus["spring"]}
-    return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
+    return assemble({name: fmus[model] for name, model in PARTS.items()}, WIRES, {"mass.spring": 0.0})
 
 
 def energy(trace):
@@ -78,6 +81,23 @@ def test_energies_are_the_sums_over_the_recorded_steps(bounce):
     expected = [errors.sum(), np.abs(errors).sum(), 0.5e-2 * (power[1:] + power[:-1]).sum()]
     # the lengths of steps, differences of rounded times, and the order of a hundred summands: rounding
     assert [bond.residual, bond.turnover, bond.exchanged] == pytest.approx(expected, rel=1e-11)
+
+
+def test_inputs_that_move_are_judged_as_what_they_were_at_both_ends(fmus):
+    """Extrapolated at their slopes: v' = -F is given, that of F follows from its last four values."""
+    files = {name: fmus.make(model, f"moving_{name}", interpolates=True) for name, model in PARTS.items()}
+    system = assemble(files, WIRES, {"mass.spring": 0.0})
+    h, result = 1e-2, run(system, master=Coupling("jacobi", 1), step=1e-2, stop=1.0)
+    force, speed = result["mass.force"], result["spring.v"]
+    slope = np.zeros_like(force)  # backward differences; nothing is known at the start
+    slope[1] = (force[1] - force[0]) / h
+    slope[2] = (3 * force[2] - 4 * force[1] + force[0]) / (2 * h)
+    slope[3:] = (11 * force[3:] - 18 * force[2:-1] + 9 * force[1:-2] - 2 * force[:-3]) / (6 * h)
+    force_used, speed_used = force[:-1] + h * slope[:-1], speed[:-1] - h * force[:-1]
+    errors = 0.5 * h * (force[1:] * speed_used - force_used * speed[1:])
+    # rounding of forces up to 1000 N and speeds up to 100 m/s, of which errors are differences
+    assert result.card.bonds[0].residual == pytest.approx(errors.sum(), abs=1e-8)
+    assert result.card.bonds[0].turnover == pytest.approx(np.abs(errors).sum(), abs=1e-8)
 
 
 def test_exchanged_energy_is_the_integral_of_power(bounce):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_fmu.models import Workshop
-from any_fmu.outcome import OPENERS
+from any_fmu.outcome import OPENERS, in_python
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
@@ -100,6 +100,26 @@ def test_hermite_keeps_its_order_around_a_loop(fmus, undeclared):
         )
     # measured 4.0; the next term of the error is a part h omega = 0.06 of it at the larger step
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.1)
+
+
+def test_derivatives_that_fail_are_replaced_by_differences(fmus):
+    """Declared, but the call fails: tried before the first step, not used, and the note says so."""
+
+    def failing(component):
+        slave = in_python(component)
+
+        def derivative(*_):
+            def fail():
+                raise Problem("no derivatives today")
+
+            return fail
+
+        slave.derivative = derivative
+        return slave
+
+    result = run(forced(fmus, True, 0.5, 0.5), step=0.1, stop=2.0, open=failing)
+    np.testing.assert_allclose(result.trace["p.y"], result.trace["s.y"] / 0.75, rtol=CLOSE)
+    assert "Newton's method with differences," in result.card.notes[-1]
 
 
 def test_units_are_converted_inside_a_loop(each):
