@@ -151,7 +151,7 @@ def _source(folder: Path, file: Path, e: Element, tag: str) -> Path | None:
 
 def parameter_set(path: Path) -> dict[str, str]:
     """Name -> value of a parameter set in SSV format."""
-    from orchestrator.ssp.parameters import read_parameter_set
+    from orchestrator.ssp.parameter_sets import read_parameter_set
 
     values = read_parameter_set(read_xml(Location(path), "ParameterSet"), {})
     return {value.name: value.text for value in values}

@@ -16,7 +16,7 @@ from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import RECORD, communication_step, divided, free_grid, grid, thinned
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameters import with_sets
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import System
 
 __all__ = [

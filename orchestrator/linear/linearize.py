@@ -18,7 +18,7 @@ from orchestrator.linear.model import Linear, Named
 from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import steady as find_steady
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameters import with_sets
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import Port, System
 
 

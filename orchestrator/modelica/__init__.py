@@ -5,6 +5,6 @@ outputs, and connected FMUs become one large system of equations. Here each bloc
 group of outputs that depend on the same inputs, so that the tool can sort the equations and solves none.
 """
 
-from orchestrator.modelica.package import write_package
+from orchestrator.modelica.modelica_package import write_package
 
 __all__ = ["write_package"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import Interface, Value, Variable
-from orchestrator.modelica.text import Scope, literal, number, quoted
+from orchestrator.modelica.syntax import Scope, literal, number, quoted
 from orchestrator.ssp.system import Component
 
 TYPES = {

@@ -8,7 +8,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.units import IDENTITY, Linear
 from orchestrator.fmi.description import Variable
 from orchestrator.modelica.block import FmuBlock, attributes
-from orchestrator.modelica.text import Scope, literal, number, quoted
+from orchestrator.modelica.syntax import Scope, literal, number, quoted
 from orchestrator.ssp.system import Component, Port, System
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from orchestrator.fmi.description import Variable
 from orchestrator.modelica.block import FmuBlock, placement, places, signals
-from orchestrator.modelica.text import Scope, quoted
+from orchestrator.modelica.syntax import Scope, quoted
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from orchestrator.engine.time_grid import Grid, communication_step
 from orchestrator.realtime.setup import Array, Axis, Setup
 from orchestrator.realtime.shared_memory import Orders
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameters import with_sets
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import Port, System
 
 

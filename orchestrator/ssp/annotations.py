@@ -222,15 +222,15 @@ def _requests(root: XmlElement) -> Iterator[Request]:
             yield from _simulation_information(element, DRAFT)
 
 
-def _elements(parent: XmlElement, tool: Tool) -> Iterator[Request]:
+def _elements(parent: XmlElement, kind: AnnotationType) -> Iterator[Request]:
     """The elements of an annotation, which OMSimulator puts into another one."""
     for e in parent.children():
         if e.name == "Annotations":
-            yield from _elements(e, tool)
-        elif e.name in tool.readers:
-            yield from tool.readers[e.name](e, tool.name)
-        elif e.name not in tool.harmless:
-            raise _unsupported(e, tool.name)
+            yield from _elements(e, kind)
+        elif e.name in kind.readers:
+            yield from kind.readers[e.name](e, kind.tool)
+        elif e.name not in kind.harmless:
+            raise _unsupported(e, kind.tool)
 
 
 def _refusal(element: XmlElement, reason: str) -> Problem:
@@ -387,15 +387,15 @@ def _all(element: XmlElement) -> list[Element]:
 Reader = Callable[[XmlElement, str], Iterator[Request]]
 
 
-class Tool(NamedTuple):
+class AnnotationType(NamedTuple):
     """How the elements in a type of annotations are read, and which do not matter to a run."""
 
-    name: str
+    tool: str
     readers: Mapping[str, Reader]
     harmless: tuple[str, ...] = ()
 
 
-_LIBCOSIM = Tool(
+_LIBCOSIM = AnnotationType(
     "libcosim",
     {
         "Algorithm": _algorithm,
@@ -404,16 +404,18 @@ _LIBCOSIM = Tool(
     },
 )
 TOOLS = {
-    "org.openmodelica": Tool("OMSimulator", {"SimulationInformation": _simulation_information}, ("Buses",)),
+    "org.openmodelica": AnnotationType(
+        "OMSimulator", {"SimulationInformation": _simulation_information}, ("Buses",)
+    ),
     "com.opensimulationplatform": _LIBCOSIM,
     "org.open-simulation-platform": _LIBCOSIM,
-    "com.github.ntnu-ihb.vico": Tool(
+    "com.github.ntnu-ihb.vico": AnnotationType(
         "Vico",
         {"Algorithm": _algorithm, "MasterAlgorithm": _algorithm, "StepSizeHint": _step_size_hint},
         ("Transform",),
     ),
-    "com.avl.model.connect.ssp.task": Tool("OpenMCx", {"Task": _task}),
-    "com.avl.model.connect.ssp.component": Tool("OpenMCx", {"Component": _component_step}),
+    "com.avl.model.connect.ssp.task": AnnotationType("OpenMCx", {"Task": _task}),
+    "com.avl.model.connect.ssp.component": AnnotationType("OpenMCx", {"Component": _component_step}),
 }
 REFUSED = {  # by the beginning of their type
     "se.umu.math.umit.": "FMIGo",

@@ -14,10 +14,10 @@ from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, Linear
 from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
-from orchestrator.ssp.parameters import bound_values
+from orchestrator.ssp.parameter_sets import bound_values
 from orchestrator.ssp.signal_paths import SignalPath, signal_paths
-from orchestrator.ssp.structure import DEFINITION, SINKS, Connector, FlatStructure, read_structure
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System
+from orchestrator.ssp.system_structure import DEFINITION, SINKS, Connector, FlatStructure, read_structure
 
 
 def load(path: str | Path, exchange: bool = False) -> System:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
-from orchestrator.ssp.structure import Connector, FlatStructure, IncomingConnection
 from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.system_structure import Connector, FlatStructure, IncomingConnection
 
 
 @dataclass(frozen=True)

@@ -137,10 +137,10 @@ class System:
 
     def _find(self, name: str) -> Port | None:
         for component in sorted(self.components, key=len, reverse=True):
-            rest, face = name.removeprefix(component + "."), self.components[component].interface
+            rest, interface = name.removeprefix(component + "."), self.components[component].interface
             if rest != name:
-                face.allow(rest, name)
-                if rest in face.variables:
+                interface.allow(rest, name)
+                if rest in interface.variables:
                     return Port(component, rest)
         return None
 
@@ -259,8 +259,8 @@ def settable(port: Port, interface: Interface) -> None:
     if not variable.settable:
         kind = f"{variable.variability} {variable.causality}"
         sources = sorted((interface.initially.get(port.variable) or frozenset()) - {port.variable})
-        told = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= FEW else ""
-        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself{told}")
+        at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= FEW else ""
+        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself{at_start}")
 
 
 def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = IDENTITY) -> Value:

@@ -19,8 +19,8 @@ from orchestrator.fmi.description import Value, Variable
 from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_suggestion
 from orchestrator.ssp.common import TYPES, add, generation_tool, new_root, write_units, xml_text
 from orchestrator.ssp.diagram import Box, Diagram, Point
-from orchestrator.ssp.structure import DEFINITION, FMU
 from orchestrator.ssp.system import Component, Inlet, Port, System
+from orchestrator.ssp.system_structure import DEFINITION, FMU
 
 Values = Mapping[str, tuple[Variable, Value]]  # name of a parameter -> the variable it sets, and its value
 NAME, FILE = "signals", "signals.ssb"  # of the signal dictionary

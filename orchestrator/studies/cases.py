@@ -21,7 +21,7 @@ from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameters import with_sets
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import Port, System
 from orchestrator.studies.study import Factor, Output, Study, measure_unit
 

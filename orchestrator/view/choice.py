@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.ssp import parameters
+from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.readings import watched
@@ -60,7 +60,7 @@ def plan(choice: Choice) -> Plan:
         near = suggest(choice.pose, known) or f"; there are {', '.join(known) or 'none'}"
         raise Problem(f"{choice.system}: no pose {choice.pose!r}{near}")
     system = loaded.swapped(choice.swap)
-    posed = parameters.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
+    posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
     driven = axes(system)
     setup = Setup(
         system=str(choice.system),
@@ -94,7 +94,7 @@ def poses(system: Path) -> tuple[str, ...]:
     """The parameter sets of a system that tell where its joints begin."""
     loaded = load(system)
     found = []
-    for name, file in parameters.names(loaded).items():
+    for name, file in parameter_sets.names(loaded).items():
         text = file.read()
         if b"initial_boom_angle" in text and b"_command" not in text:
             found.append(name)

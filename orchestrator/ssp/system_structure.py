@@ -99,11 +99,11 @@ def read_structure(file: Location) -> FlatStructure:
     if experiment is not None:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
-    _Reader(flat, root, (), {}).file("")
+    _SsdReader(flat, root, (), {}).file("")
     return flat
 
 
-class _Reader:
+class _SsdReader:
     """Walks the elements of one .ssd file.
 
     including   the files that include this one, one in the other
@@ -190,7 +190,7 @@ class _Reader:
         including = (*self._including, _resolved(element.file))
         if _resolved(file) in including:
             raise element.problem(f"{full}: expected another file, {file} includes itself")
-        _Reader(self._flat, root, including, self._units).file(full)
+        _SsdReader(self._flat, root, including, self._units).file(full)
 
     def _connectors(self, element: XmlElement, owner: str) -> None:
         seen = set[Connector]()

@@ -16,7 +16,7 @@ from orchestrator.base.files import Location
 from orchestrator.modelica.block import FmuBlock, fmu_block
 from orchestrator.modelica.connected_system import connected_system
 from orchestrator.modelica.flanges import with_flanges
-from orchestrator.modelica.text import PLAIN, RESERVED, Scope, class_name
+from orchestrator.modelica.syntax import PLAIN, RESERVED, Scope, class_name
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Component, System
 

@@ -17,9 +17,9 @@ from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
 from orchestrator.ssp.common import read_transformation, read_units
 from orchestrator.ssp.signal_paths import SignalPaths
-from orchestrator.ssp.structure import Connector, ParameterBinding
 from orchestrator.ssp.swap import lost
 from orchestrator.ssp.system import Port, System, coerce, settable
+from orchestrator.ssp.system_structure import Connector, ParameterBinding
 
 MappingEntry = tuple[str, Linear, Mapping[str, str], bool]  # target, transformation, table, suppressed
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
