@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from fmus.identification.estimate import Estimate
@@ -24,7 +24,7 @@ from fmus.identification.report.finding_figures import draw_finding
 from fmus.identification.report.wording import caption
 from fmus.rig.command import rig
 from orchestrator.base.plotting import png
-from orchestrator.base.text import typeset
+from orchestrator.base.text import TextTable, typeset
 
 HERE = Path(__file__).parent
 PAGE, FIGURES = HERE / "identification.md", HERE / "figures"
@@ -138,10 +138,9 @@ def effects(found: Explanation) -> str:
     return f"{found.verdict}\n\n" + table(("effect", "alone", "among all", "strength"), rows)
 
 
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of the page."""
-    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
-    return "\n".join([lines[0], "|---" * (lines[0].count("|") - 1) + "|", *lines[1:]])
+    return TextTable(head, rows, left=range(len(head))).markdown()
 
 
 def fill(name: str, text: str, document: Path = PAGE) -> None:

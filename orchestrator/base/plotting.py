@@ -93,7 +93,9 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
 
 def new_figure(width: float, height: float, **padding: float) -> Figure:
     """An empty figure [in]; `padding` as of matplotlib's constrained layout."""
-    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(**padding))
+    layout = ConstrainedLayoutEngine()
+    layout.set(**padding)
+    figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 

@@ -88,10 +88,10 @@ class DisplayUnit:
         """A value for a terminal, such as `0.12 bar`."""
         return f"{self.plain(value, digits)} {self.shown}".rstrip()
 
-    def text(self, value: float, digits: int = 3, *, named: bool = True) -> str:
+    def text(self, value: float, digits: int = 3, *, with_unit: bool = True) -> str:
         """A value for a page, such as `173 bar`."""
         text = typeset(self.plain(value, digits))
-        return f"{text} {self.name}".rstrip() if named else text
+        return f"{text} {self.name}".rstrip() if with_unit else text
 
 
 def display_unit(unit: str, largest: float = math.inf) -> DisplayUnit:

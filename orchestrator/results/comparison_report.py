@@ -22,7 +22,7 @@ from orchestrator.results.comparison import CONSTANT, USUAL, Comparison, Run
 
 PANELS = 6  # more rows than these do not fit on a page
 EACH = 3  # of one quantity
-ALIKE = 0.01  # of its range: two curves that are nearer cannot be told apart in the picture
+ALIKE = 0.01  # of its range: two curves that are nearer cannot be distinguished in the picture
 
 
 def chosen(comparison: Comparison) -> list[str]:

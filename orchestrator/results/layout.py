@@ -70,15 +70,15 @@ class Layout:
     source: str = "layout"
 
     @property
-    def named(self) -> list[tuple[str, str]]:
-        """Where a signal is named, and which one."""
-        named = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
-        named += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
-        return named + ([("[motion] angle", self.angle)] if self.angle else [])
+    def signals(self) -> tuple[tuple[str, str], ...]:
+        """All signals with the places where they are used, (place, signal)."""
+        used = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
+        used += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
+        return tuple(used + ([("[motion] angle", self.angle)] if self.angle else []))
 
     def check(self, trace: Trace) -> None:
-        """Refuse a layout that names a signal the run does not have."""
-        for where, signal in self.named:
+        """Refuse a layout with a signal that the run does not have."""
+        for where, signal in self.signals:
             if signal not in trace.signals:
                 raise UnknownSignal(signal, trace.signals, f"{self.source}: {where}: ")
 

@@ -236,7 +236,7 @@ def validate(
     recorded = result.trace
     if len(result.system.components) == 1:
         against = once(against)
-        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in shown.named)])
+        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in shown.signals)])
     notes = [
         _drive(commands) if reference and not scenario else "",
         _doubt(scenario, against) if scenario and not reference else "",

@@ -47,7 +47,7 @@ class StudyLine:
 
     @property
     def name(self) -> str:
-        """The settings, a common first word told once."""
+        """The settings, a common first word once."""
         first = self.names[0].split()[0]
         return ", ".join([self.names[0], *(n.removeprefix(f"{first} ") for n in self.names[1:])])
 
@@ -82,7 +82,7 @@ LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "alpha": 0.6, "sh
 
 
 def room(lines: Sequence[StudyLine]) -> float:
-    """For the names, as a share of the width of what is drawn beside them."""
+    """For the names, as a share of the width of what is drawn next to them."""
     width = 0.05 + LETTER * max((len(line.name) for line in lines), default=0)
     return width / (1 - width)
 
@@ -131,7 +131,7 @@ TRIANGLES = (1, 2, 4)  # orders
 
 
 def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
-    """Error over step, of the worst signal of a group; the first group unless one is named."""
+    """Error over step, of the worst signal of a group; by default of the first group."""
     chosen = group or next(iter(study.truth.groups))
     figure, axes = _figure(study, chosen)
     lines = lines_of(study, chosen)

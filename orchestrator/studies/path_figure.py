@@ -1,4 +1,4 @@
-"""The paths as the tip drew them, and the error over time."""
+"""The figure of `harvester track`: the paths that the tip followed, and the error over time."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ def draw(runs: Sequence[PathRun]) -> Figure:
         mine = [r for r in runs if r.path == path]
         title = f"{path}, up to {mine[0].speed:.2g} m/s"
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
-        _seen(left, mine, machines, above, ("to the right [m]", "forward [m]"))
-        side, name = beside(mine[0].wanted)
-        _seen(middle, mine, machines, side, (name, "height [m]"))
+        _draw_view(left, mine, machines, top_view, ("to the right [m]", "forward [m]"))
+        side, name = side_view(mine[0].wanted)
+        _draw_view(middle, mine, machines, side, (name, "height [m]"))
         _errors(right, mine, machines)
     axes[-1][2].set_xlabel("time [s]", color=PALETTE.ink)
     _legend(figure, runs, machines)
     return figure
 
 
-def above(points: Array) -> Array:
+def top_view(points: Array) -> Array:
     """Places (n, 3) seen from above, the machine below: to the right and forward [m], shape (2, n)."""
     return np.stack([-points[:, 1], points[:, 0]])
 
 
-def beside(wanted: Array) -> tuple[Callable[[Array], Array], str]:
+def side_view(wanted: Array) -> tuple[Callable[[Array], Array], str]:
     """The side view of a path (n, 3), from places (n, 3) to shape (2, n) [m], and the name of its level axis.
 
     A path that rises in one upright plane is seen across that plane, so its lengths are true; any other in
@@ -58,7 +58,7 @@ def beside(wanted: Array) -> tuple[Callable[[Array], Array], str]:
     return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), "radius from the swing axis [m]"
 
 
-def _seen(
+def _draw_view(
     axes: Axes,
     runs: Sequence[PathRun],
     machines: Sequence[str],

@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.__main__ import main
 from orchestrator.ssp.load import load
-from orchestrator.studies.path_figure import above, beside, draw
+from orchestrator.studies.path_figure import draw, side_view, top_view
 from orchestrator.studies.path_following import PathRun, differences, text
 
 TIME = np.linspace(0, 4, 5)
@@ -108,8 +108,8 @@ BENT = np.array([[3, 1, 2], [3, -1, 2], [5, 0, -1.0]])
 
 def test_views_keep_lengths():
     """From above right and forward; an upright square has its sides, whatever its direction."""
-    assert above(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
-    view, name = beside(SQUARE)
+    assert top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
+    view, name = side_view(SQUARE)
     assert name == "along the ground [m]"
     assert np.ptp(view(SQUARE), axis=1) == pytest.approx([np.sqrt(2), 1.0])  # rounding
 
@@ -117,7 +117,7 @@ def test_views_keep_lengths():
 @pytest.mark.parametrize("path", [BENT, SQUARE[:2], SQUARE[1:3]], ids=["bent", "level", "upright"])
 def test_other_paths_are_seen_in_the_plane_of_the_arm(path):
     """What bends on the ground, is level or straight up has radius and height as its side view."""
-    view, name = beside(path)
+    view, name = side_view(path)
     assert name == "radius from the swing axis [m]"
     assert view(path) == pytest.approx(np.stack([np.hypot(*path.T[:2]), path[:, 2]]))  # rounding
 

@@ -182,7 +182,7 @@ def rms(values: Array) -> float:
 
 
 def without(slope: Array, values: Array) -> Array:
-    """What is left of columns beside the columns of `slope`."""
+    """The part of columns that is orthogonal to the columns of `slope`."""
     length = np.linalg.norm(slope, axis=0)
     q, s, _ = np.linalg.svd(slope[:, length > 0] / length[length > 0], full_matrices=False)
     q = q[:, s > 1e-6 * s[0]] if s.size else q  # directions that only rounding tells apart

@@ -1,8 +1,8 @@
 """Figures of what a procedure found: measurement and fit, the residual below, as in the paper's Figs. 5 to 9.
 
 Kinds of curves differ without colour: measured values are marks or a broad line, a fit is a thin dark line,
-masked values are hollow, what is only compared is dashed. Panels that follow each other over one quantity stand
-in one column and share their x axis; other quantities get a column of their own.
+masked values are hollow, what is only compared is dashed. Panels that follow each other over one quantity
+stand in one column and share their x axis; other quantities get a column of their own.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from orchestrator.base.text import MINUS, labelled, typeset
 from orchestrator.base.units import pretty
 
 COLUMNS = 2
-MANY = 3  # panels over one quantity that stand beside each other, not below
+MANY = 3  # panels over one quantity that stand next to each other, not below
 TALL, FLAT = 2.35, 1.15  # in, of a panel and of a residual
-LABELS = 0.95  # in, beside every column
+LABELS = 0.95  # in, next to every column
 COUNTED = ("group", "recording", "run")  # x axes with whole numbers
 LINE = 13.0  # pt, height of a line of the legend
 LEAST_MARK = 4.0  # pt: the points of a cloud are smaller
-FLAT_LABEL = 16  # letters that fit beside a residual
+FLAT_LABEL = 16  # letters that fit next to a residual
 CLOUD = 1500  # points: a larger cloud is drawn as a picture inside the SVG
 READING = ("measured", "masked", "fit", "compared", "corrected")  # order of the legend
 DRAWING = ("masked", "measured", "compared", "corrected", "fit")  # what is drawn later lies above
@@ -82,7 +82,7 @@ def draw_finding(finding: ProcedureResult, kinds: Iterable[str] = (), *, titled:
 
 
 def _room(across: int) -> float:
-    """Width of one of several axes beside each other [in]."""
+    """Width of one of several axes next to each other [in]."""
     return WIDTH / across - LABELS
 
 
@@ -131,7 +131,7 @@ def _label(text: str, unit: str) -> str:
 
 
 def _draw_panel(axes: Axes, panel: Panel, room: float) -> None:
-    flat, title = is_residual(panel), {"loc": "left", "fontsize": 9, "color": PALETTE.ink}
+    flat = is_residual(panel)
     if flat:  # the unit on a line of its own
         unit = [f"[{pretty(panel.y_unit[0])}]"] if pretty(panel.y_unit[0]) else []
         frame(axes, y="\n".join([*textwrap.wrap(panel.y_label, FLAT_LABEL), *unit]), size=8)
@@ -139,7 +139,8 @@ def _draw_panel(axes: Axes, panel: Panel, room: float) -> None:
         frame(axes, y=_label(panel.y_label, panel.y_unit[0]))
     _draw_curves(axes, panel, flat)
     if panel.title:
-        axes.set_title(panel.title, pad=4.0 if flat else 4.0 + LINE * _legend_lines(panel, room), **title)
+        pad = 4.0 if flat else 4.0 + LINE * _legend_lines(panel, room)
+        axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=pad)
     if panel.log:
         axes.set_yscale("log")
     if flat:
@@ -222,7 +223,7 @@ def _labels(panel: Panel) -> list[str]:
 
 
 def _across(panel: Panel, room: float) -> int:
-    """Entries beside each other, in an axes `room` [in] wide: all in one line if they fit."""
+    """Entries next to each other, in an axes `room` [in] wide: all in one line if they fit."""
     widths = [0.062 * len(label) + 0.53 for label in _labels(panel)]
     return len(widths) if sum(widths) <= room else max(1, int(room / max(widths)))
 

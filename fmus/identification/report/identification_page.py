@@ -219,7 +219,7 @@ def quality(recording: Recording) -> dict[str, Any]:
         remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
     if rate > 1.01 * FASTEST and recording.procedure == "machine":
         remarks.append(f"The clock: {rate:.6g} Hz, filtered to {FASTEST:g} Hz to be fitted together.")
-    channels = [
+    channels: list[dict[str, Any]] = [
         {
             "signal": signal.name,
             "unit": signal.unit,

@@ -107,33 +107,22 @@ def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, s
     try:
         _, y = simulate(model, given.time, u, tolerance=TOLERANCE)
     except RuntimeError as error:
-        raise Problem(f"machine with {dict(variants or {})}: the solver gave up: {_line(error)}") from None
+        reason = str(error).strip().splitlines()[-1]
+        raise Problem(f"machine with {dict(variants or {})}: the solver gave up: {reason}") from None
     found = dict(zip(model.output_names, y.T, strict=True))
     return found | {signal: given.commands[name] for name, signal in COMMANDS.items()}
 
 
-def _line(error: Exception) -> str:
-    return str(error).strip().splitlines()[-1]
-
-
 def _set(known: Mapping[str, Values], numbers: Mapping[str, float], *, any_part: bool) -> dict[str, Values]:
     """Values with parameters replaced; a number that no part has is refused, but where a variant is used."""
-    found, used = {}, set()
+    found, used = {}, set[str]()
     for part, own in known.items():
-        told = {n: v for name in own.p for n, v in _told(part, name, numbers).items()}
-        used |= set(told)
-        p = {name: _last(_told(part, name, numbers), value) for name, value in own.p.items()}
+        # `part.name` counts more than `name`
+        given = {name: [k for k in (f"{part}.{name}", name) if k in numbers] for name in own.p}
+        used.update(*given.values())
+        p = {name: numbers[given[name][0]] if given[name] else value for name, value in own.p.items()}
         found[part] = replace(own, p=p)
-    lost = sorted(set(numbers) - used)
-    if lost and not any_part:
-        raise Problem(f"{lost[0]} is given, expected a parameter of the machine")
+    unknown = sorted(set(numbers) - used)
+    if unknown and not any_part:
+        raise Problem(f"{unknown[0]} is given, expected a parameter of the machine")
     return found
-
-
-def _told(part: str, name: str, numbers: Mapping[str, float]) -> dict[str, float]:
-    """What is given for a parameter; `part.name` counts more than `name` and stands last."""
-    return {key: numbers[key] for key in (name, f"{part}.{name}") if key in numbers}
-
-
-def _last(told: Mapping[str, float], otherwise: float) -> float:
-    return list(told.values())[-1] if told else otherwise

@@ -1,4 +1,4 @@
-"""What the report of an identification says: values with the digits of their interval, doubts, captions."""
+"""Texts of the identification report: values with the digits of their interval, warnings, captions."""
 
 from __future__ import annotations
 

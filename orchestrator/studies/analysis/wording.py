@@ -1,4 +1,4 @@
-"""What an analysis says in plain words: only what its intervals support."""
+"""The results of an analysis in sentences, which claim only what the intervals support."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
         text = unit.text(estimate.value)
         if estimate.low is None:
             return text
-        low, high = (unit.text(end, named=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
-        return f"{text} ({low} to {high})"
+        ends = (unit.text(end, with_unit=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
+        return f"{text} ({' to '.join(ends)})"
     # a share lies between 0 and 1, an estimate of it need not
     limited = (min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling))
     percent, least, most = (f"{100 * v:.0f}" for v in limited)

@@ -50,7 +50,7 @@ def label(name: str, unit: DisplayUnit) -> str:
     return labelled(name, unit.shown)
 
 
-PANELS = 4  # six where the tornado beside them is long
+PANELS = 4  # six where the tornado next to them is long
 DOTS = 1500  # per panel; more only cover each other
 FEW = 300  # runs up to which dots are drawn larger
 BINS = 12
@@ -196,7 +196,7 @@ def quantiles(kept: pd.DataFrame, signal: str) -> tuple[Array, Array]:
 
 
 MOST = 12  # bars; what is below them is in the table
-DOTTED = 12  # combinations whose dots can be told from each other
+DOTTED = 12  # combinations whose dots can be distinguished
 LABELS = {
     MU_STAR: "change over the factor's range, μ*",
     TOTAL: "share of the variance",

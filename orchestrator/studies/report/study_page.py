@@ -110,7 +110,7 @@ def factor_words(factor: Factor) -> str:
     unit = factor_unit(factor)
     ending = " times its value" if factor.relative else f" {unit.name}".rstrip()
     text = {
-        name: ", ".join(unit.text(float(value), 4, named=False) for value in np.atleast_1d(values))
+        name: ", ".join(unit.text(float(value), 4, with_unit=False) for value in np.atleast_1d(values))
         for name, values in factor.numbers.items()
     }
     if factor.distribution == "values":
@@ -140,7 +140,7 @@ def _tile(finding: OutputAnalysis) -> dict[str, Any]:
     value, ends, spread, unit = NONE, "no run has it", finding.spread, finding.display
     if spread is not None:
         value = unit.text(spread.median)
-        low, high = unit.text(spread.low, named=False), unit.text(spread.high)
+        low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
         ends = f"median; {low} to {high} in nine of ten runs"
         ends = f"in all {spread.runs} runs" if finding.constant else ends
     return {"name": finding.name, "value": value, "range": ends, "what": what(finding)}
@@ -169,7 +169,7 @@ def _spreads(finding: OutputAnalysis) -> Markup | None:
     text = finding.display.text
     rows = [
         [name, str(s.runs)]
-        + [text(v, named=False) for v in (s.mean, s.sd, s.minimum, s.low, s.median, s.high, s.maximum)]
+        + [text(v, with_unit=False) for v in (s.mean, s.sd, s.minimum, s.low, s.median, s.high, s.maximum)]
         for name, s in spreads
     ]
     head = ["", "runs", "mean", "sd", "least", "5 %", "median", "95 %", "largest"]
