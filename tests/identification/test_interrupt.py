@@ -102,7 +102,7 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     for name, value in {
         "read_folder": lambda _: [VALVE, MACHINE],
         "quality": lambda _: None,
-        "told": lambda _: [],
+        "faults": lambda _: [],
         "left_out": lambda *_: [],
         "evenly": lambda r: r,
         "thinned": lambda r: r,

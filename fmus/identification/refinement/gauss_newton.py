@@ -44,7 +44,7 @@ SETTLED = 0.05  # relative change of the scales that does not count
 
 
 @dataclass(frozen=True)
-class Linearisation:
+class CondensedProblem:
     """The runs condensed around an iterate, with the rows of the priors.
 
     unreachable   squares of residuals that no change of the unknowns can reach
@@ -71,8 +71,8 @@ class Linearisation:
         return dz
 
 
-def linearise(old: Evaluated, new: Evaluated, priors: Priors, detached: bool) -> Linearisation:
-    """Linearisation and weights of `old`, residuals and gaps of `new`; detached segments have no gaps."""
+def linearise(old: Evaluated, new: Evaluated, priors: Priors, detached: bool) -> CondensedProblem:
+    """CondensedProblem and weights of `old`, residuals and gaps of `new`; detached segments have no gaps."""
     runs, unreachable = [], 0.0
     for k, segments in enumerate(old.runs):
         pairs = list(zip(segments, new.runs[k], strict=True))
@@ -86,7 +86,7 @@ def linearise(old: Evaluated, new: Evaluated, priors: Priors, detached: bool) ->
             known[:, : len(known)] *= _STIFF
         runs.append(condense(linear, defects, projected, known))
     rows = np.vstack([*(run.bottom for run in runs), priors.parameter_rows(new.iterate.z)])
-    return Linearisation(tuple(runs), rows, unreachable)
+    return CondensedProblem(tuple(runs), rows, unreachable)
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Trust:
 
 
 def search(
-    shooting: Shooting, old: Evaluated, at: Linearisation, priors: Priors, scales: Scales, trust: Trust
+    shooting: Shooting, old: Evaluated, at: CondensedProblem, priors: Priors, scales: Scales, trust: Trust
 ) -> tuple[Evaluated | None, Trust]:
     """The next iterate, nothing if no step leads closer, and what to trust from there on."""
     bounds, before, iterate = shooting.problem.bounds(), at.level(), old.iterate
@@ -181,7 +181,7 @@ class Solution:
     """Where the search ended: the last iterate, its linearisation, the reason."""
 
     evaluated: Evaluated
-    linear: Linearisation
+    linear: CondensedProblem
     scales: Scales
     history: tuple[Iteration, ...]
     converged: bool
