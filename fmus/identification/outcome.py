@@ -66,7 +66,7 @@ def content(
         title=f"Identification from {folder.name}",
         source=str(folder),
         kinds=tuple(dict.fromkeys(r.kind for r in identified.recordings)),
-        findings=identified.findings,
+        findings=tuple(identified.findings),
         parameters=tuple(_parameter(e, procedure) for e, procedure in identified.estimates.values()),
         qualities=tuple(qualities),
         refinement=refinement(refined, parameters(), signals(), starts=identified.starts)

@@ -56,24 +56,24 @@ ALIKE, ALIKE_ON_MACHINE = 0.8, 0.85
 Report = Callable[[str], None]  # takes a line about what happens
 
 
-@dataclass(frozen=True)
+@dataclass
 class Identified:
-    """What was identified.
+    """What was identified so far.
 
+    known         all numbers of the machine, estimates in the place of the files'
     findings      of the procedures that had recordings
     skipped       procedure -> why it gave nothing
     refined       the joint refinement, None without recordings of the whole machine
     starts        the same search from other start points, None if it was not asked for
-    known         all numbers of the machine, estimates in the place of the files'
     interrupted   would there have been more?
     """
 
-    recordings: tuple[Recording, ...]
-    findings: tuple[ProcedureResult, ...]
-    skipped: Mapping[str, str]
-    refined: Refined | None
-    starts: Starts | None
-    known: Numbers
+    recordings: Sequence[Recording]
+    known: dict[str, Number]
+    findings: list[ProcedureResult] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+    refined: Refined | None = None
+    starts: Starts | None = None
     interrupted: bool = False
 
     @property
@@ -117,27 +117,18 @@ def identify(
     machine.checked(names)
     for remark in remarks(recordings):
         report(remark)
-    steps = _Steps(recordings, dict(known or nominal()), report, show)
-    interrupted = False
+    result = Identified(recordings, dict(known or nominal()))
     try:
-        steps.procedures(given, inertial)
+        _run_procedures(result, given, inertial, report, show)
         if joint and MACHINE in given:
-            interrupted = not steps.joint(names, starts)
+            _run_joint(result, names, starts, report)
     except KeyboardInterrupt:  # what was estimated until then is kept
-        if not steps.findings and steps.refined is None:
+        if not result.findings and result.refined is None:
             raise
-        interrupted = True
-    if not steps.findings and steps.refined is None:
+        result.interrupted = True
+    if not result.findings and result.refined is None:
         raise Problem(f"nothing was identified: {_no_result(given, joint)}")
-    return Identified(
-        recordings=tuple(recordings),
-        findings=tuple(steps.findings),
-        skipped=steps.skipped,
-        refined=steps.refined,
-        starts=steps.starts,
-        known=steps.numbers,
-        interrupted=interrupted,
-    )
+    return result
 
 
 def _no_result(given: set[str], joint: bool) -> str:
@@ -149,54 +140,45 @@ def _no_result(given: set[str], joint: bool) -> str:
     return f"expected usable recordings of {', '.join(sorted(given))}"
 
 
-@dataclass
-class _Steps:
-    """What was estimated so far; each step takes what those before it estimated."""
-
-    recordings: Sequence[Recording]
-    numbers: dict[str, Number]
-    report: Report
-    show: Callable[[ProcedureResult], None]
-    findings: list[ProcedureResult] = field(default_factory=list)
-    skipped: dict[str, str] = field(default_factory=dict)
-    refined: Refined | None = None
-    starts: Starts | None = None
-
-    def procedures(self, given: Collection[str], inertial: bool) -> None:
-        """The paper's procedures in its order; what one cannot estimate does not hinder the others."""
-        for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
-            if name not in given and not (name == INERTIA and {"damping", MACHINE} & set(given)):
-                self.skipped[name] = "no recording"
-                continue
-            try:
-                finding = procedure.identify(self.recordings, self.numbers)
-            except Problem as error:
-                self._skip(name, error)
-                continue
-            self.findings.append(finding)
-            self.numbers = updated(self.numbers, finding.estimates)
-            self.show(finding)
-
-    def joint(self, names: Sequence[str], starts: int) -> bool:
-        """The joint refinement, and from other starts; was it done to the end?"""
-        own = [r for r in self.recordings if r.procedure == MACHINE]
+def _run_procedures(
+    result: Identified,
+    given: Collection[str],
+    inertial: bool,
+    report: Report,
+    show: Callable[[ProcedureResult], None],
+) -> None:
+    """The paper's procedures in its order; what one cannot estimate does not hinder the others."""
+    for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
+        if name not in given and not (name == INERTIA and {"damping", MACHINE} & set(given)):
+            result.skipped[name] = "no recording"
+            continue
         try:
-            self.refined = refine_together(own, self.numbers, names, self.report)
+            finding = procedure.identify(result.recordings, result.known)
         except Problem as error:
-            if not self.findings:
-                raise
-            self._skip(MACHINE, error)
-            return True
-        self.numbers = updated(self.numbers, self.refined.estimates(names=parameters()))
-        if self.refined.reason == INTERRUPTED:
-            return False
-        if starts:
-            self.starts = refine_from_other_starts(self.refined, starts, self.report)
-        return self.starts is None or not self.starts.interrupted
+            result.skipped[name] = str(error)
+            report(f"{name}: {error}")
+            continue
+        result.findings.append(finding)
+        result.known = updated(result.known, finding.estimates)
+        show(finding)
 
-    def _skip(self, name: str, error: Problem) -> None:
-        self.skipped[name] = str(error)
-        self.report(f"{name}: {error}")
+
+def _run_joint(result: Identified, names: Sequence[str], starts: int, report: Report) -> None:
+    """The joint refinement, and from other starts."""
+    own = [r for r in result.recordings if r.procedure == MACHINE]
+    try:
+        result.refined = refine_together(own, result.known, names, report)
+    except Problem as error:
+        if not result.findings:
+            raise
+        result.skipped[MACHINE] = str(error)
+        report(f"{MACHINE}: {error}")
+        return
+    result.known = updated(result.known, result.refined.estimates(names=parameters()))
+    result.interrupted = result.refined.reason == INTERRUPTED
+    if starts and not result.interrupted:
+        result.starts = refine_from_other_starts(result.refined, starts, report)
+        result.interrupted = result.starts.interrupted
 
 
 def refine_together(

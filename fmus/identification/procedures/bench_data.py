@@ -25,7 +25,7 @@ Table = TypeVar("Table")
 
 BAR, LITRES = ("bar", 1e5), ("L/min", 1e-3 / 60)  # units of figures: name, SI value of one
 SAME_HOSE = 1e-3  # relative difference of two tape measures of one hose
-WINDOW = 0.25  # s over which a slope is seen
+WINDOW = 0.25  # s over which a slope is estimated
 STANDS = 4.0  # standard deviations of the slope below which a signal stands
 MARGIN, SHORTEST_STAND = 0.25, 0.25  # s left out of a stretch at both ends, and what must remain
 NEEDED = 2 * MARGIN + SHORTEST_STAND

@@ -116,7 +116,7 @@ class JointDamping:
 
     speed, resistance   x' and a of (13), filtered, shape (n,)
     known               what errors of the known parameters do
-    dry                 dry friction beside B, its standard deviation, and the B that then is left
+    dry                 dry friction next to B, its standard deviation, and the B that then is left
     standing            names of files in which the joint stands, which are left out
     """
 
@@ -309,9 +309,9 @@ def _others(one: JointDamping) -> Iterator[Estimate]:
         label = f"{name}, the rest known exactly"
         yield Estimate.normal(label, one.value, unit, one.sd, "by the recordings alone")
     dry, sd, _ = one.dry
-    if dry > 0:  # one that pushes is no friction: a remark tells of it where it is clear
+    if dry > 0:  # one that pushes is no friction: a remark says so where it is clear
         force, note = one.contact.resistance_unit, "as one more unknown of (13)"
-        yield Estimate.normal(f"dry friction beside {name}", dry, force, sd, note)
+        yield Estimate.normal(f"dry friction next to {name}", dry, force, sd, note)
 
 
 def _remarks(one: JointDamping) -> Iterator[str]:
@@ -353,14 +353,14 @@ def _remarks(one: JointDamping) -> Iterator[str]:
         return
     if dry < 0:
         yield (
-            "resistance grows more than in proportion to the speed: dry friction beside B would be negative, "
-            "which is no law of friction. Something else moves the residual, such as a number that is taken "
-            "as known."
+            "resistance grows more than in proportion to the speed: dry friction next to B would be "
+            "negative, which is no law of friction. Something else moves the residual, such as a number that "
+            "is taken as known."
         )
     else:
         yield (
             f"the residual has the sign of the speed. A dry friction of {dry:.3g} +- {sd:.2g} "
-            f"{one.contact.resistance_unit} beside a damping of {left:.4g} {unit} fits better; the viscous "
+            f"{one.contact.resistance_unit} next to a damping of {left:.4g} {unit} fits better; the viscous "
             "law takes it into B, at the speeds of these recordings."
         )
 

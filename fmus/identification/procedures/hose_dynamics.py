@@ -388,7 +388,7 @@ def _remarks(by_inertance: GroupFits, by_capacitance: GroupFits) -> Iterator[str
     count = sum(e.y.size for e in by_inertance.equations)
     yield (
         f"The regression uses {count} windows of {len(by_inertance.groups)} groups, none with a sample in "
-        "the dead zone of a meter. It accounts for the noise of every signal, also of those beside I and C."
+        "the dead zone of a meter. It accounts for the noise of every signal, also of the other terms."
     )
     yield (
         "The values by definition are the paper's way: their scatter is that of the groups' means, and the "

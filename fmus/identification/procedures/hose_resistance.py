@@ -273,7 +273,7 @@ def _others(laws: HoseFit, reference: str) -> Iterator[Estimate]:
         )
     if laws.mixed is not None:
         note = "Q sqrt(R^2 + (C_R Q)^2)"
-        yield laws.mixed.estimate("C_R beside laminar part", UNIT, note, "resistance")
+        yield laws.mixed.estimate("C_R with laminar part", UNIT, note, "resistance")
         yield laws.mixed.derived("R, laminar part", "Pa.s/m3", note, lambda v: math.sqrt(v["laminar_square"]))
 
 

@@ -12,8 +12,8 @@ the links (first row column, then boom and stick), in which momenta and forces a
 
 with slender links, all mass in the plane of the arm, and the head as part of the stick. Their columns are
 derivatives of the manipulator's equations: m from the mass, m x from mass and centre, S_xx from the inertia,
-S_xz and S_zz from the mass and the centre twice. Columns of which the others make a combination are found by
-QR (Gautier 1991, J. Robotic Systems 8, 485) and their parameters added to the others.
+S_xz and S_zz from the mass and the centre twice. Columns that the others make up are found by QR (Gautier
+1991, J. Robotic Systems 8, 485) and their parameters added to the others.
 
 Validity: rigid links, viscous friction; what is known is right.
 """
@@ -101,7 +101,9 @@ def identify(
     units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
     note = "balance of the joints' momenta"
     dampings = [
-        Estimate.normal(f"{n}, found along", values[n], units[n], float(sd), "unknown of the same balance")
+        Estimate.normal(
+            f"{n}, estimated along", values[n], units[n], float(sd), "unknown of the same balance"
+        )
         for n, sd in zip(DAMPINGS, solution.sd[len(names) :], strict=True)
     ]
     return ProcedureResult(
@@ -134,7 +136,7 @@ def _remarks(own: Sequence[Recording], solution: MomentumSolution, dropped: Sequ
 
 @lru_cache(maxsize=1)
 def regressor() -> ca.Function:
-    """(q, q', q'', p) -> dh/dpi, df/dpi and torques by pi, each (3, 13) beside each other."""
+    """(q, q', q'', p) -> dh/dpi, df/dpi and torques by pi, each (3, 13) next to each other."""
     x, p = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
     motion = arm.mechanics(x, p, POINT_MASS)
     q, w = (ca.vertcat(*(getattr(x, f"{j}_{k}") for j in JOINTS)) for k in ("angle", "speed"))
@@ -167,15 +169,15 @@ def _columns(term: ca.SX, p: object) -> ca.SX:
 def standard(p: Array) -> Array:
     """The standard parameters of the machine's, shape (13,)."""
     v = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, p, strict=True) if n.startswith("manipulator.")}
-    found = [v["column_inertia"]]
+    pi = [v["column_inertia"]]
     for link in ("boom", "stick"):
         m, x, z = v[f"{link}_mass"], v[f"{link}_centre_x"], v[f"{link}_centre_z"]
-        found += [m, m * x, m * z, v[f"{link}_inertia"] + m * x**2, m * x * z, m * z**2]
+        pi += [m, m * x, m * z, v[f"{link}_inertia"] + m * x**2, m * x * z, m * z**2]
     head, length = v["head_mass"], v["stick_length"]
-    found[7] += head
-    found[8] += head * length
-    found[10] += head * length**2
-    return np.array(found)
+    pi[7] += head
+    pi[8] += head * length
+    pi[10] += head * length**2
+    return np.array(pi)
 
 
 @dataclass(frozen=True)
@@ -188,16 +190,16 @@ class Grouping:
 
     def values(self, pi: Array) -> Array:
         """beta."""
-        found: Array = pi[list(self.kept)] + self.share @ pi[list(self.others)]
-        return found
+        beta: Array = pi[list(self.kept)] + self.share @ pi[list(self.others)]
+        return beta
 
     def names(self) -> list[str]:
         """What each is made of."""
-        found = []
+        names = []
         for k, row in zip(self.kept, self.share, strict=True):
             parts = [f"{c:+.4g} {STANDARD[o]}" for c, o in zip(row, self.others, strict=True) if c]
-            found.append(" ".join([STANDARD[k], *parts]))
-        return found
+            names.append(" ".join([STANDARD[k], *parts]))
+        return names
 
 
 def grouping(p: Array, states: int = 200) -> Grouping:
@@ -208,8 +210,8 @@ def grouping(p: Array, states: int = 200) -> Grouping:
     y = full.reshape(3, states, len(STANDARD)).reshape(-1, len(STANDARD))
     scale = np.linalg.norm(y, axis=0)
     diagonal = np.abs(np.diag(scipy.linalg.qr((y / scale)[:, PREFERRED], mode="r")[0]))
-    told = diagonal > RANK * diagonal.max()
-    kept, others = np.array(PREFERRED)[told], np.array(PREFERRED)[~told]
+    independent = diagonal > RANK * diagonal.max()
+    kept, others = np.array(PREFERRED)[independent], np.array(PREFERRED)[~independent]
     share = np.linalg.lstsq(y[:, kept] / scale[kept], y[:, others] / scale[others], rcond=None)[0]
     share = share * scale[others] / scale[kept][:, None]
     return Grouping(
@@ -267,7 +269,7 @@ def panels(records: Sequence[SmoothedRecording], solution: MomentumSolution) -> 
             y_label="torque",
             curves=(
                 Curve("measured, filtered, less what is known", t, model + left, line=True),
-                Curve("by the parameters found", t, model, "fit", line=True),
+                Curve("by the estimates", t, model, "fit", line=True),
             ),
             title=joint,
             x_unit=("s", 1.0),

@@ -90,9 +90,9 @@ class Filters:
         return back if slopes is None else back + transposed(self.rate, stuffed(slopes, self.every))
 
 
-def filters(rate: float, smoothing: float = SMOOTHING, window: float = WINDOW, every: int = 1) -> Filters:
+def filters(rate: float, window: float = WINDOW, every: int = 1) -> Filters:
     """The kernels for `rate` samples per second; lengths [s], or what a slow clock allows."""
-    inner = SavitzkyGolay(rate, max(smoothing, (ORDER + 2) / rate), ORDER)
+    inner = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
     step, half = every / rate, max(round(window * rate / every / 2), 2)
     bump, slope = modulating_function(half + 1)
     smooth, slopes = (inner.weights[order][::-1] for order in (0, 1))
@@ -111,9 +111,9 @@ def transposed(kernel: Array, rows: Array) -> Array:
 
 def stuffed(rows: Array, every: int) -> Array:
     """With zeros between the samples, the transpose of keeping each `every`-th of (n - 1) every + 1."""
-    found = np.zeros((*rows.shape[:-1], (rows.shape[-1] - 1) * every + 1))
-    found[..., ::every] = rows
-    return found
+    full = np.zeros((*rows.shape[:-1], (rows.shape[-1] - 1) * every + 1))
+    full[..., ::every] = rows
+    return full
 
 
 def covered(bad: Mask, width: int) -> Mask:
@@ -295,12 +295,11 @@ def samples(
     recording: Recording,
     joints: Sequence[str],
     p: Array,
-    smoothing: float = SMOOTHING,
     window: float = WINDOW,
     every: int = 1,
 ) -> SmoothedRecording:
     """A recording made ready for the balance of these joints; the rest as in `filters`."""
-    kernels = filters(uniform_rate(recording), smoothing, window, every)
+    kernels = filters(uniform_rate(recording), window, every)
     needed = [n for j in joints for n in PRESSURES[j]]
     if recording.time.size < 2 * kernels.loss + 10:
         raise Problem(

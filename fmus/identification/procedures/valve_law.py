@@ -301,11 +301,11 @@ def asymmetry(steps: ValveSteps, constants: Constants, rounding: Number) -> tupl
     return (float(stats.chi2.sf(gained, common.freedom - freedom)) if len(own) > 1 else 1.0), areas
 
 
-def polynomial(x: Array, y: Array, highest: int = 8) -> Polynomial:
-    """The paper's C_R(V): plain least squares; the degree, up to `highest`, has the lowest AIC."""
+def polynomial(x: Array, y: Array) -> Polynomial:
+    """The paper's C_R(V): plain least squares; the degree, up to 8, has the lowest AIC."""
     domain = (float(x.min()), float(x.max()))
     scaled = (2 * x - sum(domain)) / (domain[1] - domain[0])
-    top = min(highest, np.unique(x).size - 2)
+    top = min(8, np.unique(x).size - 2)
     fits = [sm.OLS(y, np.vander(scaled, n + 1, increasing=True)).fit() for n in range(1, max(top, 1) + 1)]
     return Polynomial(min(fits, key=lambda fit: fit.aic).params, domain=domain, window=(-1.0, 1.0))
 

@@ -283,18 +283,26 @@ def _average(values: Array, usable: Mask, resolution: float) -> tuple[float, flo
 def standard_error(values: Array, resolution: float = 0.0) -> float:
     """Standard error of a mean of samples that may be correlated.
 
-    var(mean) = s^2 / n (1 + 2 sum_k rho_k), summed while rho_(2m) + rho_(2m+1) > 0: Geyer, Practical Markov
-    chain Monte Carlo, Statistical Science 7 (1992), section 3.3. A signal that stays within one step of its
-    converter is not averaged by its own noise: the error is then at least that of the step, step / sqrt(12).
+    var(mean) = s^2 / n (1 + 2 sum_k rho_k). A signal that stays within one step of its converter is not
+    averaged by its own noise: the error is then at least that of the step, step / sqrt(12).
     """
     n = len(values)
     spread = float(values.std(ddof=1)) if n > 1 else math.nan
     if not spread > 0:
         return resolution / math.sqrt(12) if spread == 0 else math.nan
     centred = values - values.mean()
-    rho = correlate(centred, centred, method="fft")[n - 1 :] / float(centred @ centred)
+    error = spread * math.sqrt(max(autocorrelation_time(centred), 1 / n) / n)
+    return max(error, resolution / math.sqrt(12)) if spread < resolution / 2 else error
+
+
+def autocorrelation_time(deviations: Array) -> float:
+    """Samples over which deviations from a mean, not all zero, last: 1 + 2 sum_k rho_k.
+
+    Summed while rho_(2m) + rho_(2m+1) > 0: Geyer, Practical Markov chain Monte Carlo, Statistical Science 7
+    (1992), section 3.3.
+    """
+    n = len(deviations)
+    rho = correlate(deviations, deviations, method="fft")[n - 1 :] / float(deviations @ deviations)
     pairs = rho[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
-    inflation = max(2 * float(pairs[: ends[0] if len(ends) else None].sum()) - 1, 1 / n)
-    error = spread * math.sqrt(inflation / n)
-    return max(error, resolution / math.sqrt(12)) if spread < resolution / 2 else error
+    return 2 * float(pairs[: ends[0] if len(ends) else None].sum()) - 1

@@ -140,7 +140,6 @@ class RecordingMap:
     """How recordings become runs of a subsystem.
 
     outputs    that are fitted
-    compared   outputs that are only compared, such as speeds that nobody measured
     signals    input or output -> signal of the recordings; a name that is missing is its own
     smooth     input -> longest window [s] over which its noise is smoothed away
     rest       states that stand still when a recording begins at rest, as its outputs show
@@ -149,7 +148,6 @@ class RecordingMap:
 
     sub: Subsystem
     outputs: Sequence[str]
-    compared: Sequence[str] = ()
     signals: Mapping[str, str] = field(default_factory=dict)
     smooth: Mapping[str, float] = field(default_factory=dict)
     rest: Sequence[str] = ()
@@ -158,18 +156,16 @@ class RecordingMap:
 
     def run(self, recording: Recording) -> MeasuredRun:
         """The run of one recording."""
-        shown = (*self.outputs, *self.compared)
-        self._check(recording, shown)
-        measured = np.zeros((len(recording.time), len(shown)))
+        self._check(recording)
+        measured = np.zeros((len(recording.time), len(self.outputs)))
         usable = np.zeros(measured.shape, dtype=bool)
-        weight, scale = np.zeros(measured.shape), np.ones(len(shown))
-        for k, name in enumerate(shown):
+        weight, scale = np.zeros(measured.shape), np.ones(len(self.outputs))
+        for k, name in enumerate(self.outputs):
             signal = self._name(name)
             if signal not in recording.signals:
                 continue
             measured[:, k], usable[:, k] = recording[signal], usable_samples(recording, signal)
-            if k < len(self.outputs):
-                weight[:, k] = usable[:, k] / self._sd(recording, name)
+            weight[:, k] = usable[:, k] / self._sd(recording, name)
             if usable[:, k].any():  # the range; of what stands still the magnitude
                 values_there = measured[usable[:, k], k]
                 scale[k] = float(np.ptp(values_there)) or float(np.max(np.abs(values_there))) or 1.0
@@ -195,12 +191,12 @@ class RecordingMap:
     def _name(self, name: str) -> str:
         return self.signals.get(name, name)
 
-    def _check(self, recording: Recording, shown: Sequence[str]) -> None:
+    def _check(self, recording: Recording) -> None:
         declared = {**quantities(self.sub.inputs), **quantities(self.sub.outputs)}
         if not any(self._name(name) in recording.signals for name in self.outputs):
             wanted = ", ".join(self._name(name) for name in self.outputs)
             raise Problem(f"{recording.source}: nothing to compare is measured, expected one of {wanted}")
-        for name in shown:
+        for name in self.outputs:
             if name not in quantities(self.sub.outputs):
                 raise Problem(
                     f"{recording.source}: {name} is to be fitted, expected an output of {self.sub.name}"

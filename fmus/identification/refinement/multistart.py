@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +10,12 @@ from numpy.typing import NDArray
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
 from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
 from fmus.identification.refinement.refine import Refined, compiled, refine
-from fmus.identification.refinement.simulation import Simulator
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
 SPREAD = 0.25  # of z: half width of the range of a start, unless two standard deviations of a prior are more
+EVERY, ITERATIONS = 4, 25  # samples, of which one is taken; iterations of a search
 _SAME = 1.0  # standard deviations within which two results are the same
 
 
@@ -50,33 +49,22 @@ class Starts:
     interrupted: bool = False
 
 
-def from_random_starts(
-    refined: Refined,
-    simulator: Simulator | None = None,
-    *,
-    count: int = 8,
-    seed: int = 0,
-    spread: float = SPREAD,
-    every: int = 4,
-    iterations: int = 25,
-    threads: int = 2,
-    progress: Callable[[RandomStart], None] | None = None,
-) -> Starts:
+def from_random_starts(refined: Refined, count: int = 8, spread: float = SPREAD) -> Starts:
     """Search again from `count` starts, within `spread` about the value or in a wider prior.
 
-    The data are thinned to every fourth sample or so; the reference is the result on the same data,
-    begun at the optimum.
+    The data are thinned to every fourth sample; the reference is the result on the same data, begun at the
+    optimum.
     """
-    problem = thinned(refined.problem, every)
-    simulator = simulator or compiled(problem)
-    options = Options(iterations=iterations, model_error=any(refined.floor.values()))
-    rng = np.random.default_rng(seed)
+    problem = thinned(refined.problem, EVERY)
+    simulator = compiled(problem)
+    options = Options(iterations=ITERATIONS, model_error=any(refined.floor.values()))
+    rng = np.random.default_rng(0)
     starts: list[RandomStart] = []
     ends: list[Array] = []
     interrupted = False
 
     def search(z: Array) -> Refined:
-        one = refine(problem, simulator, threads=threads, options=options, start=z)
+        one = refine(problem, simulator, options=options, start=z)
         if one.reason == INTERRUPTED:  # which ends all of them, not this one
             raise KeyboardInterrupt
         return one
@@ -97,8 +85,6 @@ def from_random_starts(
                 if apart < _SAME:
                     ends.append(one.z)
             starts.append(start)
-            if progress:
-                progress(start)
     except KeyboardInterrupt:
         interrupted = True
     middle, slopes = refined.problem.values_of(refined.z), refined.problem.slopes(refined.z)

@@ -181,18 +181,16 @@ class CompiledModel:
 
 
 def _quotients(
-    run: Callable[[Array], tuple[Array, Array]], at: Array, step: float, nominal: Array, central: bool
+    run: Callable[[Array], tuple[Array, Array]], at: Array, step: float, nominal: Array
 ) -> tuple[Array, Array]:
-    """Derivatives of both results of `run` by its argument, on the last axis."""
+    """Derivatives of both results of `run` by its argument, on the last axis: forward differences."""
     y, x = run(at)
     y_slopes, x_slopes = np.zeros((*y.shape, at.size)), np.zeros((*x.shape, at.size))
     for j, size in enumerate(step * nominal):
         moved = at.copy()
         moved[j] += size
         above = run(moved)
-        moved[j] = at[j] - size
-        below, width = (run(moved), 2 * size) if central else ((y, x), size)
-        y_slopes[..., j], x_slopes[..., j] = (above[0] - below[0]) / width, (above[1] - below[1]) / width
+        y_slopes[..., j], x_slopes[..., j] = (above[0] - y) / size, (above[1] - x) / size
     return y_slopes, x_slopes
 
 
@@ -202,8 +200,8 @@ class Differences:
     step   relative to the magnitude of each state and parameter
     """
 
-    def __init__(self, model: Simulator, step: float = STEP, central: bool = False) -> None:
-        self.model, self.step, self.central = model, step, central
+    def __init__(self, model: Simulator, step: float = STEP) -> None:
+        self.model, self.step = model, step
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
         self.free, self.nominal, self.p0, self.start = model.free, model.nominal, model.p0, model.start
 
@@ -221,7 +219,7 @@ class Differences:
             return solution.y, solution.x
 
         sizes = np.concatenate([self.nominal, np.where(p == 0, 1.0, np.abs(p))])
-        y_, x_ = _quotients(run, np.concatenate([x, p]), self.step, sizes, self.central)
+        y_, x_ = _quotients(run, np.concatenate([x, p]), self.step, sizes)
         return replace(base, y_x=y_[..., :nx], y_p=y_[..., nx:], x_x=x_[..., :nx], x_p=x_[..., nx:])
 
 
@@ -259,5 +257,5 @@ class BlackBox:
         y_x, y_p = np.zeros((*y.shape, 0)), np.zeros((*y.shape, 0))
         if sensitivities:
             nominal = np.where(p == 0, 1.0, np.abs(p))
-            y_p, _ = _quotients(lambda q: (self.simulate(q, time, inputs), x), p, self.step, nominal, False)
+            y_p, _ = _quotients(lambda q: (self.simulate(q, time, inputs), x), p, self.step, nominal)
         return SegmentSolution(y, x, y_x, y_p, np.zeros((0, 0)), np.zeros((0, len(p))))

@@ -129,12 +129,12 @@ def _clustered(solution: Solution, prior: Array, inverse: Array) -> Array:
     return np.asarray((count - 1) / count * all_changes.T @ all_changes + inverse @ prior @ inverse)
 
 
-def input_covariance(shooting: Shooting, solution: Solution, priors: Priors, seed: int = 0) -> Array:
+def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> Array:
     """Covariance of z, shape (np, np), by the noise of the inputs."""
     free = len(priors.z)
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((free, free))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     now, unbounded = solution.evaluated, (np.full(free, -np.inf), np.full(free, np.inf))
     reference = solution.linear.step(now.iterate.z, unbounded, LARGEST)
     changes = []
@@ -163,13 +163,13 @@ def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Gen
     return noise
 
 
-def unidentified(free: tuple[FreeParameter, ...], data: Array, limit: float = LIMIT) -> tuple[str, ...]:
+def unidentified(free: tuple[FreeParameter, ...], data: Array) -> tuple[str, ...]:
     """One sentence per group of parameters that the data leave open, alone or in combination.
 
     data   covariance of z by the data alone, shape (np, np)
     """
     variances, vectors = np.linalg.eigh(data)
-    undetermined = vectors[:, variances > limit**2]
+    undetermined = vectors[:, variances > LIMIT**2]
     bond = undetermined @ undetermined.T  # projector: its blocks are the groups
     left = [j for j in range(len(bond)) if bond[j, j] > _TAKES_PART]
     sentences = []

@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
+from fmus.identification.recordings.masks import autocorrelation_time
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
 
@@ -87,20 +87,11 @@ def estimated_scales(residuals: list[Array], model_error: bool, memory: bool) ->
 
 
 def correlation_time(residual: Array) -> float:
-    """Samples over which a residual lasts: 1 + 2 sum of its autocorrelation, at least 1.
-
-    Summed over pairs of lags as long as a pair is positive [Geyer 1992, section 3.3]; at most a share of
-    the samples, because a longer memory cannot be seen in them.
-    """
+    """Samples over which a residual lasts, at least 1; at most a share of them, as more would be a trend."""
     n = len(residual)
-    power = float(residual @ residual)
-    if n < 4 or not power > 0:
+    if n < 4 or not float(residual @ residual) > 0:
         return 1.0
-    own = correlate(residual, residual, method="fft")[n - 1 :] / power
-    pairs = own[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)
-    ends = np.flatnonzero(pairs <= 0)
-    lasting = 2 * float(pairs[: ends[0] if len(ends) else None].sum()) - 1
-    return min(max(1.0, lasting), max(1.0, _LONGEST * n))
+    return min(max(1.0, autocorrelation_time(residual)), max(1.0, _LONGEST * n))
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def test_laminar_part_is_found_and_named():
         bench.steady_hose(0, lambda q: q * np.hypot(laminar, bench.RESISTANCE * q)), bench.KNOWN
     )
     found = named(finding)
-    for name, truth in (("R, laminar part", laminar), ("C_R beside laminar part", bench.RESISTANCE)):
+    for name, truth in (("R, laminar part", laminar), ("C_R with laminar part", bench.RESISTANCE)):
         assert abs(found[name].value - truth) < 4 * found[name].sd
     assert any("laminar part" in remark for remark in finding.remarks)
 
