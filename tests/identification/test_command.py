@@ -120,7 +120,7 @@ def test_what_cannot_be_found_does_not_hinder_the_rest(capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["nowhere"], "nowhere: expected a folder of recordings, found no such file or folder"),
+        (["nowhere"], "nowhere: expected a folder of recordings, got no such file or folder"),
         (["mine", "--out", "parameters.csv"], "--out parameters.csv: expected a file that ends in .toml"),
         (["mine", "--free", "valve_aera"], "valve_aera is to be refined, expected"),
     ],
