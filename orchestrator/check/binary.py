@@ -32,7 +32,7 @@ class Binary:
     """One shared library, or one architecture of a universal one.
 
     file         path inside the FMU: binaries/linux64/swing.so
-    format       ELF, PE, Mach-O; "" when it is none of them
+    format       ELF, PE, Mach-O; "" for another one
     exports      names of exported functions, without the underscore of Mach-O
     libraries    the libraries that it names
     unsupplied   undefined symbols that none of these can supply, as far as the file tells
@@ -91,7 +91,7 @@ def _read(path: Path, file: str) -> list[Binary]:
         head = opened.read(64)
     size, damage = path.stat().st_size, ""
     try:
-        with warnings.catch_warnings():  # lief warns of each odd number in a header
+        with warnings.catch_warnings():  # lief warns of each unusual number in a header
             warnings.simplefilter("ignore")
             found = list(_parsed(path, file, size)) if size else []
     except Exception as problem:  # headers that lead nowhere

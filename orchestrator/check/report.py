@@ -91,10 +91,10 @@ class CheckReport:
     def summary(self) -> str:
         """The counts in one line."""
         counts = [(self.count(s), s) for s in SEVERITIES]
-        told = ", ".join(f"{n} {s}{'' if n == 1 else 's'}" for n, s in counts)
+        text = ", ".join(f"{n} {s}{'' if n == 1 else 's'}" for n, s in counts)
         hidden = len(self.everything) - len(self.findings)
         rest = f"; {hidden} more for other tools" if hidden else ""
-        return (told if self.findings else "nothing found") + rest
+        return (text if self.findings else "nothing found") + rest
 
     def _lines(self, found: list[Finding]) -> Iterator[str]:
         width = max(len(f.rule) for f in found)

@@ -39,7 +39,7 @@ LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFa
 class RunningFmu:
     """An instance from its instantiation to its end, and calls for its variables.
 
-    before   is told each call before it is made, see `Instance`
+    before   is called before each call, see `Instance`
     """
 
     exchange = False

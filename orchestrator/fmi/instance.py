@@ -112,7 +112,7 @@ class FmuInstance:
     """An instance; its calls raise CallFailed, with component, variables and time, when the FMU fails.
 
     exchange   for Model Exchange, else for Co-Simulation
-    before     is told the name of each function before it is called, and the time [s]
+    before     is called before each function, with its name and the time [s]
     handle     NULL before `instantiate` and after `free`
     worst      the worst status that any call returned
     flags      FMI 3.0: not zero after a step that wants something; `reached` is how far it got [s]
@@ -225,7 +225,7 @@ class FmuInstance:
         return bool(self.handle)
 
     def setup(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
-        """Announce the experiment; times in [s]. FMI 3.0 is told when initialisation mode is entered."""
+        """Announce the experiment; times in [s]. FMI 3.0 gets it when initialisation mode is entered."""
         self.log.time, number = start, ctypes.c_double
         accuracy = self.flag(tolerance is not None), number(tolerance or 0.0)
         times = number(start), self.flag(stop is not None), number(stop or 0.0)

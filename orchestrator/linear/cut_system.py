@@ -62,8 +62,8 @@ def rate_only(face: Interface, name: str) -> str:
     derivative of a state depends on it, so to a linear model it is no input.
     """
     of = next((u for u, rate in face.rates.items() if rate == name), "")
-    told = [face.knowns.get(rate) for rate in face.states.values()]
-    moves = any(known is None or name in known for known in told)
+    known = [face.knowns.get(rate) for rate in face.states.values()]
+    moves = any(inputs is None or name in inputs for inputs in known)
     return "" if moves else of
 
 

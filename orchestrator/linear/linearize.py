@@ -83,11 +83,11 @@ def _cut(plant: Plant) -> Iterator[Port]:
 def _able(plant: Plant, port: Port) -> bool:
     """May a state of the component depend on this input, as far as its model description tells?"""
     face = plant.system.components[port.component].interface
-    told = [face.knowns.get(rate) for rate in face.states.values()]
-    return any(known is None or port.variable in known for known in told)
+    known = [face.knowns.get(rate) for rate in face.states.values()]
+    return any(inputs is None or port.variable in inputs for inputs in known)
 
 
-SPAN = 1.0  # [s] that the FMUs are told the run lasts; nothing depends on it
+SPAN = 1.0  # [s] that the run lasts, as announced to the FMUs; nothing depends on it
 
 
 def linearize(

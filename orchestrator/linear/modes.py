@@ -21,8 +21,8 @@ from orchestrator.base.units import DeclaredUnit
 if TYPE_CHECKING:
     from orchestrator.linear.model import Named
 
-ENOUGH, MANY = 0.8, 4  # states are told until they have this share of a mode, and at most so many
-SMALL = 0.04  # a state with less is not told
+ENOUGH, MANY = 0.8, 4  # states are listed until they have this share of a mode, and at most so many
+SMALL = 0.04  # a state with less is not listed
 PART = 0.12  # of a mode that a kind of states has to have, to be in its name
 KINDS = {  # exponents of kg, m, s without the radian
     (0, 1, 0): "position",
@@ -51,7 +51,7 @@ def name(
     for part, unit in zip(share, units, strict=True):
         weight[kind(unit)] = weight.get(kind(unit), 0.0) + float(part)
     kinds = {k for k, total in weight.items() if total >= PART}
-    main = tuple(labels[i] for i in _told(share))
+    main = tuple(labels[i] for i in _members(share))
     return _phrase(value, kinds, main), main
 
 
@@ -67,7 +67,7 @@ def kind(unit: DeclaredUnit | None) -> str:
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
-def _told(share: NDArray[np.float64]) -> list[int]:
+def _members(share: NDArray[np.float64]) -> list[int]:
     """The states to name, the largest first."""
     order, found, total = np.argsort(-share, kind="stable"), list[int](), 0.0
     for i in order[:MANY]:

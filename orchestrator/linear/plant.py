@@ -32,12 +32,12 @@ def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Seq
     columns = []
     for known in knowns:
         for j, here in enumerate(known.tolist()):
-            step, told = SHIFT * max(abs(here), 1.0), []
+            step, looks = SHIFT * max(abs(here), 1.0), []
             for value in (here + step, here - step):
                 known[j] = value
                 look()
-                told.append(np.concatenate([*unknowns]))
-            columns.append((told[0] - told[1]) / ((here + step) - (here - step)))
+                looks.append(np.concatenate([*unknowns]))
+            columns.append((looks[0] - looks[1]) / ((here + step) - (here - step)))
             known[j] = here
     look()
     return np.array(columns).T.reshape(sum(map(len, unknowns)), -1)
@@ -148,8 +148,8 @@ class Plant:
     def notes(self) -> tuple[str, ...]:
         """What to say about the components."""
         plain = [name for name, slave in self.slaves.items() if not slave.interface.directional]
-        told = "tells no directional derivatives, so these are finite differences"
-        return tuple(f"{name}: the FMU {told}" for name in plain)
+        text = "gives no directional derivatives, so these are finite differences"
+        return tuple(f"{name}: the FMU {text}" for name in plain)
 
     def start(self, span: tuple[float, float]) -> None:
         """Initialise as a run does, over the wires of the start, too; `span` in [s]."""

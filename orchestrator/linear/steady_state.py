@@ -179,7 +179,7 @@ class Search:
         push   rate of each input, in its magnitude, where nothing balances its joint [1/s]; with a sign
 
         Linearly implicit Euler steps, as long as the equations are nearly linear over them: as long as the
-        next correction with the same matrix is small beside the step.
+        next correction with the same matrix is small next to the step.
         """
         e, x, u, h, t = self.equations, self._plant.x.copy(), self._plant.u, FIRST, 0.0
         limit = e.size[len(e.states) :]
@@ -241,11 +241,11 @@ def steady(plant: Plant, speeds: Mapping[str, float] | None = None) -> tuple[str
     idle = [i for i in range(len(plant.x)) if not matrices.a[:, i].any()]
     search = Search(plant, joints.values(), idle)
     if not search.run(given):
-        told = ", ".join(f"{plant.states[j.speed]} = {given.get(n, 0.0):g}" for n, j in joints.items())
+        wanted = ", ".join(f"{plant.states[j.speed]} = {given.get(n, 0.0):g}" for n, j in joints.items())
         worst = search.equations.worst()
         other = "expected slower joints" if any(given.values()) else SETTLE
-        raise Problem(f"no steady state found with {told or 'all free'}: {worst} is not at rest; {other}")
-    return _told(plant, joints, idle, search.equations.free)
+        raise Problem(f"no steady state found with {wanted or 'all free'}: {worst} is not at rest; {other}")
+    return _notes_of(plant, joints, idle, search.equations.free)
 
 
 def _joints(plant: Plant, m: Matrices) -> dict[str, HeldJoint]:
@@ -271,9 +271,9 @@ def _joints(plant: Plant, m: Matrices) -> dict[str, HeldJoint]:
 def _positions(m: Matrices) -> Iterator[tuple[int, int]]:
     """States whose time derivative is another state, with that state."""
     for i, row in enumerate(m.a):
-        told = np.flatnonzero(row)
-        if len(told) == 1 and row[told[0]] == 1.0 and told[0] != i and not m.b[i].any():
-            yield i, int(told[0])
+        places = np.flatnonzero(row)
+        if len(places) == 1 and row[places[0]] == 1.0 and places[0] != i and not m.b[i].any():
+            yield i, int(places[0])
 
 
 def _moves(unit: DeclaredUnit | None) -> bool:
@@ -287,15 +287,15 @@ def _word(name: str) -> str:
     return name.partition("_")[0]
 
 
-def _told(plant: Plant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
+def _notes_of(plant: Plant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
     held = [str(plant.states[j.position]) for j in joints.values()]
     rest = [str(plant.states[i]) for i in idle if str(plant.states[i]) not in held]
     notes = [f"held: {', '.join(held)}" if held else "no joint is held: all states were found"]
     notes += [f"nothing depends on these states, they stay: {', '.join(rest)}"] if rest else []
     others = [plant.choice.inputs[j.input] for j in joints.values() if j.input >= plant.choice.asked]
     values = dict(zip((i.name for i in plant.choice.inputs), plant.u.round(ROUNDED), strict=True))
-    told = (f"{i.name} = {values[i.name]:.6g} {i.unit.name if i.unit else ''}".rstrip() for i in others)
-    notes += [f"found, and constant: {', '.join(told)}"] if others else []
+    found = (f"{i.name} = {values[i.name]:.6g} {i.unit.name if i.unit else ''}".rstrip() for i in others)
+    notes += [f"found, and constant: {', '.join(found)}"] if others else []
     what = "one direction is" if free == 1 else f"{free} directions are"
     notes += [f"{what} steady anywhere, such as a command in its dead band"] if free else []
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""The zip archive and what is in it besides the model: icon, documentation, licence, texts, sources."""
+"""The zip archive and what is in it apart from the model: icon, documentation, licence, texts, sources."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "termin
 LONGEST = 150  # Windows takes 260 characters, of which a temporary folder and the FMU's name need some
 
 
-def _told(rule: str, subject: Subject) -> Iterator[Finding]:
+def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
     """What opening the FMU found."""
     return (f for f in subject.faults if f.rule == rule)
 
@@ -32,7 +32,7 @@ for _id, _text, _threads in (
     ("archive.twice", "No two members have the same name, also where case does not count", ()),
     ("archive.size", "The archive can be unpacked in reasonable space", ()),
 ):
-    ARCHIVE.rule(_id, _text, *_threads)(partial(_told, _id))
+    ARCHIVE.rule(_id, _text, *_threads)(partial(_opening, _id))
 
 
 @ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")
@@ -63,9 +63,11 @@ def description(subject: Subject) -> Iterator[Finding]:
     "FMPy#230 fmi-standard#289",
 )
 def paths(subject: Subject) -> Iterator[Finding]:
-    odd = [n for n in subject.names if " " in n or not n.isascii()]
-    if odd:
-        yield warning(f"{some(odd, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them")
+    unusual = [n for n in subject.names if " " in n or not n.isascii()]
+    if unusual:
+        yield warning(
+            f"{some(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
+        )
     long = [n for n in subject.names if len(n) > LONGEST]
     if long:
         yield warning(
@@ -119,7 +121,7 @@ def documentation(subject: Subject) -> Iterator[Finding]:
         yield note("documentation/index.html is missing; users cannot look up what the FMU models")
 
 
-@CONTENTS.rule("contents.licence", "The licence is told")
+@CONTENTS.rule("contents.licence", "The licence is stated")
 def licence(subject: Subject) -> Iterator[Finding]:
     if not subject.major or subject.root is None:
         return
@@ -129,7 +131,7 @@ def licence(subject: Subject) -> Iterator[Finding]:
     elif there and not any(
         re.fullmatch(r"documentation/licenses/license\.(txt|html|spdx)", f) for f in there
     ):
-        yield note(f"{sorted(there)[0]}: expected an entry point license.txt or license.html beside it")
+        yield note(f"{sorted(there)[0]}: expected an entry point license.txt or license.html next to it")
 
 
 @CONTENTS.rule("contents.texts", "The FMU tells what it is, who made it and with what")
@@ -229,7 +231,7 @@ def build(subject: Subject) -> Iterator[Finding]:
         return
     lists = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield error(f"{BUILD} is missing beside {some(code, 2)}; FMI 3 tools cannot compile them")
+        yield error(f"{BUILD} is missing next to {some(code, 2)}; FMI 3 tools cannot compile them")
     elif subject.major == 2 and BUILD not in subject.files and not lists:
         yield warning(f"{DESCRIPTION}: no SourceFiles for {some(code, 2)}")
     elif subject.major == 2 and lists and len(lists) < len(subject.model.interfaces):

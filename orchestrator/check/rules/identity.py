@@ -19,7 +19,7 @@ SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd
 FMPY = "fmpy.validate"
 MANY = 2000  # variables; FMPy takes milliseconds for each name
 STUMBLES = "cannot read the FMU"
-# What FMPy says -> the rules that say it better. FMPy's message is told when none of them found anything.
+# FMPy's message -> the rules that say it better; it is reported when none of them found anything.
 COVERED = {
     r"ERROR \(line": ("xml.schema",),
     r"BuildDescription": ("source.description",),
@@ -71,7 +71,7 @@ def version(subject: Subject) -> Iterator[Finding]:
 @DESCRIPTION_FILE.rule("version.new", "Tools that take FMI 2.0 only can use the FMU")
 def new(subject: Subject) -> Iterator[Finding]:
     if subject.major == 3:
-        yield note("FMI 3.0: some tools take FMI 2.0 only or FMI 3.0 in part; ship an FMI 2.0 FMU beside it")
+        yield note("FMI 3.0: some tools take FMI 2.0 only or FMI 3.0 in part; ship an FMI 2.0 FMU as well")
 
 
 @DESCRIPTION_FILE.rule("xml.schema", "modelDescription.xml keeps the schema of its version", "FMPy#774")
@@ -112,17 +112,17 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
 
 
 def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings without those of FMPy that another rule has told, or that follow from an error told."""
+    """The findings without those of FMPy that another rule reports, or that follow from a reported error."""
     everything = tuple(findings)
     own = [f for f in everything if f.rule != FMPY]
     ids, wrong = {f.rule for f in own}, any(f.severity == "error" for f in own)
     covered = [re.compile(pattern) for pattern, rules in COVERED.items() if ids.intersection(rules)]
 
-    def told(f: Finding) -> bool:
+    def repeated(f: Finding) -> bool:
         stumbles = wrong and f.text.startswith(f"FMPy {STUMBLES}")
         return f.rule == FMPY and (stumbles or any(p.search(f.text) for p in covered))
 
-    return tuple(f for f in everything if not told(f))
+    return tuple(f for f in everything if not repeated(f))
 
 
 @DESCRIPTION_FILE.rule("kind.some", "The FMU offers Model Exchange or Co-Simulation")

@@ -1,6 +1,6 @@
 """Shared libraries: what they export, what they need from the target machine, for which platforms they are.
 
-FMUs that need an interpreter on the target machine, Python above all, are told here, too.
+FMUs that need an interpreter on the target machine, Python above all, are reported here, too.
 """
 
 from __future__ import annotations
@@ -136,14 +136,14 @@ GLIBCXX = (3, 4, 28)  # Ubuntu 20.04
 MACOS = (13,)
 
 
-def _beside(b: Binary, library: str, subject: Subject) -> bool:
-    """True when the library lies beside this one in the archive."""
+def _next_to(b: Binary, library: str, subject: Subject) -> bool:
+    """True when the library lies next to this one in the archive."""
     return f"binaries/{b.platform}/{library.rpartition('/')[2]}" in subject.files
 
 
 @LIBRARIES.rule(
     "binary.libraries",
-    "Libraries need only what every machine of the platform has, or what lies beside them",
+    "Libraries need only what every machine of the platform has, or what lies next to them",
     "OpenModelica#11856 OpenModelica#7895 fmi-cross-check#57",
 )
 def libraries(subject: Subject) -> Iterator[Finding]:
@@ -153,7 +153,7 @@ def libraries(subject: Subject) -> Iterator[Finding]:
             if not (
                 re.fullmatch(SYSTEM[b.format], library)
                 or PYTHON_LIBRARY.fullmatch(library)
-                or _beside(b, library, subject)
+                or _next_to(b, library, subject)
             ):
                 needs.setdefault(_known(b, library), []).append(library)
         for (what, usual), names in needs.items():
@@ -169,14 +169,13 @@ def _known(b: Binary, library: str) -> tuple[str, bool]:
     return next((t for p, t in KNOWN.items() if re.fullmatch(p, library)), "another library"), False
 
 
-@LIBRARIES.rule("binary.loader", "Libraries find the libraries beside them", "OpenModelica#11856")
+@LIBRARIES.rule("binary.loader", "Libraries find the libraries next to them", "OpenModelica#11856")
 def loader(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
-        beside = [n for n in b.libraries if b.format == "ELF" and _beside(b, n, subject)]
-        if beside and not any("$ORIGIN" in p for p in b.rpaths):
-            yield warning(
-                f"{b}: needs {beside[0]} beside it, but its rpath lacks $ORIGIN; the loader will not find it"
-            )
+        neighbours = [n for n in b.libraries if b.format == "ELF" and _next_to(b, n, subject)]
+        if neighbours and not any("$ORIGIN" in p for p in b.rpaths):
+            text = f"{b}: needs {neighbours[0]} next to it, but its rpath lacks $ORIGIN"
+            yield warning(f"{text}; the loader will not find it")
 
 
 @LIBRARIES.rule("binary.path", "Libraries do not look into folders of the machine they were built on")
@@ -223,8 +222,8 @@ def macos(subject: Subject) -> Iterator[Finding]:
 @LIBRARIES.rule("binary.documented", "What the FMU needs from outside is documented in externalDependencies")
 def documented(subject: Subject) -> Iterator[Finding]:
     foreign = [f.text for f in libraries(subject) if f.severity == "warning"]
-    told = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
-    if foreign and not told:
+    documented_ = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
+    if foreign and not documented_:
         say = error if subject.major == 3 else note
         yield say(
             "documentation/externalDependencies.txt or .html is missing, though the FMU needs other libraries"
@@ -395,7 +394,7 @@ def needed(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@PYTHON.rule("python.packages", "Scripts need no package beside the standard library", "PythonFMU#152")
+@PYTHON.rule("python.packages", "Scripts need no package but the standard library", "PythonFMU#152")
 def packages(subject: Subject) -> Iterator[Finding]:
     if not any(_evidence(subject)):
         return

@@ -202,7 +202,7 @@ def icons(subject: Subject) -> Iterator[Finding]:
         if base and f"terminalsAndIcons/{base}.png" not in subject.files:
             yield error(f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing")
     if "terminalsAndIcons/icon.svg" in subject.files and "terminalsAndIcons/icon.png" not in subject.files:
-        yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires beside it")
+        yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
 
 
 @TERMINALS.rule("terminal.there", "Ports that belong together form terminals (FMI 3)")

@@ -153,7 +153,7 @@ def independent(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     found = model.of("independent")
     if len(found) > 1:
-        yield error(f"{found[1]}: is a second independent variable beside {found[0].name}, expected one")
+        yield error(f"{found[1]}: is a second independent variable, after {found[0].name}, expected one")
     if model.major == 3 and model.variables and not found:
         yield error("modelDescription.xml: no independent variable, expected one such as time")
     for v in found:
@@ -178,9 +178,9 @@ def type_(subject: Subject) -> Iterator[Finding]:
 
 @VARIABLES.rule("variable.string", "Inputs and outputs are numbers", "FMPy#696")
 def string(subject: Subject) -> Iterator[Finding]:
-    odd = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
-    if odd:
-        yield note(f"{listed(odd)}: {odd[0].type}; many tools cannot connect them")
+    unusual = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
+    if unusual:
+        yield note(f"{listed(unusual)}: {unusual[0].type}; many tools cannot connect them")
 
 
 @VARIABLES.rule("variable.array", "Variables are scalars")
@@ -264,9 +264,9 @@ def structured(subject: Subject) -> Iterator[Finding]:
 def characters(subject: Subject) -> Iterator[Finding]:
     if _structured(subject):
         return  # the rule on the grammar speaks of these
-    odd = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
-    if odd:
-        yield note(f"{listed(odd)}: no identifiers; tools rename or quote them")
+    unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
+    if unusual:
+        yield note(f"{listed(unusual)}: no identifiers; tools rename or quote them")
 
 
 @NAMES.rule(
