@@ -1,6 +1,6 @@
 """Connects, steps, records and judges FMUs. Knows no equation.
 
-from orchestrator import run, load, assemble, read, write
+from orchestrator import run, load, assemble, read, write, write_ssp
 
 result = run("build/harvester.ssp", scenario="data/scenarios/work_cycle.csv", step=1e-3)
 print(result.card.text())
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from orchestrator.ssp.assembly import assemble
     from orchestrator.ssp.load import load
     from orchestrator.ssp.system import System
+    from orchestrator.ssp.write import write_ssp
 
 _WHERE = {
     "Card": "engine.result",
@@ -43,11 +44,12 @@ _WHERE = {
     "read": "data.trace",
     "run": "engine.run",
     "write": "data.trace",
+    "write_ssp": "ssp.write",
 }
 
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "Problem", "Record", "Result", "RunFailed",
-    "System", "Trace", "assemble", "linearize", "load", "read", "run", "write",
+    "System", "Trace", "assemble", "linearize", "load", "read", "run", "write", "write_ssp",
 ]  # fmt: skip
 
 

@@ -1,7 +1,4 @@
-"""How a system is coupled: which master, how it extrapolates and repeats, how long its steps are.
-
-What the file of a system says about the coupling of its components, and what is left of it in a run.
-"""
+"""How a system is coupled: master, extrapolation, passes, steps; and what the file of a system suggests."""
 
 from __future__ import annotations
 

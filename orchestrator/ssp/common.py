@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 
 from orchestrator.base.errors import Problem
@@ -106,6 +105,8 @@ def as_linear(table: Mapping[str, str], where: str) -> Linear:
 @cache
 def package_version() -> str:
     """Version of the installed distribution, "0" when it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version("harvester-cosim")
     except PackageNotFoundError:

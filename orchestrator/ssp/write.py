@@ -7,7 +7,7 @@ output.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -182,9 +182,9 @@ class _Writer:
     def _start(self, inlet: Inlet) -> tuple[Variable, Value] | None:
         """The start value of the first input that an input of the system feeds, in the unit of the latter."""
         for port, linear in inlet.targets[:1]:
-            variable = self.system.variable(port)
+            variable = replace(self.system.variable(port), unit=inlet.unit)
             value = self.system.components[port.component].value(port.variable)
-            if linear == IDENTITY and value == value:
+            if linear == IDENTITY and value == value:  # not NaN: there is a start value
                 return variable, value
             if linear.factor and value == value:
                 return variable, (float(value) - linear.offset) / linear.factor
@@ -219,19 +219,15 @@ class _Writer:
             self._inline(add(element, "ssd:ParameterBindings"), component.name, values)
 
     def _connections(self, system: Element, diagram: Diagram) -> None:
+        """Connections between components, then those of inputs and outputs of the whole system."""
         s = self.system
-        unit = s.variable
-        ends = [
-            *((c.source, c.target, c.map, unit(c.source).unit, unit(c.target).unit) for c in s.connections),
-            *(
-                (Port("", i.name), port, linear, i.unit, unit(port).unit)
-                for i in s.inputs.values()
-                for port, linear in i.targets
-            ),
-            *((o.source, Port("", o.name), o.map, unit(o.source).unit, o.unit) for o in s.outputs.values()),
-        ]
+        of = {i.name: i.unit for i in s.inputs.values()} | {o.name: o.unit for o in s.outputs.values()}
+        ends = [(c.source, c.target, c.map) for c in s.connections]
+        ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
+        ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
         holder = add(system, "ssd:Connections") if ends else None
-        for source, target, linear, *units in ends:
+        for source, target, linear in ends:
+            units = [s.variable(p).unit if p.component else of[p.variable] for p in (source, target)]
             self._connection(holder, source, target, linear, units, diagram.bends.get((source, target)))
 
     def _connection(
