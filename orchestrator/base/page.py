@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from orchestrator.base.text import number, typeset
@@ -24,6 +23,8 @@ def render(template: Path, *, title: str, **content: Any) -> str:
 
     Templates have the filters number, typeset, pretty (units) and upper_first.
     """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
     environment = Environment(
         loader=FileSystemLoader([template.parent, HERE]),
         autoescape=True,

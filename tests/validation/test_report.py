@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -204,6 +205,24 @@ def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
     motion = Motion(t, points)
     big = Report("Long", outcome, figures=specs, motion=motion, ghost=motion)
     assert write_report(tmp_path / "report.html", big)[0].stat().st_size < 3e6
+
+
+def test_no_column_is_cut_off_in_a_browser(report: Report, tmp_path: Path, chromium: Any) -> None:
+    """At 1100 pixels the table of the longest names of the machine fits; a narrower window scrolls it."""
+    names = ("boom_stick.boom_head_pressure", "boom_stick.stick_head_pressure")
+    rows = tuple(
+        replace(row, signal=name, label="Stick head pressure")
+        for row, name in zip(report.validation.rows, names, strict=True)
+    )
+    bare = Report("Wide", replace(report.validation, rows=rows))
+    html, _ = write_report(tmp_path / "report.html", bare)
+    hidden = "[...document.querySelectorAll('.wide')].map(w => w.scrollWidth - w.clientWidth)"
+    for width, fits in ((1100, True), (500, False)):
+        page = chromium.new_page(viewport={"width": width, "height": 800})
+        page.goto(html.as_uri())
+        assert (max(page.evaluate(hidden)) <= 0) == fits
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.close()
 
 
 def test_data_cannot_end_the_script(report: Report, tmp_path: Path) -> None:

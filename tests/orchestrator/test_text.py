@@ -1,0 +1,70 @@
+"""Numbers, units and tables as a reader sees them."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from markupsafe import Markup
+from rich.console import Console
+
+from orchestrator.base.page import plain
+from orchestrator.base.text import TextTable, finer, listed, number, sentences, share, typeset
+
+TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="Title", strong=["unstable"])
+
+
+@given(st.floats(-1e12, 1e12), st.integers(1, 6), st.booleans())
+def test_a_number_is_rounded_to_its_digits(value: float, digits: int, zeros: bool) -> None:
+    """By at most half a unit of the last digit, however it is written."""
+    # exact identity: the rounding itself, and that of binary numbers
+    assert abs(float(number(value, digits, zeros=zeros)) - value) <= 0.5001 * abs(value) * 10.0 ** (
+        1 - digits
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "-"), (float("nan"), "-"), (float("inf"), "-"), (0.005, "0.5 %"), (1, "100 %")]
+)
+def test_a_share_is_a_percentage(value: float | None, text: str) -> None:
+    """A dash where there is no finite number."""
+    assert share(value) == text
+
+
+def test_print_has_other_signs_than_a_terminal() -> None:
+    """Powers of ten, minus signs and dashes; dates and names stay."""
+    assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
+    assert typeset("-") == "\N{EN DASH}"
+    assert finer("m").ascii(1e-3) == "1 mm"
+    assert finer("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
+
+
+def test_words_become_sentences() -> None:
+    """Lists with one `and`, capitals and points."""
+    assert [listed(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert sentences("one", "", "two.") == "One. Two."
+
+
+def test_one_table_for_terminal_document_and_page() -> None:
+    """Numbers end below each other; what stands out is bold or red; a page escapes what is no markup."""
+    assert TABLE.lines() == ["name     value", "a            1", "<b>   unstable"]
+    assert TABLE.markdown().splitlines()[1:] == ["|---|--:|", "| a | 1 |", "| <b> | **unstable** |"]
+    assert "<td>&lt;b&gt;</td>" in TABLE.html()
+    assert "<td><code>" in TextTable(["x"], [[Markup("<code>y</code>")]]).html()
+
+
+def test_a_narrow_terminal_cuts_no_cell() -> None:
+    """It breaks lines instead."""
+    console = Console(width=5, file=StringIO())
+    TABLE.print(console)
+    assert "unstable" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_json_knows_no_infinity() -> None:
+    """What is not finite is null, also deep inside."""
+    assert plain({"a": (float("inf"), [1.5, True, None]), 2: "x"}) == {
+        "a": [None, [1.5, True, None]],
+        "2": "x",
+    }
