@@ -51,7 +51,7 @@ class AlgebraicLoop:
             **{name: binding.at(array) for name, array in self._arrays.items()},
             count=n,
             outputs=m,
-            rounds=cycle.sweeps,
+            rounds=cycle.passes,
             declared=cycle.declared,
         )
         self._members = list(self._fill_members())

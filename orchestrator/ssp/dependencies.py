@@ -26,7 +26,7 @@ class DependencyCycle:
     declared      the FMUs declare these dependencies; else some declare none, and there may be no loop at all
     rounds        how often its outputs are read where some signals are not Real, so not solved for; else 1
     discrete      an output in a circle of declared dependencies that is not Real
-    sweeps        how often values are carried round before a loop is supposed; 0 where one is declared
+    passes        how often values are carried round before a loop is supposed; 0 where one is declared
     text          the loop, to begin a note or a message
     """
 
@@ -34,7 +34,7 @@ class DependencyCycle:
     declared: bool
     rounds: int
     discrete: Port | None
-    sweeps: int
+    passes: int
     text: str
 
 
@@ -156,7 +156,7 @@ class Feedthrough:
             declared=bool(circles),
             rounds=len(involved) + 1 if discrete else 1,
             discrete=next((y for g in circles for y in g if y in discrete), None),
-            sweeps=0 if circles else len(involved) + 1,
+            passes=0 if circles else len(involved) + 1,
             text=self._loop_text(circles[0], inside) if circles else self._silent_text(group, involved),
         )
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-
-import numpy as np
+from math import prod
 
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.system import Connection, Port, System
@@ -63,7 +62,7 @@ def named_bond(system: System, effort: str, flow: str) -> Bond:
 
 def _bond(system: System, effort: Connection, flow: Connection, stem: tuple[str, ...]) -> Bond:
     units = system.variable(effort.target).unit, system.variable(flow.target).unit
-    scale = float(np.prod([u.factor for u in units if u is not None]))
+    scale = prod((u.factor for u in units if u is not None), start=1.0)
     a, b = sorted((effort.target.component, flow.target.component))
     name = f"{a} - {b}" + (f": {'_'.join(stem)}" if stem else "")
     return Bond(name, effort.target, flow.target, scale)
