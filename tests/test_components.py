@@ -169,15 +169,30 @@ def test_a_cavity_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
     tight = {"reltol": 1e-11, "abstol": 1e-11, "max_num_steps": 100000}
     low = ca.integrator("o", "cvodes", out, 0, 1, tight)(x0=10)["xf"]
     assert -1.0e5 < float(low) * 1e5 < chamber.VAPOUR_PRESSURE
-    # volume drawn = compression (C times 1 MPa and a little) plus void
+    # volume drawn = compression (C times 1 MPa and a little) plus cavity
     assert number(chamber.cavity_volume(float(low) * 1e5)) == pytest.approx(1e-3, rel=0.01)
     again = ca.integrator("b", "cvodes", back, 0, 1, tight)(x0=low)["xf"]
     # integrator error 1e-11 per step, amplified 1e5 times by the stiffening chamber
     assert float(again) == pytest.approx(10, rel=1e-4)
 
 
+@given(st.floats(-6e4, 2e7), st.sampled_from([0.0, 7e-13, 5e-12]))
+def test_stored_energy_is_the_work_of_pressure_on_the_oil(pressure: float, capacitance: float) -> None:
+    """dE/dP = P (C + C_c(P)), by differentiation: the energy of oil and cavity, whichever rules."""
+    p = ca.SX.sym("p")
+    slope = ca.Function("slope", [p], [ca.gradient(chamber.stored_energy(p, capacitance), p)])
+    volume = capacitance + number(chamber.cavity_capacitance(pressure))
+    # exact identity; below the vapour pressure it is a small difference of terms up to 16 times larger
+    assert number(slope(pressure)) == pytest.approx(pressure * volume, rel=1e-9, abs=1e-25)
+
+
+def test_energy_of_a_cavity_counts_from_its_closure() -> None:
+    """Far above the vapour pressure only the oil's C P^2/2 is left."""
+    assert number(chamber.stored_energy(2e7, 7e-13)) == pytest.approx(7e-13 * 4e14 / 2, rel=1e-12)
+
+
 def test_cavitation_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
-    """At tank pressure the void adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
+    """At tank pressure the cavity adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
     assert number(chamber.cavity_capacitance(0.0)) / 7e-13 < 0.03
     assert number(chamber.cavity_capacitance(1e5)) / 7e-13 < 1e-10
 
@@ -216,3 +231,33 @@ def test_motor_nodes_obey_line_and_leakage_resistances(p_a: float, p_b: float, s
     assert n.drain == pytest.approx((n.pressure_1 + n.pressure_2) / r_ex, rel=1e-9, abs=1e-12)
     cross = (n.pressure_1 - n.pressure_2) / r_in
     assert n.flow_1 - d * speed - n.pressure_1 / r_ex == pytest.approx(cross, rel=1e-9, abs=1e-15)
+
+
+def test_areas_of_a_cylinder_by_hand() -> None:
+    """120 mm bore and 70 mm rod: 113.097 cm2 and 74.613 cm2, the rod's cross-section less."""
+    head, rod = cylinder.areas(0.12, 0.07)
+    # stated with six digits
+    assert head == pytest.approx(1.13097e-2, rel=1e-5)
+    assert rod == pytest.approx(7.46128e-3, rel=1e-5)
+
+
+def test_leakage_of_a_motor_by_hand() -> None:
+    """10 and 4 MPa over a tank at 1 MPa, R_in 2e12, R_ex 1e12 Pa.s/m3: flows by eqs. (11), (12), and their heat."""
+    nodes = motor.at_ports(10e6, 4e6, 1e6, 0.0, 2e12, 1e12)
+    assert nodes.flow_1 == pytest.approx(6e6 / 2e12 + 9e6 / 1e12, rel=1e-12)
+    assert nodes.flow_2 == pytest.approx(-6e6 / 2e12 + 3e6 / 1e12, rel=1e-12, abs=1e-20)
+    assert nodes.drain == pytest.approx(12e6 / 1e12, rel=1e-12)
+    loss = 6e6**2 / 2e12 + (9e6**2 + 3e6**2) / 1e12
+    assert motor.leakage_loss(nodes, 1e6, 2e12, 1e12) == pytest.approx(loss, rel=1e-12)
+
+
+def test_leakage_of_a_closed_valve_by_hand() -> None:
+    """Both edges closed: G_leak on either side, in both writings of the port."""
+    leak = VALVE.leakage
+    port = spool_valve.ports(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
+    assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9)
+    assert number(port.pressure) == pytest.approx(10.5e6 - 1e-7 / (2 * leak), rel=1e-9)
+    direct = spool_valve.direct_ports(VALVE, 0.0, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
+    for port, pressure in zip(direct, (8e6, 3e6), strict=True):
+        assert number(port.supply) == pytest.approx(leak * (20e6 - pressure), rel=1e-9)
+        assert number(port.tank) == pytest.approx(leak * (pressure - 1e6), rel=1e-9)

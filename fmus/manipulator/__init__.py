@@ -2,9 +2,8 @@
 
 from fmus.contract import family
 from fmus.manipulator.friction import FRICTION
-from fmus.manipulator.pendulum import PENDULUM
-from fmus.manipulator.pendulum_friction import PENDULUM_FRICTION
-from fmus.manipulator.rigid import RIGID
+from fmus.manipulator.model import RIGID
+from fmus.manipulator.pendulum import PENDULUM, PENDULUM_FRICTION
 
 VARIANTS = family(
     "manipulator", rigid=RIGID, pendulum=PENDULUM, friction=FRICTION, pendulum_friction=PENDULUM_FRICTION

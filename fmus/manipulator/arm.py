@@ -8,16 +8,23 @@ the boom cylinder raises the boom; extending the stick cylinder folds the stick 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 
 from fmus.components import cylinder
-from fmus.components import mechanics as components_mechanics
-from fmus.components.mechanics import EquationsOfMotion, Point, Triangle, equations_of_motion
+from fmus.components.mechanics import (
+    EquationsOfMotion,
+    Point,
+    Triangle,
+    equations_of_motion,
+    reach,
+    rotate,
+    triangle,
+)
 from fmus.contract import Scalar, column
-from fmus.manipulator.design import Head, Tip
-from fmus.manipulator.variables import ManipulatorParameters, ManipulatorState
+from fmus.manipulator.design import Head, TipMotion
+from fmus.manipulator.variables import CylinderMount, Link, ManipulatorParameters, ManipulatorState
 
 
 class Posture(Protocol):
@@ -60,7 +67,7 @@ def _end_velocity(upper: Point, lower: Point, boom_speed: Scalar, turn: Scalar) 
 
 
 def _turn(angle: Scalar, point: Point) -> Point:
-    return components_mechanics.rotate(ca.cos(angle), ca.sin(angle), point)
+    return rotate(ca.cos(angle), ca.sin(angle), point)
 
 
 def _add(a: Point, b: Point, weight: Scalar = 1) -> Point:
@@ -80,11 +87,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     f has m r^2 + I cos(f)^2.
     """
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
-    boom, stick, end = (
-        (p.boom_centre_x, p.boom_centre_z),
-        (p.stick_centre_x, p.stick_centre_z),
-        (p.stick_length, 0),
-    )
+    boom, stick, end = Link.of(p, "boom").centre, Link.of(p, "stick").centre, (p.stick_length, 0)
     outboard = p.stick_mass + p.head_mass
     moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick_mass)  # about the elbow [kg.m]
     inertia_boom = p.boom_inertia + p.boom_mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)
@@ -103,7 +106,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
         turn = w[1] + w[2]
         planar = inertia_boom * w[1] ** 2 + inertia_stick * turn**2 + 2 * coupling * w[1] * turn
         out, up = _end_velocity(_add(at_elbow, pivot, -1), _add(at_tip, at_elbow, -1), w[1], turn)
-        tip = Tip(velocity=(out, at_tip[0] * w[0], up), yaw_rate=w[0])
+        tip = TipMotion(velocity=(out, at_tip[0] * w[0], up), yaw_rate=w[0])
         return (yaw * w[0] ** 2 + planar) / 2 + head.kinetic(tip, q[3:], w[3:], p)
 
     def potential(q: ca.SX) -> Scalar:
@@ -117,15 +120,11 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     return equations_of_motion(kinetic, potential, column(*angles), column(*speeds))
 
 
-def triangles(x: Posture, p: ManipulatorParameters) -> tuple[Triangle, Triangle]:
+def triangles(x: Posture, p: Any) -> tuple[Triangle, Triangle]:
     """Cylinder triangles of boom and stick."""
     return (
-        components_mechanics.triangle(
-            x.boom_angle, (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)
-        ),
-        components_mechanics.triangle(
-            x.stick_angle, (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)
-        ),
+        triangle(x.boom_angle, *CylinderMount.of(p, "boom").pins),
+        triangle(x.stick_angle, *CylinderMount.of(p, "stick").pins),
     )
 
 
@@ -158,30 +157,19 @@ def require(x: ManipulatorState, p: ManipulatorParameters) -> dict[str, Scalar]:
     """Cylinder triangles must close over the whole stroke, and the pistons stay near their strokes."""
     conditions: dict[str, Scalar] = {}
     boom, stick = pistons(x, p)
-    base, rod = (p.boom_base_x, p.boom_base_z), (p.boom_pin_x, p.boom_pin_z)
-    conditions |= _reach(
-        "boom", boom, components_mechanics.reach(base, rod), p.boom_closed_length, p.boom_stroke
-    )
-    base, rod = (p.stick_base_x, p.stick_base_z), (p.stick_pin_x, p.stick_pin_z)
-    conditions |= _reach(
-        "stick", stick, components_mechanics.reach(base, rod), p.stick_closed_length, p.stick_stroke
-    )
+    for name, piston in (("boom", boom), ("stick", stick)):
+        own = CylinderMount.of(p, name)
+        shortest, longest = reach(*own.pins)
+        margin = 0.05 * own.stroke  # a piston this far beyond its stop has left the range of the stop model
+        angle = f"{name}_angle [rad], at the start initial_{name}_angle,"
+        conditions |= {
+            f"{name}_closed_length is above the shortest reach of its pins": own.closed_length - shortest,
+            f"{name}_closed_length + {name}_stroke is below the longest reach of its pins": longest
+            - own.closed_length
+            - own.stroke,
+            f"{angle} keeps the {name} piston above its closed end": piston.position + margin,
+            f"{angle} keeps the {name} piston below its open end": own.stroke + margin - piston.position,
+        }
     conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.triangle.arm
     conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.triangle.arm
     return conditions
-
-
-def _reach(
-    name: str, piston: Piston, reach: tuple[Scalar, Scalar], closed: Scalar, stroke: Scalar
-) -> dict[str, Scalar]:
-    shortest, longest = reach
-    margin = 0.05 * stroke  # a piston this far beyond its stop has left the range of the stop model
-    angle = f"{name}_angle [rad], at the start initial_{name}_angle,"
-    return {
-        f"{name}_closed_length is above the shortest reach of its pins": closed - shortest,
-        f"{name}_closed_length + {name}_stroke is below the longest reach of its pins": longest
-        - closed
-        - stroke,
-        f"{angle} keeps the {name} piston above its closed end": piston.position + margin,
-        f"{angle} keeps the {name} piston below its open end": stroke + margin - piston.position,
-    }

@@ -16,7 +16,7 @@ CONTACTS = ("swing", "boom_joint", "stick_joint", "boom_piston", "stick_piston")
 
 
 @dataclass(frozen=True)
-class Tip:
+class TipMotion:
     """Motion of the stick end: velocity outwards, to the left and upwards [m/s]; yaw rate of the arm."""
 
     velocity: tuple[Scalar, Scalar, Scalar]
@@ -63,7 +63,7 @@ class Head:
 
     angles: tuple[str, ...] = ()
     speeds: tuple[str, ...] = ()
-    kinetic: Callable[[Tip, Any, Any, Any], Scalar] = _nothing
+    kinetic: Callable[[TipMotion, Any, Any, Any], Scalar] = _nothing
     potential: Callable[[Any, Any], Scalar] = _nothing
     joint: Callable[[Any, Any], Joint] = _no_joint
     outputs: Callable[[Any, Any], Mapping[str, Scalar]] = _no_variables

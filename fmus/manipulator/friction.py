@@ -14,30 +14,36 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fmus.components.friction import Bristles, Resistance, lugre
-from fmus.contract import Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar
 from fmus.manipulator.design import CONTACTS, Friction
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 
-class FrictionParameters(ManipulatorParameters):
+class JointContact(Group):
+    """Dry friction of a joint."""
+
+    coulomb: Scalar = Quantity(
+        "N.m", "Coulomb friction of the {}", 100, minimum=0.0, tunable=True, group="Dry friction"
+    )
+
+
+class PistonContact(Group):
+    """Dry friction of a piston."""
+
+    coulomb: Scalar = Quantity("N", "Coulomb friction of the {}", 1000, minimum=0.0, tunable=True)
+
+
+class FrictionParameters(
+    ManipulatorParameters,
+    swing=(JointContact, "swing gear"),
+    boom_joint=(JointContact, "boom joint"),
+    stick_joint=(JointContact, "stick joint"),
+    boom_piston=(PistonContact, "boom cylinder's piston"),
+    stick_piston=(PistonContact, "stick cylinder's piston"),
+):
     """Those of the arm, and of dry friction."""
 
-    swing_coulomb: Scalar = Quantity(
-        "N.m", "Coulomb friction of the swing gear", 100, minimum=0.0, tunable=True, group="Dry friction"
-    )
-    boom_joint_coulomb: Scalar = Quantity(
-        "N.m", "Coulomb friction of the boom joint", 100, minimum=0.0, tunable=True
-    )
-    stick_joint_coulomb: Scalar = Quantity(
-        "N.m", "Coulomb friction of the stick joint", 100, minimum=0.0, tunable=True
-    )
-    boom_piston_coulomb: Scalar = Quantity(
-        "N", "Coulomb friction of the boom cylinder's piston", 1000, minimum=0.0, tunable=True
-    )
-    stick_piston_coulomb: Scalar = Quantity(
-        "N", "Coulomb friction of the stick cylinder's piston", 1000, minimum=0.0, tunable=True
-    )
     joint_static_ratio: Scalar = Quantity(
         "1",
         "Break-away over Coulomb friction of joints and swing gear",
@@ -63,20 +69,27 @@ class FrictionParameters(ManipulatorParameters):
     )
 
 
-class FrictionState(ManipulatorState):
-    """Those of the arm, and the deflections."""
+class JointBristles(Group):
+    """State of the friction of a joint."""
 
-    swing_bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the swing gear", 1e-4)
-    boom_joint_bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the boom joint", 1e-4)
-    stick_joint_bristle: Scalar = Quantity(
-        "rad", "Elastic deflection in the friction of the stick joint", 1e-4
-    )
-    boom_piston_bristle: Scalar = Quantity(
-        "m", "Elastic deflection in the friction of the boom cylinder's piston", 1e-4
-    )
-    stick_piston_bristle: Scalar = Quantity(
-        "m", "Elastic deflection in the friction of the stick cylinder's piston", 1e-4
-    )
+    bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the {}", 1e-4)
+
+
+class PistonBristles(Group):
+    """State of the friction of a piston."""
+
+    bristle: Scalar = Quantity("m", "Elastic deflection in the friction of the {}", 1e-4)
+
+
+class FrictionState(
+    ManipulatorState,
+    swing=(JointBristles, "swing gear"),
+    boom_joint=(JointBristles, "boom joint"),
+    stick_joint=(JointBristles, "stick joint"),
+    boom_piston=(PistonBristles, "boom cylinder's piston"),
+    stick_piston=(PistonBristles, "stick cylinder's piston"),
+):
+    """Those of the arm, and the deflections."""
 
 
 class FrictionOutputs(ManipulatorOutputs):

@@ -24,7 +24,12 @@ from fmus.contract import Scalar, Subsystem, column
 from fmus.manipulator import arm
 from fmus.manipulator.arm import Piston
 from fmus.manipulator.design import CONTACTS, POINT_MASS, VISCOUS, Friction, Head
-from fmus.manipulator.variables import ManipulatorInputs
+from fmus.manipulator.variables import (
+    ManipulatorInputs,
+    ManipulatorOutputs,
+    ManipulatorParameters,
+    ManipulatorState,
+)
 
 PORTS = (
     ports.shaft("swing", drives=False),
@@ -188,3 +193,14 @@ def _places(x: Any, p: Any) -> dict[str, Scalar]:
         "tip_radial_velocity": outwards,
         "tip_vertical_velocity": upwards,
     }
+
+
+# the paper's manipulator: the head is a point mass at the stick end, the friction viscous (correction E4),
+# R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
+RIGID = manipulator(
+    text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",
+    validity="rigid slender links, the head does not swing, viscous friction",
+    parameters=ManipulatorParameters,
+    states=ManipulatorState,
+    outputs=ManipulatorOutputs,
+)

@@ -36,7 +36,8 @@ import casadi as ca
 from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
-from fmus.manipulator.design import Head, Joint, Tip
+from fmus.manipulator.design import Head, Joint, TipMotion
+from fmus.manipulator.friction import BRISTLES, FrictionOutputs, FrictionParameters, FrictionState
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
@@ -101,7 +102,7 @@ def direction(a: Scalar, b: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return ca.sin(a) * ca.cos(b), ca.sin(b), -ca.cos(a) * ca.cos(b)
 
 
-def kinetic(tip: Tip, angles: Any, speeds: Any, p: PendulumParameters) -> Scalar:
+def kinetic(tip: TipMotion, angles: Any, speeds: Any, p: PendulumParameters) -> Scalar:
     """T less that of the point mass: m L v n' + (J + m L^2) |n'|^2 / 2."""
     n = direction(angles[0], angles[1])
     turning = [
@@ -192,4 +193,34 @@ PENDULUM = manipulator(
     states=PendulumState,
     outputs=PendulumOutputs,
     head=HANGING,
+)
+
+
+# ---- with dry friction: the equations of this file and of `friction`
+
+
+class PendulumFrictionParameters(PendulumParameters, FrictionParameters):
+    """Those of both."""
+
+
+class PendulumFrictionState(PendulumState, FrictionState):
+    """Those of both."""
+
+
+class PendulumFrictionOutputs(PendulumOutputs, FrictionOutputs):
+    """Those of both."""
+
+    stored_energy: Scalar = Quantity(
+        "J", "Elastic energy in the friction of joints and pistons and in the head's stops"
+    )
+
+
+PENDULUM_FRICTION = manipulator(
+    text="Swing column, boom, stick with dry friction and a processing head that swings in a Hooke joint",
+    validity="rigid slender links; head within 80 degrees of the arm's plane; friction independent of load",
+    parameters=PendulumFrictionParameters,
+    states=PendulumFrictionState,
+    outputs=PendulumFrictionOutputs,
+    head=HANGING,
+    friction=BRISTLES,
 )

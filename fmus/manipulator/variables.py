@@ -1,34 +1,69 @@
-"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in model.py."""
+"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in arm.py."""
 
 from __future__ import annotations
 
+from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar
 
 
-class ManipulatorParameters(Group):
+class CylinderMount(Group):
+    """Where a cylinder is fixed, and how long it is."""
+
+    base_x: Scalar = Quantity(
+        "m", "Base pin of the {} cylinder from the {} pivot, along what it is fixed to", group="{} cylinder"
+    )
+    base_z: Scalar = Quantity(
+        "m", "Base pin of the {} cylinder from the {} pivot, across what it is fixed to"
+    )
+    pin_x: Scalar = Quantity("m", "Rod pin of the {} cylinder, along the {} from its pivot")
+    pin_z: Scalar = Quantity("m", "Rod pin of the {} cylinder, across the {} from its pivot")
+    closed_length: Scalar = Quantity("m", "Pin-to-pin length of the closed {} cylinder", minimum=1e-3)
+    stroke: Scalar = Quantity("m", "Stroke of the {} cylinder", minimum=1e-3)
+
+    @property
+    def pins(self) -> tuple[Point, Point]:
+        """Base pin on the fixed side and rod pin on the link, both from the joint [m]."""
+        return (self.base_x, self.base_z), (self.pin_x, self.pin_z)
+
+
+class Link(CylinderMount):
+    """Boom or stick with its cylinder, and their friction."""
+
+    mass: Scalar = Quantity("kg", "Mass of the {}", 1e2, minimum=1e-3, group="{}")
+    inertia: Scalar = Quantity(
+        "kg.m2", "Inertia of the {} about its centre of mass, across its axis", 1e2, minimum=0.0
+    )
+    centre_x: Scalar = Quantity("m", "Centre of mass of the {}, along the {} from its pivot")
+    centre_z: Scalar = Quantity("m", "Centre of mass of the {}, across the {} from its pivot")
+    joint_damping: Scalar = Quantity(
+        "N.m.s/rad", "Viscous friction of the {} joint", 1e2, minimum=0.0, tunable=True, group="Friction"
+    )
+    piston_damping: Scalar = Quantity(
+        "N.s/m", "Viscous friction B of the {} cylinder's piston", 1e4, minimum=0.0, tunable=True
+    )
+
+    @property
+    def centre(self) -> Point:
+        """Centre of mass in the link's frame [m]."""
+        return self.centre_x, self.centre_z
+
+
+class ManipulatorParameters(Group, boom=Link, stick=Link):
     """Constants; their numbers and sources are in parameters.toml."""
 
+    boom_base_x: Scalar = Quantity(
+        "m", "Base pin of the boom cylinder from the boom pivot, radial", group="Boom cylinder"
+    )
+    boom_base_z: Scalar = Quantity("m", "Base pin of the boom cylinder from the boom pivot, upwards")
     gravity: Scalar = Quantity("m/s2", "Acceleration of free fall", 10.0, group="Gravity")
     column_inertia: Scalar = Quantity(
         "kg.m2", "Inertia of column and gear about the swing axis", 1e3, minimum=1e-3, group="Column"
     )
     boom_pivot_x: Scalar = Quantity("m", "Boom pivot on the column, radius from the swing axis")
     boom_pivot_z: Scalar = Quantity("m", "Boom pivot on the column, height above the column's foot")
-    boom_mass: Scalar = Quantity("kg", "Mass of the boom", 1e2, minimum=1e-3, group="Boom")
-    boom_inertia: Scalar = Quantity(
-        "kg.m2", "Inertia of the boom about its centre of mass, across its axis", 1e2, minimum=0.0
-    )
-    boom_centre_x: Scalar = Quantity("m", "Centre of mass of the boom, along the boom from its pivot")
-    boom_centre_z: Scalar = Quantity("m", "Centre of mass of the boom, across the boom from its pivot")
-    stick_pivot_x: Scalar = Quantity("m", "Stick pivot, along the boom from the boom pivot")
+    stick_pivot_x: Scalar = Quantity("m", "Stick pivot, along the boom from the boom pivot", group="Boom")
     stick_pivot_z: Scalar = Quantity("m", "Stick pivot, across the boom from the boom pivot")
-    stick_mass: Scalar = Quantity("kg", "Mass of the stick", 1e2, minimum=1e-3, group="Stick")
-    stick_inertia: Scalar = Quantity(
-        "kg.m2", "Inertia of the stick about its centre of mass, across its axis", 1e2, minimum=0.0
-    )
-    stick_centre_x: Scalar = Quantity("m", "Centre of mass of the stick, along the stick from its pivot")
-    stick_centre_z: Scalar = Quantity("m", "Centre of mass of the stick, across the stick from its pivot")
-    stick_length: Scalar = Quantity("m", "Length of the stick, pivot to head", minimum=1e-3)
+    stick_length: Scalar = Quantity("m", "Length of the stick, pivot to head", minimum=1e-3, group="Stick")
     head_mass: Scalar = Quantity(
         "kg",
         "Mass of the processing head with its load",
@@ -37,26 +72,6 @@ class ManipulatorParameters(Group):
         tunable=True,
         group="Processing head",
     )
-    boom_base_x: Scalar = Quantity(
-        "m", "Base pin of the boom cylinder from the boom pivot, radial", group="Boom cylinder"
-    )
-    boom_base_z: Scalar = Quantity("m", "Base pin of the boom cylinder from the boom pivot, upwards")
-    boom_pin_x: Scalar = Quantity("m", "Rod pin of the boom cylinder, along the boom from its pivot")
-    boom_pin_z: Scalar = Quantity("m", "Rod pin of the boom cylinder, across the boom from its pivot")
-    boom_closed_length: Scalar = Quantity("m", "Pin-to-pin length of the closed boom cylinder", minimum=1e-3)
-    boom_stroke: Scalar = Quantity("m", "Stroke of the boom cylinder", minimum=1e-3)
-    stick_base_x: Scalar = Quantity(
-        "m", "Base pin of the stick cylinder from the stick pivot, along the boom", group="Stick cylinder"
-    )
-    stick_base_z: Scalar = Quantity(
-        "m", "Base pin of the stick cylinder from the stick pivot, across the boom"
-    )
-    stick_pin_x: Scalar = Quantity("m", "Rod pin of the stick cylinder, along the stick from its pivot")
-    stick_pin_z: Scalar = Quantity("m", "Rod pin of the stick cylinder, across the stick from its pivot")
-    stick_closed_length: Scalar = Quantity(
-        "m", "Pin-to-pin length of the closed stick cylinder", minimum=1e-3
-    )
-    stick_stroke: Scalar = Quantity("m", "Stroke of the stick cylinder", minimum=1e-3)
     swing_damping: Scalar = Quantity(
         "N.m.s/rad",
         "Viscous friction B_sw of the swing gear",
@@ -64,18 +79,6 @@ class ManipulatorParameters(Group):
         minimum=0.0,
         tunable=True,
         group="Friction",
-    )
-    boom_joint_damping: Scalar = Quantity(
-        "N.m.s/rad", "Viscous friction of the boom joint", 1e2, minimum=0.0, tunable=True
-    )
-    stick_joint_damping: Scalar = Quantity(
-        "N.m.s/rad", "Viscous friction of the stick joint", 1e2, minimum=0.0, tunable=True
-    )
-    boom_piston_damping: Scalar = Quantity(
-        "N.s/m", "Viscous friction B of the boom cylinder's piston", 1e4, minimum=0.0, tunable=True
-    )
-    stick_piston_damping: Scalar = Quantity(
-        "N.s/m", "Viscous friction B of the stick cylinder's piston", 1e4, minimum=0.0, tunable=True
     )
     stop_stiffness: Scalar = Quantity(
         "N/m", "Stiffness of the cylinders' end stops", 1e8, minimum=1.0, group="End stops"
@@ -104,7 +107,14 @@ class ManipulatorState(Group):
     stick_speed: Scalar = Quantity("rad/s", "Speed of the stick joint")
 
 
-class ManipulatorInputs(Group):
+class CylinderInputs(Group):
+    """Force of a cylinder; the rate input carries its exact time derivative."""
+
+    force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5, rate="force_rate")
+    force_rate: Scalar = Quantity("N/s", "Rate port: time derivative of {}_force, may stay unconnected", 1e6)
+
+
+class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
     """Torque and forces of the hydraulics; the rate inputs carry their exact time derivatives."""
 
     swing_torque: Scalar = Quantity(
@@ -113,36 +123,25 @@ class ManipulatorInputs(Group):
     swing_torque_rate: Scalar = Quantity(
         "N.m/s", "Rate port: time derivative of swing_torque, may stay unconnected", 1e5
     )
-    boom_force: Scalar = Quantity("N", "Hydraulic force of the boom cylinder", 1e5, rate="boom_force_rate")
-    boom_force_rate: Scalar = Quantity(
-        "N/s", "Rate port: time derivative of boom_force, may stay unconnected", 1e6
+
+
+class CylinderOutputs(Group):
+    """Motion of a piston for the hydraulics, the holding force for the start, and what a user looks at."""
+
+    position: Scalar = Quantity("m", "Piston position of the {} cylinder from its closed end")
+    velocity: Scalar = Quantity("m/s", "Piston velocity of the {} cylinder", 0.1)
+    acceleration: Scalar = Quantity("m/s2", "Rate port: exact time derivative of {}_velocity")
+    holding_force: Scalar = Quantity("N", "Force of the {} cylinder that balances gravity", 1e5)
+    torque: Scalar = Quantity("N.m", "Torque J F of the {} cylinder on its joint", 1e4)
+    stop_force: Scalar = Quantity(
+        *("N", "Force of the {} cylinder's end stop: not zero at the end of the stroke", 1e5), warn_above=1.0
     )
-    stick_force: Scalar = Quantity("N", "Hydraulic force of the stick cylinder", 1e5, rate="stick_force_rate")
-    stick_force_rate: Scalar = Quantity(
-        "N/s", "Rate port: time derivative of stick_force, may stay unconnected", 1e6
-    )
 
 
-class ManipulatorOutputs(ManipulatorState):
-    """The state; piston motion for the hydraulics; holding forces for the start; and what a user looks at."""
+class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderOutputs):
+    """The state, the pistons, where the arm is, and its energies."""
 
-    boom_position: Scalar = Quantity("m", "Piston position of the boom cylinder from its closed end")
-    boom_velocity: Scalar = Quantity("m/s", "Piston velocity of the boom cylinder", 0.1)
-    boom_acceleration: Scalar = Quantity("m/s2", "Rate port: exact time derivative of boom_velocity")
-    stick_position: Scalar = Quantity("m", "Piston position of the stick cylinder from its closed end")
-    stick_velocity: Scalar = Quantity("m/s", "Piston velocity of the stick cylinder", 0.1)
-    stick_acceleration: Scalar = Quantity("m/s2", "Rate port: exact time derivative of stick_velocity")
     swing_acceleration: Scalar = Quantity("rad/s2", "Rate port: exact time derivative of swing_speed")
-    boom_holding_force: Scalar = Quantity("N", "Force of the boom cylinder that balances gravity", 1e5)
-    stick_holding_force: Scalar = Quantity("N", "Force of the stick cylinder that balances gravity", 1e5)
-    boom_torque: Scalar = Quantity("N.m", "Torque J F of the boom cylinder on its joint", 1e4)
-    stick_torque: Scalar = Quantity("N.m", "Torque J F of the stick cylinder on its joint", 1e4)
-    boom_stop_force: Scalar = Quantity(
-        "N", "Force of the boom cylinder's end stop: not zero at the end of the stroke", 1e5, warn_above=1.0
-    )
-    stick_stop_force: Scalar = Quantity(
-        "N", "Force of the stick cylinder's end stop: not zero at the end of the stroke", 1e5, warn_above=1.0
-    )
     elbow_radius: Scalar = Quantity("m", "Stick pivot, radius from the swing axis")
     elbow_height: Scalar = Quantity("m", "Stick pivot, height above the foot of the column")
     tip_radius: Scalar = Quantity("m", "Stick end, radius from the swing axis")
