@@ -25,9 +25,9 @@
 
     fmus.build(fmus.PARTS["swing"]["detailed"], "build")      # build/swing_detailed.fmu
 
-A subsystem is declared by `Subsystem`, `Group` and `Quantity`; `compose` makes one of several; `values` are the
-numbers of one, `build` writes its FMU. `PARTS` are the parts of the harvester: part -> variant -> subsystem, the
-usual variant first; `HARVESTER` is the whole machine as one.
+A subsystem is declared by `Subsystem`, `Group` and `Quantity`; `compose` makes one of several; `values` are
+the numbers of one, `build` writes its FMU. `PARTS` are the parts of the harvester, part -> variant ->
+subsystem, the usual variant first; `HARVESTER` is the whole machine as one.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ _WHERE = {
 }
 
 __all__ = [
-    "HARVESTER", "PARTS", "Group", "Member", "Number", "Quantity", "Scalar", "Subsystem", "Terminal", "Values",
-    "build", "compose", "family", "quantities", "values",
+    "HARVESTER", "PARTS", "Group", "Member", "Number", "Quantity", "Scalar", "Subsystem", "Terminal",
+    "Values", "build", "compose", "family", "quantities", "values",
 ]  # fmt: skip
 
 

@@ -1,20 +1,15 @@
-"""Subsystems and their connections as one set of equations.
+"""Several subsystems and their connections as one set of equations, and as one `Subsystem`.
 
 No signal is held or extrapolated: every connection is substituted symbolically, so that
 
     dX/dt = F(X, U, P)        Y = G(X, U, P)        X(0) = S(X_start, U, P)
 
-with X, P and Y stacked over the subsystems and U the inputs of the whole.
+with X, P and Y stacked over the subsystems and U the inputs of the whole. As one subsystem it makes one FMU,
+without coupling error. There
 
-Flat names for the variables of several subsystems that become one.
-
-A variable keeps its name where no other component shows the same, else it gets its component in front.
-Parameters that several components declare alike, down to the text (but for the heading), and to which they
-give the same value, are one thing and have one name; so have the outputs of which the sum is shown.
-
-Subsystems and their connections as one `Subsystem`: a whole machine in one FMU, without coupling error.
-
-The equations are those of `fmus.composition`, the names those of `fmus.composition`.
+- a variable keeps its name where no other component shows the same, else it gets its component in front;
+- parameters that several components declare alike, down to the text (but for the heading), and to which they
+  give the same value, are one thing and have one name; so have the outputs of which the sum is shown.
 """
 
 from __future__ import annotations
@@ -220,8 +215,9 @@ def compose(
     texts: Mapping[str, str] | None = None,
     terminals: tuple[Terminal, ...] = (),
 ) -> Subsystem:
-    """One subsystem of several, connected by (source output, target input) pairs; inputs fed by nobody keep their start value.
+    """One subsystem of several, connected by (source output, target input) pairs.
 
+    Inputs that nothing feeds keep their start value.
     Components that have a `corner` are refused: the whole would not tell it.
 
     tables   numbers by component; by default those of its parameters.toml

@@ -63,7 +63,7 @@ class Quantity:
         return self.nominal if self.absolute is None else self.absolute
 
     def of(self, prefix: str, owner: str) -> Quantity:
-        """With `owner` in place of "{}" in its texts, and its rate by the name that it has with the prefix."""
+        """With `owner` in place of "{}" in its texts, and its rate by the name with the prefix."""
         heading = self.group.replace("{}", owner)
         return replace(
             self,
@@ -80,13 +80,13 @@ class Group:
         class State(Group):
             pressure: Scalar = Quantity("Pa", "Pressure of the chamber", 1e7)
 
-    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too. What
-    is needed twice is declared once and put in with a prefix, before the fields of the class itself:
+    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too.
+    What is needed twice is declared once and put in with a prefix, before the fields of the class itself:
 
         class Parameters(Group, boom=Cylinder, stick=Cylinder):      boom_bore, boom_rod, ..., stick_bore, ...
 
-    "{}" in its texts becomes the prefix, or the words in `boom=(Cylinder, "lift")`; `Cylinder.of(p, "boom")` takes
-    it out again.
+    "{}" in its texts becomes the prefix, or the words in `boom=(Cylinder, "lift")`; `Cylinder.of(p, "boom")`
+    takes it out again.
     """
 
     if TYPE_CHECKING:

@@ -57,8 +57,8 @@ def test_a_parameter_without_a_number_is_refused():
         states=Nothing,
         inputs=Nothing,
         outputs=Nothing,
-        dynamics=lambda x, u, p: x,
-        observe=lambda x, u, p: x,
+        dynamics=lambda *x_u_p: x_u_p[0],
+        observe=lambda *x_u_p: x_u_p[0],
     )
     with pytest.raises(Problem, match=r"^empty: parameter lag of empty is missing$"):
         fmus.values(sub)

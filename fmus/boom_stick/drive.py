@@ -144,8 +144,8 @@ def observe(
 ) -> dict[str, Scalar]:
     """Outputs of one drive, without the name of its axis; those in TOTALS count for both together.
 
-    The convected power is P^2 / (2 beta) per volume of a growing chamber, less that of a shrinking one. Volume
-    flows do not show it; with it the energy balance closes (docs/equations.md, section 7).
+    The convected power is P^2 / (2 beta) per volume of a growing chamber, less that of a shrinking one.
+    Volume flows do not show it; with it the energy balance closes (docs/equations.md, section 7).
     """
     head, rod = d.cylinder.areas
     pressures, nodes = (x.head_pressure, x.rod_pressure), tuple(ports)
@@ -195,7 +195,7 @@ def holding_pressures(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     return state
 
 
-def room(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
+def room(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """What the cylinders of boom and stick must have: rods thinner than bores, chambers with volume."""
     conditions: dict[str, Scalar] = {}
     for axis in AXES:
@@ -209,7 +209,7 @@ def room(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
 
 def require(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Geometry that must hold: rods thinner than bores, chambers with volume, a valve that opens."""
-    return spool_valve.opens(Valve.of(p, "valve")) | room(u, p)
+    return spool_valve.opens(Valve.of(p, "valve")) | room(x, u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (

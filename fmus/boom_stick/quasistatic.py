@@ -1,8 +1,8 @@
 """Boom and stick drives without line dynamics: a valve directly at a single-ended cylinder, for each.
 
 The equations are those of `fmus.boom_stick.drive`, once for the boom, once for the stick: the limit of the
-lumped drives for hoses without inertance. The hoses stay as volumes and as resistances in series with the open
-edges. Line flows are no states but follow from the pressures.
+lumped drives for hoses without inertance. The hoses stay as volumes and as resistances in series with the
+open edges. Line flows are no states but follow from the pressures.
 """
 
 from __future__ import annotations

@@ -47,8 +47,8 @@ FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used;
 def pressure(text: str) -> Quantity:
     """A pressure of oil as a state: about 10 MPa, but where it cavitates errors must be small beside dP.
 
-    After strokes of 1 to 6 V, some of which open cavities, the pressures are within 0.004 % of their range, at
-    a tolerance of 1e-6; with the absolute tolerance that belongs to 10 MPa 0.35 % at the same cost.
+    After strokes of 1 to 6 V, some of which open cavities, the pressures are within 0.004 % of their range,
+    at a tolerance of 1e-6; with the absolute tolerance that belongs to 10 MPa 0.35 % at the same cost.
     """
     return Quantity("Pa", text, 1e7, absolute=1e5)
 

@@ -13,11 +13,12 @@
     dq_i/dt    = (Q - q_i)/T_i       with frequency-dependent friction
 
 C_R of the turbulent law: the drop changes over from the laminar one at Q = R/C_R, for the longest hose at
-Re 2500. Both ends give flows, so pressures are put in. Valid below the bandwidth that `lumps_needed` was asked
-for; the T-lumps have the exact wave numbers of the line and too low frequencies, by sin(t)/t with t = k l/2N.
+Re 2500. Both ends give flows, so pressures are put in. Valid below the bandwidth that `lumps_needed` was
+asked for; the T-lumps have the exact wave numbers of the line and too low frequencies, by sin(t)/t with
+t = k l/2N.
 
-**Frequency-dependent friction** of laminar flow: Trikha's three terms as a passive network. The wall's friction
-follows a change of the flow with the memory of the boundary layer (W. Zielke, J. Basic
+**Frequency-dependent friction** of laminar flow: Trikha's three terms as a passive network. The wall's
+friction follows a change of the flow with the memory of the boundary layer (W. Zielke, J. Basic
 Engineering 90 (1968) 109): over the whole line, with the steady resistance R,
 
     dp = R Q + R/2 int dQ/dt(t') W(nu (t - t')/r^2) dt',        W(T) ~ sum_i m_i exp(-n_i T)

@@ -1,12 +1,13 @@
-"""Cylinder in a triangle: piston position x(q), x' = J q', torque = J F (eqs. 5 to 7).
+"""Mechanics: a cylinder in a triangle, and equations of motion from energies.
 
-The cylinder joins a pin at f (fixed link) with a pin at r (moving link), both seen from the joint:
+**A cylinder** joins a pin at f (fixed link) with a pin at r (moving link), both seen from the joint. Piston
+position x(q), x' = J q', torque = J F (eqs. 5 to 7):
 
     l = |f - R(q) r|      J = dl/dq = f x R(q) r / l      dJ/dq = (f . R(q) r - J^2) / l
 
 Signs: q counter-clockwise; J > 0 where extending the cylinder increases q.
 
-Equations of motion from energies.
+**Equations of motion**
 
     M(q) q'' + V(q, q') + G(q) = tau            (paper eq. 4)
 

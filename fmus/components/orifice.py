@@ -1,4 +1,4 @@
-"""Sharp-edged orifice in flow form: flow from the pressure difference.
+"""Sharp-edged orifices, and valves that open at a pressure: flow from the pressure difference.
 
     q = C_d A sqrt(2 / rho) r(dp)        r(dp) = dp / (dp^2 + dp_t^2)^(1/4)
 
@@ -7,7 +7,7 @@ Control Systems, 1967, eq. 3-17). This r is odd and increasing, its slope at zer
 and it lies below the square root by the share (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t,
 3e-8 at 3000 dp_t.
 
-Relief and anti-cavitation valves: a smooth static characteristic.
+Relief and anti-cavitation valves have a smooth static characteristic:
 
     Q = g r(dP - P_set, w)        r the ramp of `fmus.components.smooth`: exactly 0 for dP <= P_set
 

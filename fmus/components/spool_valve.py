@@ -17,8 +17,8 @@ c = z w/2, keep the spool inside its stroke: its speed towards an end stays belo
 command makes it hit a stop, so no stop has to be modelled. They act closer than v_max/c to an end.
 |v| <= v_max stays true as well.
 
-Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 2022 give 30 Hz and 0.707. Its edges
-open each from an overlap of its own on.
+Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 2022 give 30 Hz and 0.707. Its
+edges open each from an overlap of its own on.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""The arm as the controller sees it: tip, pistons, and the damped inverse of the tip's Jacobian.
+"""The arm as the controller sees it: tip, pistons, the damped inverse of the tip's Jacobian, and joint angles.
 
     (r', h') = J(q) (boom', stick')        (boom', stick') = J^T (J J^T + l^2 I)^(-1) (r', h')
 
 The damping l is zero where the links are more than `singular_share` out of line (sine of the angle between
 them) and rises smoothly to `singular_damping` where they are in line (Nakamura and Hanafusa 1986).
 
-Joint angles for a place of the stick end, in closed form: cosines in the triangle of both links.
-
-The stick hangs below the line from the boom pivot to the tip (angle < 0), as its cylinder has it.
+Joint angles for a place of the stick end follow from cosines in the triangle of both links. The stick hangs
+below the line from the boom pivot to the tip (angle < 0), as its cylinder has it.
 """
 
 from __future__ import annotations

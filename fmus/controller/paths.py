@@ -1,12 +1,10 @@
-"""What an operator may want of the tip, for experiments with the controller alone.
-
-Paths of the tip: straight segments in space, as inputs of the controller over time.
+"""Paths of the tip over time: straight segments in space, as inputs of the controller.
 
 Each segment begins and ends at rest and changes its acceleration at a constant jerk: a jump of acceleration
-would ask the oil for a jump of pressure. `python -m fmus.controller.paths` writes line.csv and square.csv to
-data/scenarios.
+would ask the oil for a jump of pressure. There are paths for experiments with the controller alone, and those
+that a user gives on the command line, from point to point.
 
-Paths that a user gives on the command line: straight from point to point, and where they begin.
+`python -m fmus.controller.paths` writes line.csv and square.csv to data/scenarios.
 """
 
 from __future__ import annotations

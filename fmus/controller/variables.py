@@ -1,8 +1,7 @@
-"""Variables of the controller: parameters, states, inputs, outputs; signs as in model.py.
+"""Variables and numbers of the controller; signs as in model.py.
 
-Geometry and hydraulics are declared by the parts of the machine; here they are only named.
-
-Numbers of the controller: its own gains, and those of the machine's parts as they are.
+It declares its own gains. Geometry and hydraulics are declared by the parts of the machine, with their numbers;
+here they are only named.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-r"""One stroke of a lever: a trapezoid over time, as a joystick amplifier ramps its valve current.
+r"""The operator: plays a program of up to ten strokes on each of three levers.
 
     command |    ______
             |   /      \
-          0 |__/        \____     start, then rise, hold and fall
-
-Variables of the levers: ten strokes per lever, a clock, commands and their rates; as in model.py.
-
-The levers: they play a program of strokes on three levers.
+          0 |__/        \____     start, then rise, hold and fall: as a joystick amplifier ramps its current
 
     d clock / dt = 1        command = sum of the strokes at `clock`, each a trapezoid
 

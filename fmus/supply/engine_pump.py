@@ -6,8 +6,8 @@
     J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
     V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
 
-with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the
-`ramp` of `fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`.
+with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r
+the `ramp` of `fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`.
 
     engine_power + P_t return_flow = P supply_flow + dE/dt + heat
 

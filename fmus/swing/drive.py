@@ -50,7 +50,7 @@ def observe(
     nodes: MotorNodes,
     node_rates: Pair,
 ) -> dict[str, Scalar]:
-    """Outputs from line pressures and flows, the ports of valve and motor, and the rates of the motor's pressures.
+    """Outputs from line pressures and flows, ports of valve and motor, and rates of the motor's pressures.
 
     The energy is that of the lines' oil, the heat that of edges and leakage.
     """
