@@ -14,17 +14,19 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.toml import NOT_NEGATIVE
 
 Array = NDArray[np.float64]
 DATA = (".csv", ".parquet", ".mat")
 GAPS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
+CHUNK = 5000  # rows of text that are converted at once, or cell by cell where one has a gap
 MOST_COLUMNS = 256  # of a matrix that are listed one by one
 
 
@@ -41,7 +43,7 @@ class TextFormat:
     csv: str = ""
     delimiter: str | None = None
     decimal: str | None = None
-    skip_lines: int = 0
+    skip_lines: Annotated[int, NOT_NEGATIVE] = 0
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,6 @@ def read_columns(
 def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
-    """Columns of a text file: all at once if each cell is a number, else cell by cell."""
     text = _Text(file, form or TextFormat(), described=form is not None)
     lines = text.lines()
     first = text.form.skip_lines + 1
@@ -111,14 +112,12 @@ def _read_text(
     if not rows:
         raise Problem(f"{file}: expected two or more rows of numbers, got none")
     text.check_widths(rows, len(header))
-    plain = [row.replace(",", ".") for row in rows.values()] if text.decimal == "," else list(rows.values())
-    where = list(places.values())
-    try:
-        table = np.loadtxt(plain, delimiter=text.mark, usecols=where, comments=None, quotechar='"', ndmin=2)
-    except ValueError:  # there are gaps, or something that is no number
-        table = text.cells(rows, places)
-    values = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(places)}
-    return Columns(str(file), values, list(rows), "line")
+    numbers = list(rows)
+    table = np.empty((len(places), len(rows)))
+    for start in range(0, len(rows), CHUNK):
+        part = {number: rows[number] for number in numbers[start : start + CHUNK]}
+        table[:, start : start + CHUNK] = text.numbers(part, places).T
+    return Columns(str(file), dict(zip(places, table, strict=True)), numbers, "line")
 
 
 @dataclass(frozen=True)
@@ -193,22 +192,31 @@ class _Text:
             if (cells := len(self.split(row))) != width:
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}")
 
-    def cells(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
-        """The numbers cell by cell, shape (rows, places): gaps are NaN, what is no number is refused."""
-        table = np.empty((len(rows), len(places)))
+    def numbers(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
+        """The numbers at these places, shape (rows, places): all at once if there is no gap."""
+        plain = [row.replace(",", ".") if self.decimal == "," else row for row in rows.values()]
+        where = list(places.values())
+        try:
+            return np.loadtxt(
+                plain, delimiter=self.mark, usecols=where, comments=None, quotechar='"', ndmin=2
+            )
+        except ValueError:  # there is a gap, or something that is no number
+            table = np.empty((len(rows), len(places)))
         for i, (number, row) in enumerate(rows.items()):
-            cells = self.split(row)
+            cells = self.split(row) if '"' in row else row.split(self.mark)
             for j, (name, place) in enumerate(places.items()):
-                cell = cells[place].strip()
-                with_point = cell.replace(",", ".")
-                value = _number(with_point if self.decimal == "," else cell)
-                if value is None:
-                    comma = self.described and self.decimal == "." and _number(with_point) is not None
-                    got = f"{cell!r}" + (': set decimal = "," in [file]' if comma else "")
-                    where = f"{self.file}: line {number}: column {name!r}"
-                    raise Problem(f"{where}: expected a number, got {got}")
-                table[i, j] = value
+                table[i, j] = self.number(cells[place], number, name)
         return table
+
+    def number(self, cell: str, line: int, column: str) -> float:
+        """A cell as a number, NaN for a gap."""
+        with_point = cell.replace(",", ".")
+        value = _number(with_point if self.decimal == "," else cell)
+        if value is None:
+            comma = self.described and self.decimal == "." and _number(with_point) is not None
+            got = f"{cell.strip()!r}" + (': set decimal = "," in [file]' if comma else "")
+            raise Problem(f"{self.file}: line {line}: column {column!r}: expected a number, got {got}")
+        return value
 
 
 def _places(
@@ -232,11 +240,10 @@ def _listed(names: Sequence[str]) -> str:
 
 def _number(cell: str) -> float | None:
     """A number, NaN for a gap, None for what is neither."""
-    text = cell.strip()
     try:
-        return math.nan if text.lower() in GAPS else float(text)
+        return float(cell)
     except ValueError:
-        return None
+        return math.nan if cell.strip().lower() in GAPS else None
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
