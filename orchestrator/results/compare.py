@@ -211,7 +211,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     there = np.isfinite(recorded)
     kept = np.interp(grid, reference.time, ~there) < ROUNDING  # 0 at a sample that is there, 1 at a gap
     if not kept.all():
-        notes.append(f"{int(np.sum(~kept))} of {len(grid)} samples are in gaps of the reference: left out")
+        notes.append(f"{int(np.sum(~kept))} of {len(grid)} samples lie in gaps of the reference, left out")
     time = grid[kept]
     if len(time) < 2:
         raise Problem(f"{where}: expected two or more samples in the common window, got {len(time)}")

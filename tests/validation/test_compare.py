@@ -207,7 +207,7 @@ def test_gaps_of_the_reference_are_left_out() -> None:
     values = np.where((t > 0.305) & (t < 0.395), np.nan, t)  # nine samples, 0.31 to 0.39 s
     fine = Trace(np.linspace(0, 1, 1001), {"a.x": np.linspace(0, 1, 1001) + 0.5}, {"a.x": "m"})
     row = compare(fine, made(t, values))["a.x"]
-    assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples are in gaps of the reference: left out")
+    assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples lie in gaps of the reference, left out")
     # a straight line is interpolated exactly, but for rounding
     assert row.metrics.rmse == pytest.approx(0.5, rel=1e-12)
     assert row.metrics.iso.overall is not None
