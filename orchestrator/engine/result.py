@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
@@ -190,13 +191,14 @@ class Card:
             each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
             lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
         if busy := [row for row in _bond_rows(self) if row[1]]:
-            lines += ["", *_table(["power bond", "residual [J]", "exchanged [J]", "share"], busy)]
+            lines += ["", *TextTable(["power bond", "residual [J]", "exchanged [J]", "share"], busy).lines()]
         elif self.bonds:
             lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
             title, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
-            lines += ["", title, *_table(head[:shown], [_error_row(e)[:shown] for e in self.worst])]
+            rows = [_error_row(e)[:shown] for e in self.worst]
+            lines += ["", title, *TextTable(head[:shown], rows).lines()]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         warnings = [*self._unreliable(), *self.warnings]
         lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
@@ -260,17 +262,6 @@ def _bond_rows(card: Card) -> list[list[str]]:
 def _error_row(e: SignalError) -> list[str]:
     order = "" if e.order is None else f"{e.order:.2f}"
     return [e.name, f"{e.change:.2e}", e.unit, f"{e.largest:.1e}", order]
-
-
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    """Columns padded to equal width, numbers to the right."""
-    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
-    return [
-        "  ".join(
-            c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(r, widths, strict=True))
-        )
-        for r in [head, *rows]
-    ]
 
 
 SUFFIX = ".run.json"

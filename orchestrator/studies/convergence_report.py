@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from orchestrator.base.page import plain, write_json
 from orchestrator.base.plotting import PALETTE, frame, new_figure, png
@@ -78,6 +79,7 @@ def _alike(first: Sequence[SettingRun], second: Sequence[SettingRun], group: str
 
 APART = 0.034  # of the height of the picture, between two names
 LETTER = 0.0062  # width of a letter of a name, of the width of the picture
+TEXT: dict[str, Any] = {"color": PALETTE.ink, "fontsize": 8, "va": "center"}
 LEADER: dict[str, Any] = {"arrowstyle": "-", "linewidth": 0.6, "alpha": 0.6, "shrinkA": 1.0, "shrinkB": 3.0}
 
 
@@ -161,7 +163,8 @@ def draw_work(study: ConvergenceStudy, group: str | None = None) -> Figure:
     costs = [1e3 * row.cost for line in drawn for row in line.stable]
     if costs:
         axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** room(drawn))
-        axes.set_xticks(_round(*axes.get_xlim()), [f"{tick:g}" for tick in _round(*axes.get_xlim())])
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
     ends = {line: (1e3 * line.stable[0].cost, line.stable[0].error(chosen)) for line in drawn}
     write_names(axes, ends, left=False)
     return figure
@@ -199,15 +202,7 @@ def _losses(axes: Axes, lines: Sequence[StudyLine], group: str) -> None:
     if not lost:
         return
     axes.axhline(high, color=PALETTE.faint, linewidth=0.8, linestyle=(0, (1, 3)))
-    axes.text(
-        0.01,
-        level,
-        "unstable",
-        transform=axes.get_yaxis_transform(),
-        color=PALETTE.ink,
-        fontsize=8,
-        va="center",
-    )
+    axes.text(0.01, level, "unstable", transform=axes.get_yaxis_transform(), **TEXT)
     for place, line in enumerate(lost):
         aside = 1.045 ** (place - (len(lost) - 1) / 2)
         at = [1e3 * row.step * aside for row in line.lost]
@@ -227,25 +222,10 @@ def _triangles(axes: Axes, steps: Sequence[float]) -> None:
         run = min(10 ** (0.2 * decades / order), 1.45)
         left, bottom = right / run, low * 10 ** (0.03 * decades)
         top = bottom * run**order
-        axes.plot(
-            [left, right, right, left], [bottom, bottom, top, bottom], color=PALETTE.faint, linewidth=0.9
-        )
-        axes.text(
-            right / run**0.33,
-            bottom * (top / bottom) ** 0.25,
-            f"{order}",
-            color=PALETTE.ink,
-            fontsize=8,
-            ha="center",
-            va="center",
-        )
+        corners = [left, right, right, left], [bottom, bottom, top, bottom]
+        axes.plot(*corners, color=PALETTE.faint, linewidth=0.9)
+        axes.text(right / run**0.33, bottom * (top / bottom) ** 0.25, f"{order}", ha="center", **TEXT)
         right = left / 1.08
-
-
-def _round(low: float, high: float) -> list[float]:
-    """1, 2 and 5 times powers of ten between two numbers."""
-    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    return [tick for p in powers for k in (1, 2, 5) if low <= (tick := k * 10.0**p) <= high]
 
 
 UNSTABLE, REFUSED = STRONG = "unstable", "not possible"

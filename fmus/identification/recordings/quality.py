@@ -26,6 +26,7 @@ from fmus.identification.recordings.masks import (
     step,
     step_and_noise,
 )
+from orchestrator.base.text import TextTable
 from orchestrator.base.units import display
 from orchestrator.data.recording import Mask, Recording, Sensor, stretches
 from orchestrator.data.table import Array
@@ -338,9 +339,7 @@ class Quality:
     def table(self) -> str:
         """One line for each signal: shares of samples, steps and noise as seen (and as stated)."""
         head = ("signal", "gaps", "clipped", "stuck", "dead zone", "step (stated)", "noise (stated)")
-        rows = [head, *(signal.row() for signal in self.signals)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines = TextTable(head, [signal.row() for signal in self.signals], left=range(len(head))).lines()
         clock = f"{self.clock.rate:.6g} Hz, jitter {1e3 * self.clock.jitter:.2g} ms"
         return "\n".join([f"{self.source}: {clock}", *lines])
 
