@@ -19,7 +19,7 @@ import ctypes
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
@@ -37,13 +37,15 @@ WIDTH = 8  # columns at once: a cache line, one to four registers of the process
 
 @dataclass(frozen=True)
 class Reduced:
-    """The part of a subsystem that some of its outputs depend on: symbols x, u, p, q and expressions of them.
+    """The part of a subsystem that some of its outputs depend on.
 
     states, inputs   names of those that the outputs depend on, in the order of the declaration
     parameters       all names: what p holds
     free             names of those in q, which are some of p
     acting           which of q the motion and the outputs depend on; the others act through the start alone
-    all_x            the symbols of all start values: what `start` depends on, with u and p
+    equations        of these states, inputs, outputs; it starts from its own states
+    q                symbols of the free parameters
+    start, all_x     start values, and the symbols of all states that they depend on, with u and p
     """
 
     states: tuple[str, ...]
@@ -53,16 +55,10 @@ class Reduced:
     free: tuple[str, ...]
     acting: tuple[int, ...]
     declared: dict[str, Quantity]
-    x: ca.SX
-    u: ca.SX
-    p: ca.SX
+    equations: Symbolic
     q: ca.SX
-    all_x: ca.SX
-    dx: ca.SX
-    y: ca.SX
     start: ca.SX
-    require: ca.SX
-    statements: tuple[str, ...]
+    all_x: ca.SX
 
 
 def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduced:
@@ -99,16 +95,21 @@ def reduce(sub: Subsystem, outputs: Sequence[str], free: Sequence[str]) -> Reduc
         free=tuple(free),
         acting=tuple(sorted(_arguments(column(dx, y), q))),
         declared={name: quantity for group in groups.values() for name, quantity in group.items()},
-        x=x,
-        u=u,
-        p=sym.p,
+        equations=replace(
+            sym,
+            x=x,
+            u=u,
+            dx=dx,
+            y=y,
+            start=x,
+            calculated=(),
+            require=column(*(sym.require[i] for i in checked)),
+            statements=tuple(sym.statements[i] for i in checked),
+            corner=ca.SX.inf(),
+        ),
         q=q,
-        all_x=sym.x,
-        dx=dx,
-        y=y,
         start=start,
-        require=column(*(sym.require[i] for i in checked)),
-        statements=tuple(sym.statements[i] for i in checked),
+        all_x=sym.x,
     )
 
 
@@ -171,20 +172,21 @@ class SensitivityCode:
 
 def sensitivity_code(model: Reduced) -> SensitivityCode:
     """All functions that native/sensitivities.c calls in addition to those of an FMU."""
-    x, u, p, q = model.x, model.u, model.p, column(*(model.q[i] for i in model.acting))
-    jacobian = ca.jacobian(model.dx, x)
+    eqs, q = model.equations, column(*(model.q[i] for i in model.acting))
+    x, u, p, y = eqs.x, eqs.u, eqs.p, eqs.y
+    jacobian = ca.jacobian(eqs.dx, x)
     system, entries = eliminate(jacobian), nonzeros(jacobian)
     k, h_du = ca.SX.sym("k", x.numel()), ca.SX.sym("h_du", u.numel())
-    second, bends, bent_x, bent_q = _second(model, jacobian, q, column(k, h_du))
-    direct = dict(nonzeros(ca.jacobian(model.dx, q)))
+    second, bends, bent_x, bent_q = _second(eqs, jacobian, q, column(k, h_du))
+    direct = dict(nonzeros(ca.jacobian(eqs.dx, q)))
     for place, value in bent_q.items():
         direct[place] = direct[place] + value if place in direct else value
-    y_x, y_q = nonzeros(ca.jacobian(model.y, x)), nonzeros(ca.jacobian(model.y, q))
+    y_x, y_q = nonzeros(ca.jacobian(y, x)), nonzeros(ca.jacobian(y, q))
     wanted = {
         "bends": second,
         "jac": system.entries,
         "direct": column(*direct.values()),
-        "y": model.y,
+        "y": y,
         "y_x": column(*y_x.values()),
         "y_q": column(*y_q.values()),
     }
@@ -199,11 +201,11 @@ def sensitivity_code(model: Reduced) -> SensitivityCode:
             Routine("slopes_observe", known, {"y": values["y"]}),
             Routine("slopes_observed", known, {"y_x": values["y_x"], "y_q": values["y_q"]}),
             stage_columns(system, entries, list(bent_x)),
-            observe_columns(model.y.numel(), x.numel(), list(y_x)),
+            observe_columns(y.numel(), x.numel(), list(y_x)),
         ],
         lengths={
             "NQ": q.numel(),
-            "NOUT": model.y.numel(),
+            "NOUT": y.numel(),
             "ND": d.numel(),
             "NBENDS": bends.numel(),
             "NBENT": len(bent_x),
@@ -216,14 +218,14 @@ def sensitivity_code(model: Reduced) -> SensitivityCode:
 
 
 def _second(
-    model: Reduced, jacobian: ca.SX, q: ca.SX, directions: ca.SX
+    eqs: Symbolic, jacobian: ca.SX, q: ca.SX, directions: ca.SX
 ) -> tuple[ca.SX, ca.SX, dict[Place, ca.SX], dict[Place, ca.SX]]:
     """The second derivatives that count, symbols for them, and their products with the directions (k, h du).
 
     The products belong to x and to q, row and column as in the first derivatives.
     """
-    first = ca.mtimes(ca.horzcat(jacobian, ca.jacobian(model.dx, model.u)), directions)
-    by_x, by_q = nonzeros(ca.jacobian(first, model.x)), nonzeros(ca.jacobian(first, q))
+    first = ca.mtimes(ca.horzcat(jacobian, ca.jacobian(eqs.dx, eqs.u)), directions)
+    by_x, by_q = nonzeros(ca.jacobian(first, eqs.x)), nonzeros(ca.jacobian(first, q))
     tensor = ca.jacobian(column(*by_x.values(), *by_q.values()), directions)
     bends = ca.SX.sym("bends", tensor.nnz())
     products = ca.mtimes(ca.SX(tensor.sparsity(), bends), directions)
@@ -292,18 +294,7 @@ def _interface(model: Reduced) -> Interface:
         variables("DERIVATIVE", rates),
         [],  # outputs are in slopes.c alone
     ]
-    equations = Symbolic(
-        x=model.x,
-        u=model.u,
-        p=model.p,
-        dx=model.dx,
-        y=ca.SX(0, 1),
-        start=model.x,
-        calculated=(),
-        require=model.require,
-        statements=model.statements,
-        corner=ca.SX.inf(),
-    )
+    equations = replace(model.equations, y=ca.SX(0, 1))
     # stiff, as it is by default: the implicit method alone is differentiated
     return assembled("refined", "A model for output error", groups, equations, ca.SX(0, 1))
 

@@ -110,11 +110,12 @@ class CompiledModel:
         self._places = np.array([model.parameters.index(name) for name in free], dtype=np.intp)
         self.p0 = self._p[self._places]
         self._acting = np.array(model.acting, dtype=np.intp)
-        self._statements = model.statements
+        self._statements = model.equations.statements
         self._tolerance = tolerance
         self._x = np.array(list(given.x.values()))
         slope = ca.densify(ca.jacobian(model.start, model.q))
-        self._start = ca.Function("start", [model.all_x, model.u, model.p], [model.start, slope])
+        eqs = model.equations
+        self._start = ca.Function("start", [model.all_x, eqs.u, eqs.p], [model.start, slope])
         self._refine = library(sources(model)).refine
         self._refine.restype = ctypes.c_int
         doubles = [_POINTER] * 4
@@ -180,22 +181,8 @@ class CompiledModel:
         return by_states, by_p
 
 
-def _quotients(
-    run: Callable[[Array], tuple[Array, Array]], at: Array, step: float, nominal: Array
-) -> tuple[Array, Array]:
-    """Derivatives of both results of `run` by its argument, on the last axis: forward differences."""
-    y, x = run(at)
-    y_slopes, x_slopes = np.zeros((*y.shape, at.size)), np.zeros((*x.shape, at.size))
-    for j, size in enumerate(step * nominal):
-        moved = at.copy()
-        moved[j] += size
-        above = run(moved)
-        y_slopes[..., j], x_slopes[..., j] = (above[0] - y) / size, (above[1] - x) / size
-    return y_slopes, x_slopes
-
-
 class Differences:
-    """A simulator with the derivatives replaced by difference quotients of its own segments.
+    """A simulator with the derivatives replaced by forward difference quotients of its own segments.
 
     step   relative to the magnitude of each state and parameter
     """
@@ -212,21 +199,22 @@ class Differences:
         base = self.model.segment(x, p, time, inputs, False)
         if not sensitivities:
             return base
-        nx = len(x)
-
-        def run(both: Array) -> tuple[Array, Array]:
-            solution = self.model.segment(both[:nx], both[nx:], time, inputs, False)
-            return solution.y, solution.x
-
-        sizes = np.concatenate([self.nominal, np.where(p == 0, 1.0, np.abs(p))])
-        y_, x_ = _quotients(run, np.concatenate([x, p]), self.step, sizes)
-        return replace(base, y_x=y_[..., :nx], y_p=y_[..., nx:], x_x=x_[..., :nx], x_p=x_[..., nx:])
+        nx, at = len(x), np.concatenate([x, p])
+        y, ends = np.zeros((*base.y.shape, at.size)), np.zeros((nx, at.size))
+        nominal = np.concatenate([self.nominal, np.where(p == 0, 1.0, np.abs(p))])
+        for j, size in enumerate(self.step * nominal):
+            moved = at.copy()
+            moved[j] += size
+            other = self.model.segment(moved[:nx], moved[nx:], time, inputs, False)
+            y[..., j], ends[..., j] = (other.y - base.y) / size, (other.x - base.x) / size
+        return replace(base, y_x=y[..., :nx], y_p=y[..., nx:], x_x=ends[:, :nx], x_p=ends[:, nx:])
 
 
 class BlackBox:
     """Any simulator of whole runs: `simulate(p, time, inputs)` gives the outputs, shape (n, ny).
 
-    It has no states that could be set, so each run is one segment: single shooting.
+    It has no states that could be set, so each run is one segment: single shooting. Derivatives are those of
+    `Differences`.
     `simulate` is called from several threads; give `refine` one thread if it cannot bear that.
     """
 
@@ -252,10 +240,8 @@ class BlackBox:
     def segment(
         self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
     ) -> SegmentSolution:
-        """One whole run, over n + 1 simulations."""
-        y = self.simulate(p, time, inputs)
-        y_x, y_p = np.zeros((*y.shape, 0)), np.zeros((*y.shape, 0))
+        """One whole run, or n + 1 of them."""
         if sensitivities:
-            nominal = np.where(p == 0, 1.0, np.abs(p))
-            y_p, _ = _quotients(lambda q: (self.simulate(q, time, inputs), x), p, self.step, nominal)
-        return SegmentSolution(y, x, y_x, y_p, np.zeros((0, 0)), np.zeros((0, len(p))))
+            return Differences(self, self.step).segment(x, p, time, inputs)
+        y, none = self.simulate(p, time, inputs), np.zeros((0, 0))
+        return SegmentSolution(y, x, np.zeros((*y.shape, 0)), np.zeros((*y.shape, 0)), none, none)

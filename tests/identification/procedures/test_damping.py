@@ -176,7 +176,7 @@ def test_noise_that_is_not_told_is_seen():
     ("change", "words"),
     [
         ({"conditions": {"joint": "elbow"}}, "joint is 'elbow', expected swing, boom, stick"),
-        ({"conditions": {}}, "joint is nothing, expected a word"),
+        ({"conditions": {}}, "joint: expected a word, got nothing"),
         ({"procedure": "valve"}, "expected a recording with this procedure"),
         ({"use": "test"}, "expected a recording with this procedure"),
     ],
