@@ -41,6 +41,7 @@ CAUSES = {
     WAIT: "the machine does not follow",
 }
 RECORD_STEP = 5e-3  # [s], as the paths are sampled
+DERIVED = "; 0: "  # in the description of a number that follows from others if it is 0
 SAME = 1e-9  # relative difference of two numbers that are meant to be equal
 LOST = 0.1  # [m] ten times what is usual on a path that can be followed
 MM = 1e3
@@ -186,7 +187,8 @@ def assembled(
 def differences(system: System) -> list[str]:
     """One note for each number that controller and machine have in the same unit, with different values.
 
-    The controller names a number as its part does, or `part_name` where several parts have that name.
+    The controller names a number as its part does, or `part_name` where several parts have that name. A
+    number that the part derives from others, because it is 0, is not compared.
     """
     if CONTROLLER not in system.components:
         return []
@@ -197,8 +199,9 @@ def differences(system: System) -> list[str]:
             known = f"{part}_{name}" if f"{part}_{name}" in own else name
             if known not in own or abs(own[known] - value) <= SAME * max(abs(own[known]), abs(value)):
                 continue
-            unit = component.interface.variables[name].unit
-            if controller.interface.variables[known].unit == unit:
+            variable = component.interface.variables[name]
+            unit, derived = variable.unit, value == 0 and DERIVED in variable.text
+            if controller.interface.variables[known].unit == unit and not derived:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
                 notes.append(
                     f"{CONTROLLER}.{known} is {own[known]:.6g}{suffix}, {part}.{name} {value:.6g}{suffix}:"
