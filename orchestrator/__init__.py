@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
-    from orchestrator.linear.model import Linear
+    from orchestrator.linear.model import Linear, LinearModel
     from orchestrator.ssp.assembly import assemble
     from orchestrator.ssp.load import load
     from orchestrator.ssp.system import System
@@ -32,6 +32,7 @@ _WHERE = {
     "Execution": "engine.job",
     "Interrupted": "engine.result",
     "Linear": "linear.model",
+    "LinearModel": "linear.model",
     "Problem": "base.errors",
     "Record": "engine.job",
     "Result": "engine.result",
@@ -48,8 +49,8 @@ _WHERE = {
 }
 
 __all__ = [
-    "Card", "Coupling", "Execution", "Interrupted", "Linear", "Problem", "Record", "Result", "RunFailed",
-    "System", "Trace", "assemble", "linearize", "load", "read", "run", "write", "write_ssp",
+    "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Result",
+    "RunFailed", "System", "Trace", "assemble", "linearize", "load", "read", "run", "write", "write_ssp",
 ]  # fmt: skip
 
 

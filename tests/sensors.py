@@ -12,14 +12,14 @@ import numpy as np
 
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import Buffer, Call, Slave
-from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.ssp.system import Component
 
 COUNT = 2 * np.pi / 65536  # rad, of an encoder
 NOISE = 1e4  # Pa, standard deviation of a pressure
 
 
-class Sampled(FmuSlave):
+class Sampled(CoSimulationFmu):
     """The controller's FMU behind its sensors."""
 
     period = 10  # steps of the master

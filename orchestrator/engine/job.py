@@ -33,9 +33,9 @@ def open_slave(component: Component) -> Slave:
     """An instance of the component's FMU."""
     if component.source is None:
         raise Problem(f"{component.name}: has no FMU file")
-    from orchestrator.fmi.cosimulation import FmuSlave
+    from orchestrator.fmi.cosimulation import CoSimulationFmu
 
-    return FmuSlave(component.name, component.interface, component.source, component.start)
+    return CoSimulationFmu(component.name, component.interface, component.source, component.start)
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,7 @@ class RunningFmu:
         self.fmu.call(verb + access(known), *given, of=[variable])
 
 
-class FmuSlave(RunningFmu):
+class CoSimulationFmu(RunningFmu):
     """One instance of an FMU for Co-Simulation, as masters use it."""
 
     def __init__(
@@ -242,7 +242,7 @@ class FmuSlave(RunningFmu):
             return 1
         if self._cubic is None:  # FMI 2.0 has no declaration for it
             ask = partial(
-                FmuSlave.slope_writer, variables=[variable] * 3, slopes=np.zeros(3), orders=[1, 2, 3]
+                CoSimulationFmu.slope_writer, variables=[variable] * 3, slopes=np.zeros(3), orders=[1, 2, 3]
             )
             self._cubic = self._rehearsal.passes(ask) or False
         return 3 if self._cubic else 1
@@ -253,16 +253,16 @@ class FmuSlave(RunningFmu):
             return []
 
         def refused(names: Sequence[str]) -> bool:
-            ask = partial(FmuSlave.slope_reader, variables=names, into=np.zeros(len(names)))
+            ask = partial(CoSimulationFmu.slope_reader, variables=names, into=np.zeros(len(names)))
             return self._rehearsal.passes(ask) is False
 
         return [y for y in outputs if not refused([y])] if refused(outputs) else outputs
 
-    def _another(self) -> FmuSlave:
+    def _another(self) -> CoSimulationFmu:
         """One more instance, ready for its first step."""
         if self.interface.only_one:
             raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
-        other = FmuSlave(self.name, self.interface, self._source)
+        other = CoSimulationFmu(self.name, self.interface, self._source)
         try:
             other.setup(0.0, 1.0, None)
             for variable, value in self._start.items():
@@ -360,12 +360,12 @@ class Rehearsal:
     An instance that refused a call is given up, because an error may have broken it.
     """
 
-    def __init__(self, fresh: Callable[[], FmuSlave]) -> None:
+    def __init__(self, fresh: Callable[[], CoSimulationFmu]) -> None:
         """fresh: makes an instance that is ready for its first step, or raises Problem."""
         self._fresh, self._able = fresh, True
-        self._instance: FmuSlave | None = None
+        self._instance: CoSimulationFmu | None = None
 
-    def passes(self, ask: Callable[[FmuSlave], Call]) -> bool | None:
+    def passes(self, ask: Callable[[CoSimulationFmu], Call]) -> bool | None:
         """Does the FMU do this without a complaint? None: there is no instance to try it on."""
         if self._instance is None and self._able:
             try:

@@ -14,7 +14,7 @@ from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
 from orchestrator.linear.cut_system import choose
 from orchestrator.linear.cut_system import outputs as chosen_outputs
-from orchestrator.linear.model import Linear, Named
+from orchestrator.linear.model import LinearModel, Named
 from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import steady as find_steady
 from orchestrator.ssp.load import load
@@ -102,7 +102,7 @@ def linearize(
     step: float | None = None,
     swap: Mapping[str, str | Path] | None = None,
     set: Mapping[str, Value | str] | None = None,
-) -> Linear:
+) -> LinearModel:
     """A, B, C, D of a system, from the directional derivatives of its FMUs in model exchange.
 
     system       a System, or the path of an .ssp, .ssd or .fmu file
@@ -157,7 +157,7 @@ def _unfed(system: System, names: Iterable[str], instead: str) -> None:
                 raise Problem(f"--set {name}: fed by {wires[port]}; expected {instead}")
 
 
-def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, ...]) -> Linear:
+def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, ...]) -> LinearModel:
     matrices = plant.matrices()
     for name, matrix in zip("ABCD", matrices, strict=True):
         if not np.isfinite(matrix).all():
@@ -166,7 +166,7 @@ def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, 
     rows = [at[port] for port in ports]
     count = plant.choice.asked
     inlets = plant.choice.inputs[:count]
-    return Linear(
+    return LinearModel(
         name=plant.system.name,
         states=tuple(_named(plant.system, port) for port in plant.states),
         inputs=tuple(

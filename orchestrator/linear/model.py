@@ -36,7 +36,7 @@ class Named(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearModel:
     """d(dx)/dt = A dx + B du, dy = C dx + D du around x0, u0, y0; dx, du, dy are changes from there.
 
     f0      time derivatives of the states there, not zero unless it is a steady state
@@ -114,7 +114,10 @@ class Linear:
         }
 
 
-def _point(linear: Linear) -> list[str]:
+Linear = LinearModel  # its name until this release
+
+
+def _point(linear: LinearModel) -> list[str]:
     """The inputs, and what is not at rest."""
     inputs = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
     rate = _rates(linear)
@@ -123,7 +126,7 @@ def _point(linear: Linear) -> list[str]:
     return [f"inputs: {', '.join(inputs) or 'none'}", f"not at rest: {', '.join(moving) or 'nothing'}"]
 
 
-def _rates(linear: Linear) -> Array:
+def _rates(linear: LinearModel) -> Array:
     """How fast each state moves, of its size per second; 0 where it settles at once, as the flow in a line.
 
     By itself a state of time constant T = -1 / A_ii goes f0 T further.

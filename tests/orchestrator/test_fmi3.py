@@ -12,7 +12,7 @@ from any_fmu.models import WIDTHS
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
 from orchestrator.fmi import library
-from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.messages import named
 from orchestrator.ssp.listing import lines
@@ -24,7 +24,7 @@ ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" vari
 
 def opened(path):
     """An instance, not yet initialised."""
-    return FmuSlave("it", read_interface(Location(Path(path))), Location(Path(path)))
+    return CoSimulationFmu("it", read_interface(Location(Path(path))), Location(Path(path)))
 
 
 def started(path):

@@ -10,7 +10,7 @@ import pytest
 from orchestrator import Problem, load
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import fitting
-from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.library import unpacked_library
 
@@ -18,7 +18,7 @@ from orchestrator.fmi.library import unpacked_library
 def opened(path, name="it"):
     """An instance, not yet initialised."""
     fmu = Location(Path(path))
-    return FmuSlave(name, read_interface(fmu), fmu)
+    return CoSimulationFmu(name, read_interface(fmu), fmu)
 
 
 def started(path, stop=10.0, **start):

@@ -14,7 +14,7 @@ from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.masters import interface_jacobian
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 
 ABLE = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
@@ -206,7 +206,7 @@ def test_states_are_read_from_the_model_structure(fmus, fmus3):
 def test_one_call_for_knowns_that_share_nothing(fmus, undeclared, calls):
     """x and v change different unknowns, so one directional derivative tells both; if that is declared."""
     fmu = Location(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
-    with closing(FmuSlave("a", read_interface(fmu), fmu)) as slave:
+    with closing(CoSimulationFmu("a", read_interface(fmu), fmu)) as slave:
         slave.setup(0.0, 1.0, None)
         slave.enter()
         slave.exit()

@@ -17,7 +17,7 @@ from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import address
-from orchestrator.fmi.cosimulation import FmuSlave
+from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 from orchestrator.ssp.dependencies import output_order
 
@@ -352,7 +352,7 @@ def test_equations_without_a_solution_are_seen(matrix):
 def test_derivatives_in_fmi2(fmus):
     """y = w + factor u + bend u^2 along a direction of u and w."""
     bent = Location(able(fmus, "bent", True))
-    slave = FmuSlave("it", read_interface(bent), bent)
+    slave = CoSimulationFmu("it", read_interface(bent), bent)
     assert slave.interface.directional
     slave.setup(0.0, 1.0, None)
     slave.enter()
