@@ -10,7 +10,8 @@ The file holds one table per scalar, under `[parameters.NAME]` for every paramet
     note = "section 3(c)"     # where the number comes from, plausible range
     sd = 1e8                  # optional: one standard deviation
 
-A set of numbers for several parts, which identification writes and `harvester build --parameters` reads, has the same format, with tables `[parameters.NAME]` only. A NAME holds for every part that declares it, as the
+A set of numbers for several parts, which identification writes and `harvester build --parameters` reads, has
+the same format, with tables `[parameters.NAME]` only. A NAME holds for every part that declares it, as the
 valves are identical; `[parameters."swing.initial_preload"]` for that part alone.
 """
 

@@ -1,4 +1,4 @@
-"""The arm as the controller sees it: tip, pistons, the damped inverse of the tip's Jacobian, and joint angles.
+"""The arm as the controller sees it: tip, pistons, damped inverse of the tip's Jacobian, and joint angles.
 
     (r', h') = J(q) (boom', stick')        (boom', stick') = J^T (J J^T + l^2 I)^(-1) (r', h')
 

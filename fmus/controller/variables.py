@@ -1,6 +1,6 @@
 """Variables and numbers of the controller; signs as in model.py.
 
-It declares its own gains. Geometry and hydraulics are declared by the parts of the machine, with their numbers;
+It declares its own gains. Geometry and hydraulics are declared by the parts of the machine, with numbers;
 here they are only named.
 """
 
