@@ -41,7 +41,7 @@ from orchestrator.base.errors import Problem
 
 
 @dataclass(frozen=True)
-class Coupled:
+class CoupledEquations:
     """Symbols x, u, p (columns) and the expressions of them.
 
     states, parameters, outputs, calculated   names, `component.variable`
@@ -74,7 +74,7 @@ def couple(
     connections: Sequence[tuple[str, str]],
     inputs: Mapping[str, Sequence[str]],
     constant: Mapping[str, float],
-) -> Coupled:
+) -> CoupledEquations:
     """Couple subsystems by (source output, target input) pairs; `inputs` feeds the inputs of the whole.
 
     Inputs that nobody feeds are `constant`. Raises Problem on an algebraic loop.
@@ -101,7 +101,7 @@ def couple(
     rows = [states.index(name) for name in calculated]
     x, start = stacked("x"), stacked("start")
     (start,) = _resolve([start], column(symbols, *_rows(x, rows)), column(fed, *_rows(start, rows)))
-    return Coupled(
+    return CoupledEquations(
         states=states,
         inputs=tuple(external),
         parameters=named("parameters"),
@@ -309,7 +309,9 @@ def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tabl
 _DEEP = 9  # levels down to which two requirements with the same text are compared
 
 
-def _equations(whole: Coupled, names: Names, states: type[Any], outputs: type[Any]) -> dict[str, Any]:
+def _equations(
+    whole: CoupledEquations, names: Names, states: type[Any], outputs: type[Any]
+) -> dict[str, Any]:
     """The functions of the contract by name, over the groups of the whole."""
     rows = {n: [i for i, v in enumerate(whole.outputs) if names.get(v) == n] for n in quantities(outputs)}
     shown = column(*(sum(whole.y[i] for i in found) for found in rows.values()))

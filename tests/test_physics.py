@@ -96,7 +96,7 @@ def test_every_formula_keeps_its_dimensions(name):
     """In other units of mass, length, time and current rates, outputs and start values stay the same.
 
     A term of wrong dimension, a number that hides one or a wrongly declared unit shows. Pressures stay far
-    above the void, whose three constants are the only numbers with a dimension in the components.
+    above the cavity, whose three constants are the only numbers with a dimension in the components.
     """
     e, rng = EQUATIONS[name], np.random.default_rng(11)
     scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
@@ -150,7 +150,7 @@ def _chambers(a, u, p):
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 @given(seed=seeds)
 def test_no_subsystem_creates_power(name, seed):
-    """The heat of valves, lines, leakage and friction is not negative in any state, torn oil included."""
+    """The heat of valves, lines, leakage and friction is not negative in any state, cavitation included."""
     e = EQUATIONS[name]
     heat = e.at(*e.draw(np.random.default_rng(seed), pressures=(-8e4, 4e7)))[1]["dissipated_power"]
     # rounding of products of 1e-3 m3/s and 1e7 Pa

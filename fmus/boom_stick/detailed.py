@@ -28,8 +28,8 @@ from fmus.boom_stick.variables import (
     SIDES,
     BoomStickInputs,
     BoomStickState,
-    DetailedOutputs,
-    DetailedParameters,
+    DetailedBoomStickOutputs,
+    DetailedBoomStickParameters,
 )
 from fmus.components import chamber, cylinder, hose, orifice, spool_valve
 from fmus.components.chamber import Fluid
@@ -142,13 +142,13 @@ class DetailedDrive:
         return shown
 
 
-def line(p: DetailedParameters, axis: str) -> Line:
+def line(p: DetailedBoomStickParameters, axis: str) -> Line:
     """Each of the two hoses of a drive."""
     return Line(**vars(Hose.of(p, f"{axis}_hose")), wall_modulus=p.hose_wall_modulus, fluid=Fluid.of(p))
 
 
 def _drives(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedParameters
+    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> Iterator[DetailedDrive]:
     """Boom and stick from the flat variables."""
     edges, spool = Edges.of(p, "valve"), Spool.of(p, "spool")
@@ -198,7 +198,7 @@ def _states(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
 
 
 def _initial(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedParameters
+    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> dict[str, Scalar]:
     """Pressures that carry the holding forces, all along the hoses; no flow; the spool where it is told."""
     chambers = drive.holding_pressures(u, p)
@@ -214,7 +214,9 @@ def _initial(
 def advised_lumps() -> dict[str, int]:
     """Lumps per hose by axis with the numbers of parameters.toml."""
     found = read(NUMBERS)["parameters"]
-    p = DetailedParameters(**{name: found[name].value for name in quantities(DetailedParameters)})
+    p = DetailedBoomStickParameters(
+        **{name: found[name].value for name in quantities(DetailedBoomStickParameters)}
+    )
     return {axis: hose.advised_lumps(line(p, axis)) for axis in AXES}
 
 
@@ -227,25 +229,27 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     count = advised_lumps() if lumps is None else lumps
     each = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
     names = {axis: _names(axis, n, unsteady_friction) for axis, n in each.items()}
-    state = make_group("DetailedState", dict(q for axis, n in names.items() for q in _states(axis, n)))
+    state = make_group(
+        "DetailedBoomStickState", dict(q for axis, n in names.items() for q in _states(axis, n))
+    )
 
-    def dynamics(x: Any, u: BoomStickInputs, p: DetailedParameters) -> Any:
+    def dynamics(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> Any:
         """Time derivative of the state."""
         both = zip(names.values(), _drives(names, x, u, p), strict=True)
         return state(**{n: r for own, d in both for n, r in zip(own.all(), d.rates().all(), strict=True)})
 
-    def observe(x: Any, u: BoomStickInputs, p: DetailedParameters) -> DetailedOutputs:
+    def observe(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> DetailedBoomStickOutputs:
         """Outputs; forces depend on the state alone, their rates and the flows on the inputs too."""
         boom, stick = (d.observe() for d in _drives(names, x, u, p))
-        return drive.together(DetailedOutputs, boom, stick)
+        return drive.together(DetailedBoomStickOutputs, boom, stick)
 
     sub = Subsystem(
         name="boom_stick",
         text="Hydraulic drives of boom and stick in detail: moving spools, lines, air, relief valves",
-        parameters=DetailedParameters,
+        parameters=DetailedBoomStickParameters,
         states=state,
         inputs=BoomStickInputs,
-        outputs=DetailedOutputs,
+        outputs=DetailedBoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=partial(_initial, names),

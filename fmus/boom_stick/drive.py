@@ -32,7 +32,7 @@ G = TypeVar("G", bound=Group)
 
 
 @dataclass(frozen=True)
-class Drive:
+class CylinderDrive:
     """Numbers of one drive; of the oil density [kg/m3] and bulk modulus [Pa]."""
 
     cylinder: Cylinder
@@ -53,10 +53,12 @@ class Surroundings:
     velocity: Scalar
 
 
-def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[Drive, Drive]:
+def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
     """Boom and stick from the flat parameters; `hose` makes the hose of them and a prefix."""
     boom, stick = (
-        Drive(Cylinder.of(p, axis), hose(p, f"{axis}_hose"), Valve.of(p, "valve"), p.density, p.bulk_modulus)
+        CylinderDrive(
+            Cylinder.of(p, axis), hose(p, f"{axis}_hose"), Valve.of(p, "valve"), p.density, p.bulk_modulus
+        )
         for axis in AXES
     )
     return boom, stick
@@ -84,7 +86,7 @@ def derive(kind: type[Hose], p: Any) -> dict[str, Scalar]:
 # ---- one drive
 
 
-def capacitances(d: Drive, position: Scalar) -> Pair:
+def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
     """C_h and C_r [m3/Pa]."""
     head, rod = d.cylinder.areas
     at_head, at_rod = d.cylinder.volumes(0)  # with the piston at x = 0
@@ -94,21 +96,21 @@ def capacitances(d: Drive, position: Scalar) -> Pair:
     )
 
 
-def valve_ports(d: Drive, x: OilState, u: Surroundings) -> tuple[PortFlow, PortFlow]:
+def valve_ports(d: CylinderDrive, x: OilState, u: Surroundings) -> tuple[PortFlow, PortFlow]:
     """The valve's port nodes: A feeds the head, B the rod side."""
     return spool_valve.ports(
         d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density
     )
 
 
-def direct_valve_ports(d: Drive, pressures: Pair, u: Surroundings) -> tuple[PortFlow, PortFlow]:
+def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: Surroundings) -> tuple[PortFlow, PortFlow]:
     """The same without line dynamics, from the pressures of the chambers."""
     return spool_valve.direct_ports(
         d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance
     )
 
 
-def pressure_rates(d: Drive, x: OilState, u: Surroundings) -> Pair:
+def pressure_rates(d: CylinderDrive, x: OilState, u: Surroundings) -> Pair:
     """Time derivatives of the pressures [Pa/s]."""
     head, rod = d.cylinder.areas
     c_head, c_rod = capacitances(d, u.position)
@@ -118,7 +120,7 @@ def pressure_rates(d: Drive, x: OilState, u: Surroundings) -> Pair:
     )
 
 
-def rates(d: Drive, x: OilState, u: Surroundings) -> OilState:
+def rates(d: CylinderDrive, x: OilState, u: Surroundings) -> OilState:
     """Time derivative of the oil's state."""
     port_a, port_b = valve_ports(d, x, u)
     head, rod = pressure_rates(d, x, u)
@@ -131,7 +133,7 @@ def rates(d: Drive, x: OilState, u: Surroundings) -> OilState:
     )
 
 
-def hose_heat(d: Drive, x: OilState) -> Scalar:
+def hose_heat(d: CylinderDrive, x: OilState) -> Scalar:
     """Heat of the hoses [W]."""
     return sum(
         q * spool_valve.turbulent_drop(q, d.hose.resistance, d.valve.transition_flow)
@@ -140,7 +142,12 @@ def hose_heat(d: Drive, x: OilState) -> Scalar:
 
 
 def observe(
-    d: Drive, x: OilState, pressure_rates: Pair, ports: Iterable[PortFlow], u: Surroundings, hose_heat: Scalar
+    d: CylinderDrive,
+    x: OilState,
+    pressure_rates: Pair,
+    ports: Iterable[PortFlow],
+    u: Surroundings,
+    hose_heat: Scalar,
 ) -> dict[str, Scalar]:
     """Outputs of one drive, without the name of its axis; those in TOTALS count for both together.
 

@@ -11,28 +11,28 @@ from functools import partial
 from pathlib import Path
 
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import Drive, Surroundings
+from fmus.boom_stick.drive import CylinderDrive, Surroundings
 from fmus.boom_stick.variables import (
     AXES,
     BoomStickInputs,
     BoomStickOutputs,
     OilState,
     Pressures,
-    QuasistaticParameters,
-    QuasistaticState,
+    QuasistaticBoomStickParameters,
+    QuasistaticBoomStickState,
 )
 from fmus.components.hose import LumpedHose, VolumeHose
 from fmus.components.spool_valve import PortFlow
 from fmus.contract import Scalar, Subsystem
 
 
-def _hose(p: QuasistaticParameters, prefix: str) -> LumpedHose:
+def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
     return LumpedHose(**vars(VolumeHose.of(p, prefix)), inertance=0.0)
 
 
 def _now(
-    x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters
-) -> list[tuple[Drive, OilState, tuple[PortFlow, PortFlow], Surroundings]]:
+    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
+) -> list[tuple[CylinderDrive, OilState, tuple[PortFlow, PortFlow], Surroundings]]:
     """Of each drive its numbers, its oil with the line flows that follow from the pressures, its ports."""
     found = []
     for axis, d, at in zip(AXES, drive.drives(p, _hose), drive.surroundings(u), strict=True):
@@ -43,14 +43,18 @@ def _now(
     return found
 
 
-def dynamics(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> QuasistaticState:
+def dynamics(
+    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
+) -> QuasistaticBoomStickState:
     """Time derivative of the state."""
     rates = (drive.pressure_rates(d, oil, at) for d, oil, _, at in _now(x, u, p))
     boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
-    return QuasistaticState(**drive.named(boom, stick))
+    return QuasistaticBoomStickState(**drive.named(boom, stick))
 
 
-def observe(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> BoomStickOutputs:
+def observe(
+    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
+) -> BoomStickOutputs:
     """Outputs; forces depend on the state alone, their rates and the flows on the inputs too.
 
     The heat of the hoses is in that of the edges before them: the ports' pressures are those of the chambers.
@@ -62,7 +66,9 @@ def observe(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -
     return drive.together(BoomStickOutputs, boom, stick)
 
 
-def initial(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -> dict[str, Scalar]:
+def initial(
+    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
+) -> dict[str, Scalar]:
     """Pressures that carry the holding forces."""
     return drive.holding_pressures(u, p)
 
@@ -70,8 +76,8 @@ def initial(x: QuasistaticState, u: BoomStickInputs, p: QuasistaticParameters) -
 BOOM_STICK = Subsystem(
     name="boom_stick",
     text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-    parameters=QuasistaticParameters,
-    states=QuasistaticState,
+    parameters=QuasistaticBoomStickParameters,
+    states=QuasistaticBoomStickState,
     inputs=BoomStickInputs,
     outputs=BoomStickOutputs,
     dynamics=dynamics,

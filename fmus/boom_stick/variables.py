@@ -26,25 +26,32 @@ class Preload(Group):
     )
 
 
-class QuasistaticDrive(Cylinder, hose=(VolumeHose, "{} hose")):
+class QuasistaticDriveParameters(Cylinder, hose=(VolumeHose, "{} hose")):
     """Cylinder and hoses of one drive without line dynamics."""
 
 
-class LumpedDrive(Cylinder, hose=(LumpedHose, "{} hose")):
+class LumpedDriveParameters(Cylinder, hose=(LumpedHose, "{} hose")):
     """Cylinder and hoses of one drive, each hose one lump."""
 
 
-class DetailedDrive(Cylinder, hose=(Hose, "{} hose")):
+class DetailedDriveParameters(Cylinder, hose=(Hose, "{} hose")):
     """Cylinder and hoses of one drive, each hose a line."""
 
 
-class QuasistaticParameters(
-    Oil, Preload, ReferenceHose, valve=Valve, boom=QuasistaticDrive, stick=QuasistaticDrive
+class QuasistaticBoomStickParameters(
+    Oil,
+    Preload,
+    ReferenceHose,
+    valve=Valve,
+    boom=QuasistaticDriveParameters,
+    stick=QuasistaticDriveParameters,
 ):
     """Constants of the quasistatic drives; their numbers and sources are in parameters.toml."""
 
 
-class BoomStickParameters(Oil, Preload, ReferenceHose, valve=Valve, boom=LumpedDrive, stick=LumpedDrive):
+class BoomStickParameters(
+    Oil, Preload, ReferenceHose, valve=Valve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
+):
     """Constants of the lumped drives; their numbers and sources are in parameters.toml."""
 
 
@@ -62,7 +69,7 @@ class OilState(Pressures):
     rod_flow: Scalar = Quantity("m3/s", "Flow into the rod side of the {} cylinder", 1e-3)
 
 
-class QuasistaticState(Group, boom=Pressures, stick=Pressures):
+class QuasistaticBoomStickState(Group, boom=Pressures, stick=Pressures):
     """State of the quasistatic drives: pressures."""
 
 
@@ -131,7 +138,7 @@ class BoomStickOutputs(BoomStickState, boom=DriveOutputs, stick=DriveOutputs):
     )
 
 
-class DetailedParameters(
+class DetailedBoomStickParameters(
     Fluid,
     Preload,
     ReferenceHose,
@@ -139,13 +146,13 @@ class DetailedParameters(
     ReliefParameters,
     valve=Edges,
     spool=Spool,
-    boom=DetailedDrive,
-    stick=DetailedDrive,
+    boom=DetailedDriveParameters,
+    stick=DetailedDriveParameters,
 ):
     """Constants of the detailed drives; their numbers and sources are in parameters.toml."""
 
 
-class DetailedDriveOutputs(Group):
+class DetailedAxisOutputs(Group):
     """What happens at the valve, where a machine's sensors sit, and in the relief valves."""
 
     spool_position: Scalar = Quantity("1", "Spool position of the {} valve, share of its stroke")
@@ -165,5 +172,5 @@ class DetailedDriveOutputs(Group):
     )
 
 
-class DetailedOutputs(BoomStickOutputs, boom=DetailedDriveOutputs, stick=DetailedDriveOutputs):
+class DetailedBoomStickOutputs(BoomStickOutputs, boom=DetailedAxisOutputs, stick=DetailedAxisOutputs):
     """With what happens at the valves and in the relief valves."""

@@ -51,7 +51,7 @@ _SPEED_ROUNDING = 1.0  # rad/s: below, friction lets go of the shaft; far below 
 _LEAST = 0.1  # of the rated torque: keeps the curve positive far outside of its range
 
 
-class Engine(Group):
+class DieselEngine(Group):
     """Numbers of the engine."""
 
     rated_speed: Scalar = Quantity("rad/s", "Speed at rated power", 100.0, minimum=1.0, group="Engine")
@@ -71,25 +71,25 @@ class Engine(Group):
     lag: Scalar = Quantity("s", "Time constant from governor to torque", 0.1, minimum=1e-6)
 
 
-def net_torque(d: Engine, speed: Scalar) -> Scalar:
+def net_torque(d: DieselEngine, speed: Scalar) -> Scalar:
     """Torque [N.m] at the shaft with full fuel."""
     y = (speed - d.peak_speed) / (d.rated_speed - d.peak_speed)
     return d.rated_torque * ca.fmax(1 + d.torque_rise * (1 - y**2), _LEAST)
 
 
-def engine_friction(d: Engine, speed: Scalar) -> Scalar:
+def engine_friction(d: DieselEngine, speed: Scalar) -> Scalar:
     """Torque [N.m] that the engine needs for itself."""
     return d.friction * direction(speed, _SPEED_ROUNDING) + d.viscous_friction * speed
 
 
-def asked_torque(d: Engine, speed: Scalar) -> Scalar:
+def asked_torque(d: DieselEngine, speed: Scalar) -> Scalar:
     """Torque [N.m] of the combustion that the governor asks for."""
     net, own = net_torque(d, speed), ca.fmax(engine_friction(d, speed), 0)  # a trial speed may be negative
     z = (own + net * (d.no_load_speed - speed) / (d.no_load_speed - d.rated_speed)) / (net + own)
     return (net + own) * share(z, _ROUNDING)
 
 
-def governed_speed(d: Engine, load: Scalar, near: Scalar) -> Scalar:
+def governed_speed(d: DieselEngine, load: Scalar, near: Scalar) -> Scalar:
     """A better guess of the speed [rad/s] that the governor holds under a load [N.m], from one near it."""
     net, own = net_torque(d, near), engine_friction(d, near)
     z = unlimited((load + own) / (net + own), _ROUNDING)

@@ -40,7 +40,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Task:
+class Demand:
     """Speed that the reference asks for, position error, and the speed limit, which scales what is slow."""
 
     speed: Scalar
@@ -75,7 +75,7 @@ def force(a: Actuator, m: Measured) -> Scalar:
 def action(
     a: Actuator,
     m: Measured,
-    task: Task,
+    task: Demand,
     loop: Loop,
     gain: Scalar,
     load: Scalar,

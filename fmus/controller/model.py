@@ -23,7 +23,7 @@ from fmus.components.cylinder import Cylinder
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.controller import actuator, geometry
-from fmus.controller.actuator import Action, Loop, Measured, Task
+from fmus.controller.actuator import Action, Demand, Loop, Measured
 from fmus.controller.reference import Reference, engaged, errors, machine, reference
 from fmus.controller.valve import Actuator
 from fmus.controller.variables import (
@@ -71,7 +71,7 @@ def _actions(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Action]:
     ):
         late = getattr(x, f"{name}_late_speed")
         ahead = speed + p.lead_time * (speed - late) / p.lead_filter_time
-        task = Task(arm * ahead, error, getattr(p, f"{name}_speed_limit"))
+        task = Demand(arm * ahead, error, getattr(p, f"{name}_speed_limit"))
         nominal = 0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
         kind = "swing" if name == "swing" else "piston"
         loop = Loop(**{f.name: getattr(p, f"{kind}_{f.name}") for f in fields(Loop)})

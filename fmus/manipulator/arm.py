@@ -24,7 +24,7 @@ from fmus.components.mechanics import (
 )
 from fmus.contract import Scalar, column
 from fmus.manipulator.design import Head, TipMotion
-from fmus.manipulator.variables import CylinderMount, Link, ManipulatorParameters, ManipulatorState
+from fmus.manipulator.variables import ArmLink, CylinderMount, ManipulatorParameters, ManipulatorState
 
 
 class Posture(Protocol):
@@ -37,7 +37,7 @@ class Posture(Protocol):
     def stick_angle(self) -> Scalar: ...
 
 
-class Motion(Posture, Protocol):
+class Moving(Posture, Protocol):
     """And their speeds [rad/s]."""
 
     @property
@@ -54,7 +54,7 @@ def points(x: Posture, p: ManipulatorParameters) -> tuple[Point, Point]:
     return elbow, _add(elbow, _turn(pitch, (p.stick_length, 0)))
 
 
-def tip_velocity(x: Motion, p: ManipulatorParameters) -> Point:
+def tip_velocity(x: Moving, p: ManipulatorParameters) -> Point:
     """Velocity of the stick end in the plane of the arm, outwards and upwards [m/s]."""
     elbow, tip = points(x, p)
     upper = _add(elbow, (p.boom_pivot_x, p.boom_pivot_z), -1)
@@ -87,7 +87,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     f has m r^2 + I cos(f)^2.
     """
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
-    boom, stick, end = Link.of(p, "boom").centre, Link.of(p, "stick").centre, (p.stick_length, 0)
+    boom, stick, end = ArmLink.of(p, "boom").centre, ArmLink.of(p, "stick").centre, (p.stick_length, 0)
     outboard = p.stick_mass + p.head_mass
     moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick_mass)  # about the elbow [kg.m]
     inertia_boom = p.boom_inertia + p.boom_mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)

@@ -26,7 +26,7 @@ class CylinderMount(Group):
         return (self.base_x, self.base_z), (self.pin_x, self.pin_z)
 
 
-class Link(CylinderMount):
+class ArmLink(CylinderMount):
     """Boom or stick with its cylinder, and their friction."""
 
     mass: Scalar = Quantity("kg", "Mass of the {}", 1e2, minimum=1e-3, group="{}")
@@ -48,7 +48,7 @@ class Link(CylinderMount):
         return self.centre_x, self.centre_z
 
 
-class ManipulatorParameters(Group, boom=Link, stick=Link):
+class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     """Constants; their numbers and sources are in parameters.toml."""
 
     boom_base_x: Scalar = Quantity(

@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from fmus import boom_stick, swing
 from fmus.boom_stick import detailed as boom_stick_detailed
-from fmus.boom_stick.variables import BoomStickParameters, DetailedParameters
+from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.spool_valve import (
@@ -62,8 +62,7 @@ from fmus.components.spool_valve import (
 from fmus.contract import Scalar, column
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
-from fmus.swing.variables import DetailedParameters as DetailedSwing
-from fmus.swing.variables import SwingParameters
+from fmus.swing.variables import DetailedSwingParameters, SwingParameters
 
 Array = NDArray[np.float64]
 Named: TypeAlias = dict[str, Scalar]
@@ -79,9 +78,9 @@ def lumped() -> BoomStickParameters:
     return BoomStickParameters(**values(boom_stick.VARIANTS["lumped"]).p)
 
 
-def detailed() -> DetailedParameters:
+def detailed() -> DetailedBoomStickParameters:
     """Numbers of the detailed boom and stick drives."""
-    return DetailedParameters(**values(boom_stick.VARIANTS["detailed"]).p)
+    return DetailedBoomStickParameters(**values(boom_stick.VARIANTS["detailed"]).p)
 
 
 def lumped_swing() -> SwingParameters:
@@ -89,9 +88,9 @@ def lumped_swing() -> SwingParameters:
     return SwingParameters(**values(swing.VARIANTS["lumped"]).p)
 
 
-def detailed_swing() -> DetailedSwing:
+def detailed_swing() -> DetailedSwingParameters:
     """Numbers of the detailed swing drive."""
-    return DetailedSwing(**values(swing.VARIANTS["detailed"]).p)
+    return DetailedSwingParameters(**values(swing.VARIANTS["detailed"]).p)
 
 
 def start_flow(leakage: Scalar) -> Scalar:

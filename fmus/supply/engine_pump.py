@@ -25,7 +25,7 @@ from pathlib import Path
 import casadi as ca
 
 from fmus.components import chamber, engine_and_pump, orifice
-from fmus.components.engine_and_pump import Engine, Pump
+from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 from fmus.supply.variables import (
@@ -96,7 +96,7 @@ class LineParameters(Group):
     relief_rounding: Scalar = Quantity("Pa", "Pressure within which the relief valve opens", 1e5, minimum=1.0)
 
 
-class EnginePumpParameters(LineParameters, PumpParameters, ReservoirParameters, engine=Engine):
+class EnginePumpParameters(LineParameters, PumpParameters, ReservoirParameters, engine=DieselEngine):
     """Constants; their numbers and sources are in parameters.toml."""
 
     reservoir_volume_start: Scalar = Quantity(
@@ -182,7 +182,7 @@ def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
 def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     a, b = _pumps(x, p)
-    spilled, motor = _relief_flow(x, p), Engine.of(p, "engine")
+    spilled, motor = _relief_flow(x, p), DieselEngine.of(p, "engine")
     accelerating = (
         x.engine_torque - engine_and_pump.engine_friction(motor, x.engine_speed) - a.torque - b.torque
     )
@@ -241,13 +241,13 @@ def _dissipated_power(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
     return (
         pumps
         + _relief_flow(x, p) * rail
-        + engine_and_pump.engine_friction(Engine.of(p, "engine"), x.engine_speed) * x.engine_speed
+        + engine_and_pump.engine_friction(DieselEngine.of(p, "engine"), x.engine_speed) * x.engine_speed
     )
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
-    tank, motor, speed = p.reservoir_pressure, Engine.of(p, "engine"), p.engine_no_load_speed
+    tank, motor, speed = p.reservoir_pressure, DieselEngine.of(p, "engine"), p.engine_no_load_speed
     for _ in range(_SWEEPS):
         found = engine_and_pump.governed_speed(motor, _idle_load(p, speed), speed)
         speed = ca.fmax(p.engine_peak_speed, ca.fmin(found, p.engine_no_load_speed))  # some engine may not do

@@ -29,14 +29,14 @@ from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quant
 from fmus.parameters import read
 from fmus.swing import drive, lumped
 from fmus.swing.drive import Pair
-from fmus.swing.variables import SIDES, DetailedOutputs, DetailedParameters, SwingInputs, SwingState
+from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
 
 NUMBERS = Path(__file__).with_name("parameters.toml")
 
 Names = tuple[LineState, LineState]
 
 
-def line(p: DetailedParameters) -> Line:
+def line(p: DetailedSwingParameters) -> Line:
     """Each of the two lines."""
     wall = p.hose_wall_modulus
     return Line(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
@@ -55,7 +55,7 @@ class _Now:
     anti: tuple[Scalar, Scalar]
 
 
-def _now(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> _Now:
+def _now(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Now:
     a, b = (n.each(partial(getattr, x)) for n in names)
     state, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
     pressures = (x.swing_pressure_a, x.swing_pressure_b)
@@ -72,7 +72,7 @@ def _now(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> _Now:
     )
 
 
-def _pressure_rates(n: _Now, p: DetailedParameters) -> Pair:
+def _pressure_rates(n: _Now, p: DetailedSwingParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
         n.lines[1].flows[-1] - n.nodes.flow_2 + n.cross + n.anti[1],
@@ -84,7 +84,7 @@ def _pressure_rates(n: _Now, p: DetailedParameters) -> Pair:
     return a, b
 
 
-def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[str, Scalar]:
+def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     n = _now(names, x, u, p)
     wanted = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
     spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, wanted)
@@ -96,7 +96,7 @@ def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[
     return rates
 
 
-def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> DetailedOutputs:
+def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> DetailedSwingOutputs:
     """Outputs; the torque depends on states alone."""
     n, own, tank = _now(names, x, u, p), line(p), u.tank_pressure
     (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
@@ -115,7 +115,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> Det
     shown["return_flow"] -= sum(n.anti)
     shown["swing_void_volume"] += sum(map(hose.cavity_volume, n.lines))
     shown["dissipated_power"] += valves + sum(hose.heat(own, one) for one in n.lines)
-    return DetailedOutputs(
+    return DetailedSwingOutputs(
         **shown,
         stored_energy=sides + sum(hose.stored_energy(own, one) for one in n.lines),
         swing_spool_position=n.spool.position,
@@ -124,7 +124,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> Det
     )
 
 
-def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedParameters) -> dict[str, Scalar]:
+def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     """Both lines at the preload, the oil at rest: no torque; the spool where it is told."""
     position = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
     state: dict[str, Scalar] = {"swing_spool_position": position, "swing_spool_speed": 0.0}
@@ -149,7 +149,7 @@ def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
 def advised_lumps() -> int:
     """Lumps per line with the numbers of parameters.toml."""
     found = read(NUMBERS)["parameters"]
-    p = DetailedParameters(**{name: found[name].value for name in quantities(DetailedParameters)})
+    p = DetailedSwingParameters(**{name: found[name].value for name in quantities(DetailedSwingParameters)})
     return hose.advised_lumps(line(p))
 
 
@@ -168,14 +168,14 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         for side in SIDES
     )
     names = (a, b)
-    state = make_group("DetailedState", dict(_states(names)))
+    state = make_group("DetailedSwingState", dict(_states(names)))
     sub = Subsystem(
         name="swing",
         text="Hydraulic swing drive in detail: moving spool, lines, motor and gear, air, relief valves",
-        parameters=DetailedParameters,
+        parameters=DetailedSwingParameters,
         states=state,
         inputs=SwingInputs,
-        outputs=DetailedOutputs,
+        outputs=DetailedSwingOutputs,
         dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),

@@ -18,10 +18,10 @@ from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import PortFlow, Valve
 from fmus.contract import Group, Scalar, Subsystem
 from fmus.swing import drive
-from fmus.swing.variables import QuasistaticParameters, SwingInputs, SwingOutputs
+from fmus.swing.variables import QuasistaticSwingParameters, SwingInputs, SwingOutputs
 
 
-class QuasistaticState(Group):
+class QuasistaticSwingState(Group):
     """State of the quasistatic drive: the pressures."""
 
     swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
@@ -29,7 +29,7 @@ class QuasistaticState(Group):
 
 
 def _ports(
-    x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters
+    x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
 ) -> tuple[tuple[PortFlow, PortFlow], MotorNodes]:
     """The valve's ports and the motor's."""
     lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
@@ -41,17 +41,19 @@ def _ports(
     return ports, motor.at_ports(*lines, u.tank_pressure, taken, *drive.leakage(p))
 
 
-def dynamics(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> QuasistaticState:
+def dynamics(
+    x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
+) -> QuasistaticSwingState:
     """Time derivative of the state, field by field."""
     (a, b), at = _ports(x, u, p)
     c = p.line_capacitance
-    return QuasistaticState(
+    return QuasistaticSwingState(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - at.flow_1, c),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - at.flow_2, c),
     )
 
 
-def observe(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> SwingOutputs:
+def observe(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
     """Outputs."""
     valve, at = _ports(x, u, p)
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
@@ -61,7 +63,7 @@ def observe(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> Sw
     return SwingOutputs(**shown, stored_energy=energy)
 
 
-def initial(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> dict[str, Scalar]:
+def initial(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
     """Both lines at the preload: no torque."""
     preload = u.tank_pressure + p.initial_preload
     return {"swing_pressure_a": preload, "swing_pressure_b": preload}
@@ -70,8 +72,8 @@ def initial(x: QuasistaticState, u: SwingInputs, p: QuasistaticParameters) -> di
 SWING = Subsystem(
     name="swing",
     text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-    parameters=QuasistaticParameters,
-    states=QuasistaticState,
+    parameters=QuasistaticSwingParameters,
+    states=QuasistaticSwingState,
     inputs=SwingInputs,
     outputs=SwingOutputs,
     dynamics=dynamics,

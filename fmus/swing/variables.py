@@ -38,7 +38,7 @@ class DriveParameters(Group, line=(HoseSize, "swing line")):
     )
 
 
-class QuasistaticParameters(DriveParameters, Oil, valve=Valve):
+class QuasistaticSwingParameters(DriveParameters, Oil, valve=Valve):
     """Constants of the quasistatic drive; their numbers and sources are in parameters.toml."""
 
     line_capacitance: Scalar = Quantity(
@@ -52,7 +52,7 @@ class QuasistaticParameters(DriveParameters, Oil, valve=Valve):
     )
 
 
-class SwingParameters(QuasistaticParameters):
+class SwingParameters(QuasistaticSwingParameters):
     """Constants of the lumped drive; their numbers and sources are in parameters.toml."""
 
     line_inertance: Scalar = Quantity(
@@ -71,7 +71,7 @@ class SwingParameters(QuasistaticParameters):
     viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
 
 
-class DetailedParameters(DriveParameters, ReliefParameters, HoseWall, Fluid, valve=Edges, spool=Spool):
+class DetailedSwingParameters(DriveParameters, ReliefParameters, HoseWall, Fluid, valve=Edges, spool=Spool):
     """Constants of the detailed drive; their numbers and sources are in parameters.toml."""
 
 
@@ -123,7 +123,7 @@ class SwingOutputs(SwingState):
     dissipated_power: Scalar = Quantity("W", "Heat of metering edges, lines and leakage", 1e4)
 
 
-class DetailedOutputs(SwingOutputs):
+class DetailedSwingOutputs(SwingOutputs):
     """With what happens at both ends of the lines and in the relief valves."""
 
     swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, share of its stroke")

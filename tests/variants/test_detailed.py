@@ -43,7 +43,7 @@ def along(s, u, value):
 
 
 def random_point(sub, rng):
-    """States and inputs in and beyond the working range, torn oil and open relief valves among them."""
+    """States and inputs in and beyond the working range, cavitation and open relief valves among them."""
 
     def draw(name, nominal):
         if "pressure" in name and not name.endswith("_rate"):

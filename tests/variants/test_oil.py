@@ -50,7 +50,7 @@ def test_modulus_at_atmospheric_pressure_is_off_by_the_share_of_air(air, exponen
 
 @given(pressures)
 def test_oil_without_air_is_the_chamber_of_lumped(pressure):
-    """No air: modulus, pressure rate and energy are those of `fmus.components.chamber`, void and all."""
+    """No air: modulus, pressure rate and energy are those of `fmus.components.chamber`, cavity and all."""
     plain, volume, net = fluid(0.0), 3e-3, 1e-4
     # exact identities: rounding of the closed forms
     assert number(chamber.bulk_modulus(plain, pressure)) == pytest.approx(BETA, rel=1e-14)
