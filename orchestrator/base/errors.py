@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -46,6 +45,8 @@ class UnknownSignal(Problem, KeyError):
 
 def suggest(name: str, known: Iterable[str]) -> str:
     """'; did you mean a, b?', for the end of a message; first what differs only by its component."""
+    import difflib  # late: a child process of `check` starts without
+
     names = list(known)
     tail = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
     close = dict.fromkeys([*tail, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import platform
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -20,7 +19,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.fmi.messages import Log, label
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
-ARM = platform.machine().lower() in ("arm64", "aarch64")
+MACHINE = os.uname().machine if hasattr(os, "uname") else os.environ.get("PROCESSOR_ARCHITECTURE", "")
+ARM = MACHINE.lower() in ("arm64", "aarch64")
 BITS = 64 if sys.maxsize > 2**32 else 32
 SUFFIX = {"windows": ".dll", "darwin": ".dylib"}.get(SYSTEM, ".so")
 TUPLE = f"{'aarch64' if ARM else 'x86_64' if BITS == 64 else 'x86'}-{SYSTEM}"  # FMI 3.0: x86_64-linux
