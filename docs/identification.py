@@ -17,11 +17,11 @@ from fmus.identification.machine import lookup, nominal
 from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.identification.report import wording
+from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.comparison import Compared, picture
 from fmus.identification.report.finding_figures import draw_finding
-from fmus.identification.report.wording import caption
+from fmus.identification.report.recording_comparison import Compared, picture
+from fmus.identification.report.report_texts import caption
 from fmus.rig.command import rig
 from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
@@ -94,7 +94,7 @@ def estimates(found: Iterable[Estimate]) -> str:
 
 def value(e: Estimate) -> tuple[str, str, str]:
     """Value, interval and unit as they are shown."""
-    return wording.value(e), wording.interval(e), wording.unit(e.unit)
+    return report_texts.value(e), report_texts.interval(e), report_texts.unit(e.unit)
 
 
 def returned(found: Identified) -> str:
@@ -104,8 +104,8 @@ def returned(found: Identified) -> str:
         for e in finding.estimates:
             truth = lookup(e.name, nominal()).value
             holds = "yes" if e.low <= truth <= e.high else "no"
-            shown = wording.number(wording.in_unit(truth, e.unit), 4)
-            rows.append((f"`{e.name}`", shown, *value(e), wording.change(e.value, truth), holds))
+            shown = report_texts.number(report_texts.in_unit(truth, e.unit), 4)
+            rows.append((f"`{e.name}`", shown, *value(e), report_texts.change(e.value, truth), holds))
     head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval holds it")
     return table(head, rows)
 
@@ -115,7 +115,7 @@ def refined(found: Identified) -> str:
     rows = []
     for name, (e, procedure) in found.estimates.items():
         if procedure == MACHINE:
-            before = wording.number(wording.in_unit(lookup(name, nominal()).value, e.unit), 4)
+            before = report_texts.number(report_texts.in_unit(lookup(name, nominal()).value, e.unit), 4)
             rows.append((f"`{name}`", before, *value(e)))
     return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
 
@@ -123,7 +123,7 @@ def refined(found: Identified) -> str:
 def held_out(seen: Compared) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
-        (KINDS[kind], f"`{name}`", wording.share(error, 3), LIMITS.get(kind, ""))
+        (KINDS[kind], f"`{name}`", report_texts.share(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst_signals(seen).items()
     ]
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
@@ -132,7 +132,12 @@ def held_out(seen: Compared) -> str:
 def effects(found: Explanation) -> str:
     """Which effect the residual shows."""
     rows = [
-        (s.effect, wording.share(s.alone), wording.share(s.together), wording.number(s.coefficient, 2))
+        (
+            s.effect,
+            report_texts.share(s.alone),
+            report_texts.share(s.together),
+            report_texts.number(s.coefficient, 2),
+        )
         for s in found.shares
     ]
     return f"{found.verdict}\n\n" + table(("effect", "alone", "among all", "strength"), rows)

@@ -12,7 +12,7 @@ from fmus.identification.outcome import content, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.recordings.clock import evenly, thinned
 from fmus.identification.recordings.reading import left_out, read_folder
-from fmus.identification.report import wording
+from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
@@ -77,5 +77,5 @@ def _show(result: ProcedureResult) -> None:
     print(f"{result.procedure}:")
     for e in result.estimates:
         unit, factor = display(e.unit) or (e.unit, 1.0)  # in ASCII: no terminal has to know superscripts
-        value, low, high = (f"{factor * x:.{wording.digits(e)}g}" for x in (e.value, e.low, e.high))
+        value, low, high = (f"{factor * x:.{report_texts.digits(e)}g}" for x in (e.value, e.low, e.high))
         print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")

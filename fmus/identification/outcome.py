@@ -13,13 +13,13 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Numbers, lookup, nominal, parameters, signals
 from fmus.identification.pipeline import MACHINE, Identified
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.comparison import Compared, attribute, picture, predicted
 from fmus.identification.report.identification_page import (
     IdentificationPage,
     IdentifiedParameter,
     refinement,
 )
-from fmus.identification.report.wording import warnings
+from fmus.identification.report.recording_comparison import Compared, attribute, picture, predicted
+from fmus.identification.report.report_texts import warnings
 from fmus.machine.parts import SUBSYSTEMS
 
 PICTURED = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third

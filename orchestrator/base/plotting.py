@@ -91,7 +91,7 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-def new_figure(width: float, height: float, **padding: float) -> Figure:
+def new_figure(width: float, height: float, **padding: Any) -> Figure:
     """An empty figure [in]; `padding` as of matplotlib's constrained layout."""
     layout = ConstrainedLayoutEngine()
     layout.set(**padding)

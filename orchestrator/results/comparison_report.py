@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from orchestrator.base.page import write_json
+from orchestrator.base.html_page import write_json
 from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, draw_traces, handle, png
 from orchestrator.base.text import NONE, TextTable, finer, number, share
 from orchestrator.base.units import convert, linear, shown

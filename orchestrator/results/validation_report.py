@@ -15,7 +15,7 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from orchestrator.base import page
+from orchestrator.base import html_page
 from orchestrator.base.errors import Problem
 from orchestrator.base.plotting import (
     PALETTE,
@@ -96,8 +96,8 @@ class Report:
 def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:
     """Write the HTML to `path` and the JSON next to it; returns both paths."""
     html = Path(path)
-    page.write_text(html, render(report))
-    return html, page.write_json(html.with_suffix(".json"), numbers(report))
+    html_page.write_text(html, render(report))
+    return html, html_page.write_json(html.with_suffix(".json"), numbers(report))
 
 
 def numbers(report: Report) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def _numbers(row: Row) -> dict[str, Any]:
 def render(report: Report) -> str:
     """The HTML text."""
     checked, motion = report.validation, report.motion
-    return page.render(
+    return html_page.render(
         TEMPLATES / "validation_report.html.j2",
         title=report.title,
         report=report,
@@ -154,7 +154,7 @@ def render(report: Report) -> str:
             (spec, embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
             for k, spec in enumerate(report.figures)
         ],
-        motion=motion and page.script_data(frames(motion, report.ghost)),
+        motion=motion and html_page.script_data(frames(motion, report.ghost)),
         still=motion and embed(strobe(motion), "m-", "motion"),
         script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from orchestrator.base.page import plain, write_json
+from orchestrator.base.html_page import plain, write_json
 from orchestrator.base.plotting import PALETTE, frame, new_figure, png
 from orchestrator.base.text import TextTable, finer
 from orchestrator.base.units import linear

@@ -8,7 +8,7 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder
-from orchestrator.base.page import write_json
+from orchestrator.base.html_page import write_json
 from orchestrator.base.plotting import png
 from orchestrator.ssp.load import load
 from orchestrator.studies.path_figure import draw

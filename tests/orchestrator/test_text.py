@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from markupsafe import Markup
 from rich.console import Console
 
-from orchestrator.base.page import plain
+from orchestrator.base.html_page import plain
 from orchestrator.base.text import TextTable, finer, listed, number, sentences, share, typeset
 
 TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="Title", strong=["unstable"])

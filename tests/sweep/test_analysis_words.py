@@ -9,8 +9,8 @@ from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indic
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
-from orchestrator.studies.analysis.wording import sentences
 from orchestrator.studies.study import Choice
 
 THREE = [uniform(f"x{i}", 0.0, 1.0) for i in range(3)]

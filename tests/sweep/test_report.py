@@ -16,7 +16,7 @@ from sweep.synthetic import ISHIGAMI, ishigami, results, uniform
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.report.study_figures import bands, medians, quantiles
 from orchestrator.studies.report.study_page import NUMBERS, PAGE, write
 from orchestrator.studies.store import Results

@@ -12,7 +12,7 @@ from sweep.synthetic import finding, results, uniform
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.wording import sentences
+from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.parameter_study import summary
 from orchestrator.studies.report.study_figures import scatter
 from orchestrator.studies.report.study_page import NUMBERS, PAGE, factor_words, write

@@ -22,7 +22,7 @@ import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
-from fmus.identification.report.prediction import Array, Drive, Signals, predict
+from fmus.identification.report.prediction import Array, Excitation, Signals, predict
 from orchestrator.base.errors import Problem
 
 # effect -> the variants that have it
@@ -41,19 +41,21 @@ CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be d
 SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
 
 
-def shown(given: Drive) -> dict[str, Mapping[str, str]]:
+def shown(given: Excitation) -> dict[str, Mapping[str, str]]:
     """The effects that a prediction can miss: where the supply pressure was measured, its cause is in it."""
     measured = given.supply_pressure is not None
     return {name: swap for name, swap in EFFECTS.items() if not (measured and "supply" in swap)}
 
 
-def changes(given: Drive, numbers: Mapping[str, float]) -> dict[str, dict[str, Array]]:
+def changes(given: Excitation, numbers: Mapping[str, float]) -> dict[str, dict[str, Array]]:
     """What each effect would change in every signal of the machine."""
     usual = predict(given, numbers)
     return {name: _difference(predict(given, numbers, swap), usual) for name, swap in shown(given).items()}
 
 
-def slopes(given: Drive, numbers: Mapping[str, float], names: Iterable[str]) -> dict[str, dict[str, Array]]:
+def slopes(
+    given: Excitation, numbers: Mapping[str, float], names: Iterable[str]
+) -> dict[str, dict[str, Array]]:
     """What each parameter would change, by finite differences: one `STEP` of its value.
 
     A name without its part means the numbers of all parts that have it.

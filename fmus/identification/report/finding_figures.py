@@ -24,7 +24,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.estimate import Array, Curve, Panel, ProcedureResult
-from fmus.identification.report.wording import footer
+from fmus.identification.report.report_texts import footer
 from orchestrator.base.plotting import (
     DASHES,
     DOTS,

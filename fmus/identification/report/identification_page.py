@@ -18,11 +18,11 @@ from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.refinement.multistart import Starts
 from fmus.identification.refinement.refine import Refined, advice
-from fmus.identification.report import wording
+from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.comparison import Picture
 from fmus.identification.report.finding_figures import draw_finding, draw_matrix
-from orchestrator.base import page as html_page
+from fmus.identification.report.recording_comparison import Picture
+from orchestrator.base import html_page
 from orchestrator.base.plotting import embed
 from orchestrator.data.recording import Recording
 
@@ -93,7 +93,7 @@ def render(page: IdentificationPage) -> str:
             finding,
             finding.panels
             and embed(draw_finding(finding, page.kinds, titled=False), f"f{k}-", finding.title),
-            wording.caption(finding, page.kinds),
+            report_texts.caption(finding, page.kinds),
         )
         for k, finding in enumerate(page.findings)
     ]
@@ -102,8 +102,8 @@ def render(page: IdentificationPage) -> str:
         TEMPLATE,
         title=page.title,
         page=page,
-        words=wording,
-        origin=wording.origin(page.kinds),
+        words=report_texts,
+        origin=report_texts.origin(page.kinds),
         findings=findings,
         heat=joint
         and several

@@ -27,7 +27,7 @@ TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it
 
 
 @dataclass(frozen=True)
-class Drive:
+class Excitation:
     """What the machine is driven by: commands [V] (n,) over time (n,) [s], the pose [rad] it starts from.
 
     supply_pressure   samples (n,) [Pa], or None for the constant one of the parameter file
@@ -39,12 +39,12 @@ class Drive:
     supply_pressure: Array | None = None
 
 
-def drive(recording: Recording, rest: float = 0.5) -> Drive:
+def drive(recording: Recording, rest: float = 0.5) -> Excitation:
     """What a recording of the machine tells of its drive; it stands still in its first `rest` seconds."""
     pose = {joint: _at_rest(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
     raw = np.column_stack([bridged(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
-    return Drive(recording.time, commands, pose, _supply(recording))
+    return Excitation(recording.time, commands, pose, _supply(recording))
 
 
 def _at_rest(recording: Recording, name: str, rest: float) -> float:
@@ -87,7 +87,9 @@ def straight(time: Array, samples: Array, tolerance: float = STRAIGHT) -> Array:
     return np.column_stack(lines)
 
 
-def predict(given: Drive, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None) -> Signals:
+def predict(
+    given: Excitation, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None
+) -> Signals:
     """All outputs of the machine, `part.name`, shape (n,) each, and the commands.
 
     numbers    parameters by `name`, for every part that declares it, or by `part.name`; others as in files

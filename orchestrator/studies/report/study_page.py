@@ -13,11 +13,12 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from orchestrator.base import page
-from orchestrator.base.page import plain
+from orchestrator.base import html_page
+from orchestrator.base.html_page import plain
 from orchestrator.base.plotting import embed
 from orchestrator.base.text import MINUS, NONE, DisplayUnit, TextTable, display_unit
 from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.analysis.analysis_text import MEASURES, sentences, size, what
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -30,7 +31,6 @@ from orchestrator.studies.analysis.results import (
     done,
     short,
 )
-from orchestrator.studies.analysis.wording import MEASURES, sentences, size, what
 from orchestrator.studies.report.study_figures import (
     MOST,
     bands,
@@ -80,15 +80,15 @@ def write(folder: Path, results: Results, analysis: Analysis) -> None:
     study: dict[str, Any] = plain(results.study)
     study.pop("folder")  # where the study lies is no result
     said = {finding.name: sentences(finding) for finding in analysis.findings}
-    page.write_json(folder / NUMBERS, {"study": study, **plain(analysis), "sentences": said})
-    page.write_text(folder / PAGE, render(results, analysis))
+    html_page.write_json(folder / NUMBERS, {"study": study, **plain(analysis), "sentences": said})
+    html_page.write_text(folder / PAGE, render(results, analysis))
 
 
 def render(results: Results, analysis: Analysis) -> str:
     """The HTML text."""
     study = results.study
     outputs = {output.name: output for output in study.outputs}
-    return page.render(
+    return html_page.render(
         TEMPLATE,
         title=analysis.title,
         study=study,

@@ -18,7 +18,7 @@ from fmus.identification.report.attribution import (
     slopes,
     without,
 )
-from fmus.identification.report.prediction import COMMANDS, Drive
+from fmus.identification.report.prediction import COMMANDS, Excitation
 from fmus.machine.work_cycle import Move
 
 STEP = 0.01  # s
@@ -36,7 +36,7 @@ def drive():
     """Four seconds of all joints."""
     time = np.arange(400) * STEP
     commands = {name: MOVES[name].sample(time) for name in COMMANDS}
-    return Drive(time, commands, {"swing": 0.0, "boom": 0.2, "stick": -1.4})
+    return Excitation(time, commands, {"swing": 0.0, "boom": 0.2, "stick": -1.4})
 
 
 @pytest.fixture(scope="module")

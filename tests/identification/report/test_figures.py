@@ -15,9 +15,9 @@ from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
 from fmus.identification.estimate import Curve, Panel
-from fmus.identification.report import wording
-from fmus.identification.report.comparison import SIGNALS, Compared, figure, relative_error
+from fmus.identification.report import report_texts
 from fmus.identification.report.finding_figures import draw_finding, draw_matrix
+from fmus.identification.report.recording_comparison import SIGNALS, Compared, figure, relative_error
 from orchestrator.base import plotting
 from orchestrator.base.text import typeset
 from orchestrator.base.units import pretty
@@ -133,7 +133,7 @@ def test_nothing_is_cut_off():
 def test_a_picture_of_simulated_data_says_so():
     """Inside the picture and in its caption, with the paper's figure."""
     assert "not FERIC data" in plotting.svg(drawn(panel()))
-    told = wording.caption(finding(), ["simulation", "simulation"])
+    told = report_texts.caption(finding(), ["simulation", "simulation"])
     assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
     assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
     assert "Fig. 6 of the paper" in told
@@ -141,7 +141,7 @@ def test_a_picture_of_simulated_data_says_so():
 
 def test_a_picture_of_measured_data_says_so():
     """Measured data are not called simulated."""
-    told = wording.caption(finding(figure=0), ["measurement"])
+    told = report_texts.caption(finding(figure=0), ["measurement"])
     assert "imulated" not in told
     assert "Fig." not in told
     assert "Measured data." in told

@@ -13,10 +13,10 @@ from identification.report.samples import AREA, finding, page
 from lxml import html
 
 from fmus.identification.estimate import Estimate
-from fmus.identification.report import wording
-from fmus.identification.report.comparison import Picture
+from fmus.identification.report import report_texts
 from fmus.identification.report.finding_figures import draw_finding
 from fmus.identification.report.identification_page import render, write_page
+from fmus.identification.report.recording_comparison import Picture
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_what_is_not_finite_is_null(tmp_path):
 )
 def test_numbers_have_few_digits(value, digits, shown):
     """Significant digits, no exponent of a program."""
-    assert wording.number(value, digits) == shown
+    assert report_texts.number(value, digits) == shown
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-6, 0.3))
@@ -149,7 +149,7 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
     """Value and interval are rounded by less than a tenth of the interval."""
     half = value * share
     estimate = Estimate("a", value, "1", half / 2, value - half, value + half, "")
-    told = wording.value(estimate).replace("·10", "e")
+    told = report_texts.value(estimate).replace("·10", "e")
     told = told.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     # the last of two digits of the half width, and at most seven digits at all
     assert abs(float(told) - value) <= max(0.1 * half, 1e-6 * value)
@@ -157,12 +157,12 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
 
 def test_units_of_parameters_are_shown_as_readers_know_them():
     """Values in SI become those of the display unit, with the unit in print."""
-    assert wording.value(AREA) == "40.10"
-    assert wording.unit("m2") == "mm²"
-    assert wording.unit("1") == ""
-    assert wording.spread(AREA) == "± 0.50 %"
+    assert report_texts.value(AREA) == "40.10"
+    assert report_texts.unit("m2") == "mm²"
+    assert report_texts.unit("1") == ""
+    assert report_texts.spread(AREA) == "± 0.50 %"
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
-    assert wording.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
-    assert wording.change(1.1, 1.0) == "+10 %"
-    assert wording.change(1.1, None) == wording.DASH
-    assert wording.chance(1e-9) == "< 0.001"
+    assert report_texts.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
+    assert report_texts.change(1.1, 1.0) == "+10 %"
+    assert report_texts.change(1.1, None) == report_texts.DASH
+    assert report_texts.chance(1e-9) == "< 0.001"

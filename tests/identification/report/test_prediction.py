@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.identification.report.attribution import shown, slopes
-from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Drive, drive, predict, straight
+from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Excitation, drive, predict, straight
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
@@ -36,18 +36,18 @@ def test_the_numbers_of_the_files_give_the_reference_trace(reference):
     """Nothing identified: the prediction is the trace of the machine."""
     time = reference["time"].to_numpy()
     commands = {name: reference[signal].to_numpy() for name, signal in COMMANDS.items()}
-    found = predict(Drive(time, commands, POSE), {})
+    found = predict(Excitation(time, commands, POSE), {})
     for name in SHOWN:
         wanted = reference[name].to_numpy()
         # integrator error: the trace was made at 1e-11, the prediction at 1e-8 per step
         np.testing.assert_allclose(found[name], wanted, atol=1e-5 * np.ptp(wanted))
 
 
-def a_drive(stop: float = 1.5) -> Drive:
+def a_drive(stop: float = 1.5) -> Excitation:
     time = np.arange(0.0, stop, 0.01)
     move = Move("boom", 0.2, 3.0, 0.2, 0.5, 0.2).sample(time)
     still = np.zeros_like(time)
-    return Drive(time, {"swing_command": still, "boom_command": move, "stick_command": still}, POSE)
+    return Excitation(time, {"swing_command": still, "boom_command": move, "stick_command": still}, POSE)
 
 
 def test_a_number_of_one_part_counts_more_than_that_of_all():

@@ -14,8 +14,8 @@ from fmus.identification.refinement.problem import EstimationProblem, FreeParame
 from fmus.identification.refinement.refine import Refined
 from fmus.identification.refinement.residuals import Traces, Whiteness
 from fmus.identification.refinement.statistics import Statistics
-from fmus.identification.report.comparison import compare
 from fmus.identification.report.identification_page import faults, quality, refinement
+from fmus.identification.report.recording_comparison import compare
 from fmus.machine.one_block import HARVESTER
 from orchestrator.data.recording import Recording, Sensor
 

@@ -6,7 +6,7 @@ import math
 
 from identification.report.test_refined import NAMES, refined, traces
 
-from fmus.identification.report.wording import CHECK, warnings
+from fmus.identification.report.report_texts import CHECK, warnings
 
 
 def test_nothing_is_warned_of_where_all_is_well():

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good
 from fmus.identification.report.attribution import SMALL, Explanation, changes, explain, slopes
-from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Drive, Signals, drive, predict
-from fmus.identification.report.wording import counterpart, footer, origin
+from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Excitation, Signals, drive, predict
+from fmus.identification.report.report_texts import counterpart, footer, origin
 from orchestrator.base.plotting import (
     PALETTE,
     REFERENCE,
@@ -113,7 +113,7 @@ def predicted(recording: Recording, numbers: Mapping[str, float]) -> Compared:
 
 
 def attribute(
-    seen: Compared, numbers: Mapping[str, float], identified: Iterable[str], given: Drive | None = None
+    seen: Compared, numbers: Mapping[str, float], identified: Iterable[str], given: Excitation | None = None
 ) -> Explanation:
     """Which effect the residual shows.
 
