@@ -101,7 +101,7 @@ def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:
 
 
 def jacobi(system: System, coupling: Coupling) -> Plan:
-    """Sources are continued over the step by a polynomial of degree `order`; order of convergence: one more.
+    """Sources are extrapolated over the step at degree `order`; order of convergence: one more.
 
     At order 0 inputs are held, unless an FMU moves them itself by a rate input.
     """
@@ -113,7 +113,7 @@ def jacobi(system: System, coupling: Coupling) -> Plan:
 
 
 def gauss_seidel(system: System, coupling: Coupling) -> Plan:
-    """Sources that have stepped are connected at degree `order` + 1, the others are continued at `order`.
+    """Sources that have stepped are interpolated at degree `order` + 1, others extrapolated at `order`.
 
     Order of convergence: `order` + 1. At order 0 inputs from components that step later are held, unless an
     FMU moves them itself by a rate input. The order of the components follows from the dependencies.

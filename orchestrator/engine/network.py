@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orchestrator.engine.algebraic_loop import AlgebraicLoop
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import RunningComponent
-from orchestrator.engine.scenario import DrivenInputs, Scenario
+from orchestrator.engine.scenario import Scenario
 from orchestrator.fmi.calls import Buffer, Call, Slave, access
 from orchestrator.ssp.dependencies import OutputOrder, output_order
 from orchestrator.ssp.system import Connection, Port, System
@@ -132,7 +132,7 @@ class Network:
         self.used = np.full((2, len(self.real.values)), np.nan)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
         self.exchange_calls = self._exchange(reads, writes)
-        self.scenario = self._drive(scenario) if scenario else None
+        self.scenario = DrivenInputs(self, scenario) if scenario else None
 
     def matters(self, port: Port) -> bool:
         """Does anything that others use depend on this input?"""
@@ -167,9 +167,13 @@ class Network:
         calls: list[Call] = []
         for bank in (self.real, self.whole):
             links = [c for c in connections if self.bank(c.target) is bank]
-            blocks = [b for b in bank.blocks if set(b.ports) & {c.target for c in links}]
-            calls += [Link(bank, links), *(self.writer(bank, b) for b in blocks)] if links else []
-        return calls
+            calls += [Link(bank, links)] if links else []
+        return calls + self.writers({c.target for c in connections})
+
+    def writers(self, ports: set[Port]) -> list[Call]:
+        """Calls that set the blocks which hold these ports."""
+        blocks = [(bank, b) for bank in (self.real, self.whole) for b in bank.blocks]
+        return [self.writer(bank, b) for bank, b in blocks if ports & set(b.ports)]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -236,16 +240,45 @@ class Network:
             calls += [self.writer(bank, b) for bank, b in writes if stage in b.stages]
         return calls
 
-    def _drive(self, scenario: Scenario) -> DrivenInputs:
-        kinds = {port: self.system.variable(port) for port in scenario.columns}
-        moving = [p for p, v in kinds.items() if v.is_continuous]
+
+class DrivenInputs:
+    """The inputs that a scenario drives, for native/scenario.c.
+
+    moving    those that are continuous, which move at a straight line over a step; other Real ones are steady
+              and keep the value of the last sample, as those do that are no Real numbers and are held
+    """
+
+    def __init__(self, network: Network, scenario: Scenario) -> None:
+        kinds = {port: network.system.variable(port) for port in scenario.columns}
+        moving = self.moving = [p for p, v in kinds.items() if v.is_continuous]
         held = [p for p, v in kinds.items() if not v.is_real]
         steady = [p for p in kinds if p not in moving and p not in held]
-        places = [self.real.places(moving), self.real.places(steady), self.whole.places(held)]
-        writers = [
-            self.writer(bank, b)
-            for bank in (self.real, self.whole)
-            for b in bank.blocks
-            if any(p in kinds for p in b.ports)
-        ]
-        return DrivenInputs(scenario, moving, steady, held, places, writers)
+        self.table, self.writers = scenario.table, network.writers(set(kinds))
+        self.targets, self.steady = network.real.places(moving), network.real.places(steady)
+        self.held = network.whole.places(held)
+        columns = scenario.columns
+        self.columns, self.steady_columns, self.held_columns = (
+            np.array([columns[p][0] for p in ports], dtype=np.int64) for ports in (moving, steady, held)
+        )
+        maps = [[columns[p][1] for p in ports] for ports in (moving, steady)]
+        self.factor, self.steady_factor = (np.array([m.factor for m in each]) for each in maps)
+        self.offset, self.steady_offset = (np.array([m.offset for m in each]) for each in maps)
+        self.coming, self.middle = np.zeros(len(moving)), np.zeros(len(moving))
+
+    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
+        """Give them to C; inputs: the numbers of the moving ones among the coupling inputs."""
+        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
+        made = binding.h.Scenario(
+            **{name: binding.at(array) for name, array in arrays},
+            **binding.all_at(self, "columns targets factor offset steady_columns steady held_columns held"),
+            **binding.all_at(self, "steady_factor steady_offset coming middle"),
+            samples=len(self.table.arrays[0]),
+            width=self.table.arrays[1].shape[1],
+            inputs=binding.at(np.array(inputs, np.int32)),
+            count=len(self.moving),
+            steady_count=len(self.steady),
+            held_count=len(self.held),
+            when=np.nan,
+            writers=binding.program(self.writers),
+        )
+        binding.simulation.scenario = binding.pointer(made)

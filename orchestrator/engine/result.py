@@ -190,7 +190,7 @@ class Card:
         if self.inside:
             each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
             lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
-        if busy := [row for row in _bond_rows(self) if row[1]]:
+        if busy := [row for b in self.bonds if (row := [b.name, *self.bond(b)])[1]]:
             lines += ["", *TextTable(["power bond", "residual [J]", "exchanged [J]", "share"], busy).lines()]
         elif self.bonds:
             lines += ["", "no power bond exchanges energy"]
@@ -221,7 +221,8 @@ def compare(
     before = _changes(trace, coarse.select(trace.signals)) if coarse else {}
     for name, span in _moving(fine.select(trace.signals), nominals or {}).items():
         largest, rms = float(np.max(np.abs(changes[name]))), _rms(changes[name])
-        order = None if rms < 1e-11 * span or name not in before else _order(_rms(before[name]), rms)
+        larger = _rms(before[name]) if name in before else 0.0  # the change from 2h to h
+        order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
         errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
     return tuple(errors)
 
@@ -246,17 +247,8 @@ def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:
     return {name: fine[name][a] - values[b] for name, values in trace.signals.items()}
 
 
-def _order(before: float, change: float) -> float | None:
-    """log2 of how much larger the change from 2h to h is than the one from h to h/2."""
-    return float(np.log2(before / change)) if before > 0 else None
-
-
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
-
-
-def _bond_rows(card: Card) -> list[list[str]]:
-    return [[b.name, *card.bond(b)] for b in card.bonds]
 
 
 def _error_row(e: SignalError) -> list[str]:

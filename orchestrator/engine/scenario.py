@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import Linear
 from orchestrator.data.trace import Trace
-from orchestrator.engine.c_library import Binding
-from orchestrator.fmi.calls import Call
 from orchestrator.fmi.description import Value, Variable
 from orchestrator.ssp.system import Port, System
 
@@ -83,7 +81,8 @@ class Scenario:
         """
         gone = {*self.columns, *self._rates(system)}
         direct = [c for c in system.connections if c.target in gone]
-        silent = [c for c in dict.fromkeys(c.source.component for c in direct) if not _listens(system, c)]
+        sources = dict.fromkeys(c.source.component for c in direct)
+        silent = [name for name in sources if not system.components[name].interface.of("input")]
         notes = [self._replaced(system, component) for component in silent]
         others = [str(c) for c in direct if c.source.component not in silent]
         notes += [f"the scenario replaces {', '.join(others)}"] if others else []
@@ -152,10 +151,6 @@ def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:
         raise Problem(f"{where}: expected whole numbers up to {LARGEST}, got {found:.17g}")
 
 
-def _listens(system: System, component: str) -> bool:
-    return bool(system.components[component].interface.of("input"))
-
-
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear], ...]:
     """The inputs that a column drives."""
     try:
@@ -176,52 +171,3 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear]
                 f"{label}: column {name!r}: expected an input, got a {variable.kind} {variable.causality}"
             )
     return targets
-
-
-class DrivenInputs:
-    """The inputs that a scenario drives, for native/scenario.c.
-
-    moving    those that are continuous, which move at a straight line over a step
-    steady    the other Real ones, which keep the value of the last sample, as the held ones do
-    held      those that are no Real numbers
-    places    of each of the three in their bank
-    writers   calls that set all of them
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        moving: list[Port],
-        steady: list[Port],
-        held: list[Port],
-        places: Sequence[NDArray[np.int64]],
-        writers: Sequence[Call],
-    ) -> None:
-        self.table, self.moving, self.writers = scenario.table, moving, writers
-        self.targets, self.steady, self.held = places
-        columns = scenario.columns
-        self.columns, self.steady_columns, self.held_columns = (
-            np.array([columns[p][0] for p in ports], dtype=np.int64) for ports in (moving, steady, held)
-        )
-        maps = [[columns[p][1] for p in ports] for ports in (moving, steady)]
-        self.factor, self.steady_factor = (np.array([m.factor for m in each]) for each in maps)
-        self.offset, self.steady_offset = (np.array([m.offset for m in each]) for each in maps)
-        self.coming, self.middle = np.zeros(len(moving)), np.zeros(len(moving))
-
-    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
-        """Give them to C; inputs: the numbers of the moving ones among the coupling inputs."""
-        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
-        made = binding.h.Scenario(
-            **{name: binding.at(array) for name, array in arrays},
-            **binding.all_at(self, "columns targets factor offset steady_columns steady held_columns held"),
-            **binding.all_at(self, "steady_factor steady_offset coming middle"),
-            samples=len(self.table.arrays[0]),
-            width=self.table.arrays[1].shape[1],
-            inputs=binding.at(np.array(inputs, np.int32)),
-            count=len(self.moving),
-            steady_count=len(self.steady),
-            held_count=len(self.held),
-            when=np.nan,
-            writers=binding.program(self.writers),
-        )
-        binding.simulation.scenario = binding.pointer(made)

@@ -70,7 +70,7 @@ def grid(
 ) -> Grid:
     """The communication points from what the user gave and, where nothing was given, what is suggested."""
     begin, end = _span(system, scenario, start, stop)
-    with _said(system, step):
+    with _with_place(system, step):
         step = communication_step(system, step)
         points = _whole_steps(begin, end, step)
     points = replace(points, every=_every(record_step, step))
@@ -151,8 +151,8 @@ def communication_step(system: System, step: float | None) -> float:
 
 
 @contextmanager
-def _said(system: System, step: float | None) -> Iterator[None]:
-    """A Problem with the step names its place, where the file of the system says it."""
+def _with_place(system: System, step: float | None) -> Iterator[None]:
+    """A Problem with the step names its place in the file that suggests it."""
     try:
         yield
     except Problem as problem:
@@ -207,8 +207,8 @@ def _check_steps(name: str, start: float, end: float, step: float) -> None:
     """Refuse steps that are too short for the times of a run, or too many."""
     resolved, fewest = _least(start, end), (end - start) / MOST
     if step < resolved:
-        told = f"expected at least {resolved:.3g} s, the times of the run can tell no less"
-        raise Problem(f"{name}: {told}, got {step:g} s")
+        least = f"expected at least {resolved:.3g} s, the times of the run can tell no less"
+        raise Problem(f"{name}: {least}, got {step:g} s")
     if step < fewest:
         raise Problem(f"{name}: expected at least {fewest:.3g} s, for at most {MOST:g} steps, got {step:g} s")
 
