@@ -1,7 +1,7 @@
 """Cost of the native FMUs and of the co-simulation: `make bench`.
 
 The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is all of them in one;
-`orchestrator.cost` says how the time inside an FMU is measured.
+`orchestrator.studies.variants` says how the time inside an FMU is measured.
 """
 
 from __future__ import annotations

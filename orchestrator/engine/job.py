@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.engine.c_library import library
 from orchestrator.engine.coupling_inputs import CouplingInputs, listed
 from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import LinearPrediction
@@ -128,6 +129,7 @@ class Job:
         """All FMUs open and initialised, ready for the first step; closed at the end whatever happens."""
         signals = self.record.signals
         chosen = None if signals is None else [self.system.port(name) for name in signals]
+        library()  # a Problem where there is none, before anything is opened
         _check_single(self.system)
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}

@@ -235,6 +235,7 @@ def test_where_nothing_can_be_compiled_one_line_says_what_to_install(monkeypatch
         Problem, match=r"^the engine is not compiled: .*; install the Python package ziglang"
     ) as told:
         run(oscillator, step=1e-2, stop=0.5)
+    assert type(told.value) is Problem  # no run was begun
     assert reason in str(told.value)
     assert len(str(told.value).splitlines()) == 1
 
