@@ -164,7 +164,7 @@ def test_two_equal_effects_share(effects):
     # exact identity: rounding only
     assert [s.alone for s in found.shares] == pytest.approx([1.0, 1.0])
     assert [s.together for s in found.shares] == pytest.approx([0.5, 0.5])
-    assert "hardly tell it from" in found.verdict
+    assert "hardly distinguish it from" in found.verdict
 
 
 def test_columns_without_others_are_orthogonal_to_them():
