@@ -18,8 +18,10 @@ from typing import Any
 import casadi as ca
 
 from fmus.boom_stick import BOOM_STICK
+from fmus.boom_stick import drive as boom_stick_drive
 from fmus.components import ports
 from fmus.components.cylinder import Cylinder
+from fmus.components.hose import VolumeHose
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.controller import actuator, geometry
@@ -37,6 +39,12 @@ from fmus.controller.variables import (
 )
 from fmus.manipulator import MANIPULATOR
 from fmus.swing import SWING
+from fmus.swing import drive as swing_drive
+
+
+def derive(p: Any) -> dict[str, Scalar]:
+    """Numbers of hoses and lines, as the parts of the machine derive them."""
+    return boom_stick_drive.derive(VolumeHose, p) | swing_drive.derive_capacitance(p)
 
 
 def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
@@ -170,6 +178,7 @@ def controller(
         outputs=ControllerOutputs,
         dynamics=dynamics,
         observe=observe,
+        derive=derive,
         initial=initial,
         require=require,
         values=FILE,

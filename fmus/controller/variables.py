@@ -11,10 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from fmus.boom_stick.variables import BoomStickParameters
+from fmus.components.hose import VolumeHose
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities, symbolic
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
-from fmus.parameters import Number, Tables, complete, read, values
+from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
@@ -28,19 +29,21 @@ CYLINDERS = (
     *(
         f"{a}_{n}"
         for a in ("boom", "stick")
-        for n in ("bore", "rod", "dead_volume", "hose_capacitance", "hose_resistance")
+        for n in ("bore", "rod", "dead_volume", *(f"hose_{own}" for own in quantities(VolumeHose)))
     ),
+    "hose_reference_resistance",
     "bulk_modulus",
     *VALVE,
 )
-MOTOR = ("motor_displacement", "gear_ratio", "line_capacitance", "line_turbulent_resistance")
+MOTOR = (
+    *("motor_displacement", "gear_ratio", "motor_volume"),
+    *("line_length", "line_bore", "line_capacitance", "line_turbulent_resistance"),
+)
 NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
 
 
 def _taken(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
-    """As the parts of the machine declare them; what may be derived there is a plain number here."""
-    known = quantities(declared)
-    return {prefix + n: replace(known[n], text=known[n].text.partition("; 0:")[0]) for n in names}
+    return {prefix + n: quantities(declared)[n] for n in names}
 
 
 ControllerParameters = make_group(
@@ -165,7 +168,7 @@ FILE = Path(__file__).with_name("parameters.toml")
 
 def merged(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
     """All numbers of the controller of a machine of these parts."""
-    own, (oil, motor, arm) = read(FILE), map(complete, (boom_stick, swing, manipulator))
+    own, oil, motor, arm = read(FILE), numbers(boom_stick), numbers(swing), numbers(manipulator)
     found = {n: own["parameters"][n] for n in OWN}
     found |= {n: _of(arm["parameters"][n], "manipulator") for n in GEOMETRY}
     found |= {n: _of(oil["parameters"][n], "boom_stick") for n in CYLINDERS}

@@ -66,6 +66,13 @@ def kept_values(sub: Subsystem) -> Values:
     return values(with_numbers(sub, read(data("reference/hoses.toml"))["parameters"]))
 
 
+def kept_set() -> dict[str, float]:
+    """The same numbers of swing and boom_stick as start values of a system, by `component.variable`."""
+    names = read(data("reference/hoses.toml"))["parameters"]
+    parts = {part: kept_values(SUBSYSTEMS[part]).p for part in ("swing", "boom_stick")}
+    return {f"{part}.{name}": p[name] for part, p in parts.items() for name in names if name in p}
+
+
 def machine() -> dict[str, Array]:
     """`component.variable` -> samples (n,) every STEP from 0 to STOP: all signals of the machine at work."""
     count = round(STOP / STEP)

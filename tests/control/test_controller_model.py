@@ -11,7 +11,7 @@ from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
 from fmus.export.python.instance import of_subsystem
 from fmus.machine.build import controller_of, numbered_parts
 from fmus.machine.parts import SUBSYSTEMS
-from fmus.parameters import complete, numbers, values
+from fmus.parameters import numbers, values
 
 OUTPUTS = list(quantities(CONTROLLER.outputs))
 FEEDBACK = [n for n in INPUTS if (n.startswith(AXES) and n.endswith(("_angle", "_speed"))) or "pressure" in n]
@@ -151,7 +151,7 @@ def test_numbers_are_those_of_the_machine():
         ("swing", VALVE, "swing_"),
         ("swing", MOTOR, ""),
     ):
-        own = complete(SUBSYSTEMS[part])["parameters"]
+        own = numbers(SUBSYSTEMS[part])["parameters"]
         for name in names:
             assert (found[prefix + name].value, found[prefix + name].unit) == (
                 own[name].value,
