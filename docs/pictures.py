@@ -9,9 +9,9 @@ from fmus.machine.build import build_machine, data
 from orchestrator import load, run
 from orchestrator.base.plotting import png
 from orchestrator.data.recording import read_recording
-from orchestrator.results.compare import compare
 from orchestrator.results.layout import read_layout
 from orchestrator.results.motion import strobe
+from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import draw
 
 IMAGES = Path(__file__).parent / "images"
@@ -27,7 +27,7 @@ def main() -> None:
     assert motion is not None
     IMAGES.mkdir(exist_ok=True)
     (IMAGES / "motion.png").write_bytes(png(strobe(motion, poses=11)))
-    validation = compare(result.trace, read_recording(data("reference/work_cycle.csv")), rate=False)
+    validation = validate(result.trace, read_recording(data("reference/work_cycle.csv")), rate=False)
     boom = next(figure for figure in layout.figures if figure.title == "Boom")
     (IMAGES / "validation.png").write_bytes(png(draw(boom, validation, result.trace)))
 

@@ -1,10 +1,14 @@
 """Connects, steps, records and judges FMUs. Knows no equation.
 
-from orchestrator import run, load, assemble, read, write, write_ssp
+from orchestrator import run, validate, write
 
 result = run("build/harvester.ssp", scenario="data/scenarios/work_cycle.csv", step=1e-3)
 print(result.card.text())
 write(result.trace, "build/trace.csv")
+print(validate(result, "data/reference/work_cycle.csv").verdict)
+
+A system is read with `load` or made with `assemble`, and written with `write_ssp`. `compare` sets traces next
+to each other, `sweep` runs a `Study`, `linearize` gives A, B, C, D and modes at an operating point.
 """
 
 from __future__ import annotations
@@ -15,42 +19,45 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
+    from orchestrator.data.recording import Recording, read_recording
     from orchestrator.data.trace import Trace, read, write
     from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
     from orchestrator.linear.model import Linear, LinearModel
+    from orchestrator.results.comparison import compare
+    from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.assembly import assemble
     from orchestrator.ssp.load import load
     from orchestrator.ssp.system import System
     from orchestrator.ssp.write import write_ssp
+    from orchestrator.studies import Study, read_study, sweep
 
-_WHERE = {
-    "Card": "engine.result",
-    "Coupling": "base.coupling",
-    "Execution": "engine.job",
-    "Interrupted": "engine.result",
-    "Linear": "linear.model",
-    "LinearModel": "linear.model",
-    "Problem": "base.errors",
-    "Record": "engine.job",
-    "Result": "engine.result",
-    "RunFailed": "engine.result",
-    "System": "ssp.system",
-    "Trace": "data.trace",
-    "assemble": "ssp.assembly",
-    "linearize": "linear.linearize",
-    "load": "ssp.load",
-    "read": "data.trace",
-    "run": "engine.run",
-    "write": "data.trace",
-    "write_ssp": "ssp.write",
+_MODULES = {
+    "base.coupling": "Coupling",
+    "base.errors": "Problem",
+    "data.recording": "Recording read_recording",
+    "data.trace": "Trace read write",
+    "engine.job": "Execution Record",
+    "engine.result": "Card Interrupted Result RunFailed",
+    "engine.run": "run",
+    "linear.linearize": "linearize",
+    "linear.model": "Linear LinearModel",
+    "results.comparison": "compare",
+    "results.validation": "Validation validate",
+    "ssp.assembly": "assemble",
+    "ssp.load": "load",
+    "ssp.system": "System",
+    "ssp.write": "write_ssp",
+    "studies": "Study read_study sweep",
 }
+_WHERE = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
-    "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Result",
-    "RunFailed", "System", "Trace", "assemble", "linearize", "load", "read", "run", "write", "write_ssp",
+    "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
+    "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
+    "load", "read", "read_recording", "read_study", "run", "sweep", "validate", "write", "write_ssp",
 ]  # fmt: skip
 
 

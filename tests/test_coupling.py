@@ -14,7 +14,7 @@ from fmus.machine.reference import kept_set
 from orchestrator import RunFailed, System, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
-from orchestrator.results.compare import Validation, compare
+from orchestrator.results.validation import Validation, validate
 
 MASTERS = ("jacobi", "gauss-seidel")
 REFERENCE = read_recording(data("reference/work_cycle.csv"))
@@ -44,7 +44,7 @@ def outcome(
 ) -> Validation:
     scenario = data("scenarios/work_cycle.csv")
     result = run(system, scenario, master=master, step=step, stop=stop, set=KEPT, **more)
-    return compare(result.trace, REFERENCE, rate=False)
+    return validate(result.trace, REFERENCE, rate=False)
 
 
 def worst(validation: Validation, group: str) -> float:
@@ -55,7 +55,7 @@ def test_default_run_meets_the_bars_over_the_whole_work_cycle(system):
     """Default master and step, led by the levers: speeds 0.5 %, angles 0.05 %, pressures 1 % NRMSE."""
     result = run(system)
     assert result.card.step >= 5e-4
-    validation = compare(result.trace, REFERENCE, rate=False)
+    validation = validate(result.trace, REFERENCE, rate=False)
     assert validation.passed, validation.verdict
     assert worst(validation, "speed") < 5e-3
     assert worst(validation, "angle") < 5e-4
@@ -121,7 +121,7 @@ def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, speed, p
     """Led by the scenario, or by the FMU of the levers with the corners of its ramps."""
     scenario = data("scenarios/work_cycle.csv") if led_by == "scenario" else None
     result = run(system, scenario, master="hermite", step=step)
-    found = compare(result.trace, REFERENCE, rate=False)
+    found = validate(result.trace, REFERENCE, rate=False)
     assert worst(found, "speed") < speed
     assert worst(found, "angle") < speed / 10
     assert worst(found, "pressure") < pressure
@@ -141,7 +141,7 @@ def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
     result = run(stuck, data("scenarios/work_cycle.csv"), master="hermite", step=5e-3)
     assert "hermite computes every step once" in result.card.text()
     assert result.card.passes == result.card.steps == 8400
-    found = compare(result.trace, REFERENCE, rate=False)
+    found = validate(result.trace, REFERENCE, rate=False)
     assert worst(found, "speed") < 5e-3
     assert worst(found, "pressure") < 5e-3
     with pytest.raises(RunFailed, match=r"stick_angle .* is violated"):

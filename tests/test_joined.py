@@ -24,7 +24,7 @@ from fmus.parameters import Number, numbers, read, values
 from orchestrator import run
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
-from orchestrator.results.compare import by_variable, compare
+from orchestrator.results.validation import by_variable, validate
 
 TABLES = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
 NAMES = flat_names(SUBSYSTEMS, TABLES, INPUTS, TOTALS, HIDDEN)
@@ -262,7 +262,7 @@ def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, toleran
             for name in read(data("reference/hoses.toml"))["parameters"]
         },
     )
-    outcome = compare(by_variable(found.trace, reference.signals), reference, rate=False)
+    outcome = validate(by_variable(found.trace, reference.signals), reference, rate=False)
     # the bar of the issue; the reference has nine digits, so that 1e-7 of range is still seen
     assert max(row.metrics.nrmse for row in outcome.rows) <= 10 * tolerance
     assert not found.messages

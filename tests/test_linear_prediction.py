@@ -17,7 +17,7 @@ from orchestrator import RunFailed, System, Trace, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
 from orchestrator.engine.linear_prediction import LinearPrediction
-from orchestrator.results.compare import compare
+from orchestrator.results.validation import validate
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "hydraulic_manipulator"
 sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
@@ -35,7 +35,7 @@ def system(fmu_dir) -> System:
 
 
 def worst(result, group: str) -> float:
-    rows = compare(result.trace, REFERENCE, rate=False).rows
+    rows = validate(result.trace, REFERENCE, rate=False).rows
     return max(row.metrics.nrmse for row in rows if row.group == group)
 
 

@@ -23,8 +23,8 @@ from rich.table import Table
 
 from orchestrator import Problem, Result, Trace, read, run, write
 from orchestrator.data.recording import Recording, read_recording
-from orchestrator.results.compare import Validation, compare
 from orchestrator.results.summary import summary
+from orchestrator.results.validation import Validation, validate
 
 HERE = Path(__file__).resolve().parent
 M1 = HERE / "m1.csv"
@@ -59,7 +59,7 @@ def simulate(system: Path, manoeuvre: Path, step: float, master: str) -> Outcome
     result = run(system, scenario, master=master, step=step)
     truth = solve(scenario, result.trace.time)
     reference = read_recording(REFERENCE) if manoeuvre.resolve() == M1 else None
-    validation = compare(result.trace, reference, rate=False) if reference else None
+    validation = validate(result.trace, reference, rate=False) if reference else None
     return Outcome(result, truth, reference, validation)
 
 

@@ -42,9 +42,9 @@ def validate(
     Writes a report; exit status 1 if a limit is missed.
     """
     from fmus.machine.build import data
-    from orchestrator.results.validate import validate as judged
+    from orchestrator.results.validate_system import validate_system
 
     usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
-    if not judged(system, case.scenario, reference, layout, out, usual=usual, **options):
+    if not validate_system(system, case.scenario, reference, layout, out, usual=usual, **options):
         raise typer.Exit(1)

@@ -18,9 +18,8 @@ from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_metadata
-from orchestrator.results.compare import Row, Validation
-from orchestrator.results.compare import compare as against_reference
 from orchestrator.results.metrics import constant
+from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
 Source = str | Path | Trace | Result
 
@@ -126,7 +125,7 @@ class Comparison:
             found.setdefault(row.group, []).append(row.signal)
         return found
 
-    def worst(self, label: str, quantity: str) -> Row | None:
+    def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
         """The signal of a quantity with the largest NRMSE among those that move in either run.
 
         Where the reference does not move, NRMSE is over the range of the other run; then CONSTANT is a note.
@@ -137,7 +136,7 @@ class Comparison:
         moving = [found for row in rows if (found := _moving(row, least))]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
 
-    def largest(self, label: str, quantity: str) -> Row:
+    def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, whether it moves or not."""
         rows = [row for row in self.against[label].rows if row.group == quantity]
         return max(rows, key=lambda r: r.metrics.maximum_error * linear(r.unit, rows[0].unit, r.signal)[0])
@@ -172,7 +171,7 @@ def _range(values: Array) -> float:
     return 0.0 if constant(values) else float(np.ptp(values))
 
 
-def _moving(row: Row, least: float) -> Row | None:
+def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
     """The row if one of its runs moves, its NRMSE over the range of that run."""
     if _range(row.reference) > least:
         return row
@@ -183,7 +182,7 @@ def _moving(row: Row, least: float) -> Row | None:
 
 def _against(truth: Recording, run: Run) -> Validation:
     try:
-        return against_reference(run.trace, truth, rate=False)
+        return validate(run.trace, truth, rate=False)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
 

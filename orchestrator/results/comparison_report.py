@@ -17,8 +17,8 @@ from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, d
 from orchestrator.base.text import NONE, TextTable, finer, number, share
 from orchestrator.base.units import convert, linear, shown
 from orchestrator.engine.result import RunMetadata
-from orchestrator.results.compare import Row
 from orchestrator.results.comparison import CONSTANT, USUAL, Comparison, Run
+from orchestrator.results.validation import ValidatedSignal
 
 PANELS = 6  # more rows than these do not fit on a page
 EACH = 3  # of one quantity
@@ -27,7 +27,7 @@ ALIKE = 0.01  # of its range: two curves that are nearer cannot be distinguished
 
 def chosen(comparison: Comparison) -> list[str]:
     """The signals that fit into one picture: of each quantity those that differ most, in their order."""
-    groups: dict[str, list[Row]] = {}
+    groups: dict[str, list[ValidatedSignal]] = {}
     for validation in comparison.against.values():
         for row in validation.rows:
             if row.signal in comparison.signals:
@@ -37,16 +37,16 @@ def chosen(comparison: Comparison) -> list[str]:
     return [signal for signal in comparison.signals if signal in kept][:PANELS]
 
 
-def _distinct(rows: Sequence[Row], most: int) -> list[Row]:
+def _distinct(rows: Sequence[ValidatedSignal], most: int) -> list[ValidatedSignal]:
     """The rows with the largest differences, without those that look like one before."""
-    found: list[Row] = []
+    found: list[ValidatedSignal] = []
     for row in sorted(rows, key=lambda r: -r.metrics.maximum_error):
         if len(found) < most and not any(_alike(row, other) for other in found):
             found.append(row)
     return found
 
 
-def _alike(row: Row, other: Row) -> bool:
+def _alike(row: ValidatedSignal, other: ValidatedSignal) -> bool:
     """The same signal, or another one that lies on it."""
     if row.signal == other.signal or len(row.time) != len(other.time):
         return row.signal == other.signal
@@ -176,7 +176,7 @@ def _worst(comparison: Comparison, label: str) -> list[str]:
     return TextTable(head, rows, left=(0, 3, 5)).lines()
 
 
-def _who(worst: Row | None) -> str:
+def _who(worst: ValidatedSignal | None) -> str:
     """The signal with the largest NRMSE, if there is any."""
     if worst is None:
         return "none of them moves"
@@ -198,7 +198,7 @@ def _signals(comparison: Comparison) -> list[str]:
     return TextTable(["NRMSE, largest difference", *comparison.against], rows).lines()
 
 
-def _cells(row: Row) -> tuple[str, str]:
+def _cells(row: ValidatedSignal) -> tuple[str, str]:
     """NRMSE, of a reference that stands still none, and the largest difference in the unit of a reader."""
     m = row.metrics
     still = any(note.startswith("the reference is") for note in row.metrics.notes)
@@ -261,7 +261,7 @@ def _difference_data(comparison: Comparison, label: str) -> dict[str, Any]:
     }
 
 
-def _row(row: Row) -> dict[str, Any]:
+def _row(row: ValidatedSignal) -> dict[str, Any]:
     m = row.metrics
     return {
         "quantity": row.group,

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from orchestrator.base.text import NONE, finer, number, share
 from orchestrator.data.description import METRICS
-from orchestrator.results.compare import Row, Validation
+from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
     "nrmse": "NRMSE",
@@ -30,7 +30,7 @@ def percent(value: float | None) -> str:
     return NONE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
 
 
-def judged(row: Row, value: float | None) -> str:
+def judged(row: ValidatedSignal, value: float | None) -> str:
     """A value or limit of the row's tolerance in the words of its metric."""
     if row.tolerance is None or value is None:
         return NONE
@@ -41,7 +41,7 @@ def judged(row: Row, value: float | None) -> str:
     return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
 
 
-def limit(row: Row) -> str:
+def limit(row: ValidatedSignal) -> str:
     """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
     if row.tolerance is None:
         return NONE
@@ -49,7 +49,7 @@ def limit(row: Row) -> str:
     return f"{NAMES[row.tolerance.metric]} {sign} {judged(row, row.tolerance.limit)}"
 
 
-def miss(row: Row) -> str:
+def miss(row: ValidatedSignal) -> str:
     """By how much a failed row misses, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
     if row.tolerance is None or row.passed:
         return ""
@@ -64,12 +64,12 @@ def miss(row: Row) -> str:
     return f"{metric} {judged(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
-def outcome(row: Row) -> str:
+def outcome(row: ValidatedSignal) -> str:
     """`pass`, `fail` or a dash."""
     return {True: "pass", False: "fail", None: NONE}[row.passed]
 
 
-def rating(row: Row) -> str:
+def rating(row: ValidatedSignal) -> str:
     """The ISO/TS 18571 rating with the standard's word for it."""
     iso = row.metrics.iso
     return f"{iso.overall:.3f} {iso.grade}" if iso.overall is not None else "not rated"
@@ -122,7 +122,7 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
     short = {row.signal: row.signal.rpartition(".")[2] for row in validation.rows}
     often = Counter(short.values())
     names = {signal: name if often[name] == 1 else signal for signal, name in short.items()}
-    sections: dict[str, list[Row]] = {}
+    sections: dict[str, list[ValidatedSignal]] = {}
     for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
         rule = limit(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
         title = f"{row.group or 'signals'} [{finer(row.unit).shown or '1'}]: {rule}"
@@ -146,7 +146,7 @@ def _remarks(validation: Validation) -> list[str]:
     return [f"{note}: {', '.join(signals)}" for note, signals in about.items()]
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: ValidatedSignal) -> tuple[str, ...]:
     m, unit = row.metrics, finer(row.unit)
     fits = ("<-999" if v is not None and v < -999 else percent(v).removesuffix(" %") for v in (m.fit, m.vaf))
     return (

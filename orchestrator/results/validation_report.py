@@ -31,9 +31,9 @@ from orchestrator.base.text import NONE, display_unit, finer, number, share, typ
 from orchestrator.base.units import convert, shown
 from orchestrator.data.trace import Trace
 from orchestrator.results import summary
-from orchestrator.results.compare import Row, Validation
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import Motion, frames, strobe
+from orchestrator.results.validation import ValidatedSignal, Validation
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -119,7 +119,7 @@ def numbers(report: Report) -> dict[str, Any]:
     }
 
 
-def _numbers(row: Row) -> dict[str, Any]:
+def _numbers(row: ValidatedSignal) -> dict[str, Any]:
     metrics = asdict(row.metrics)
     metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
@@ -160,7 +160,7 @@ def render(report: Report) -> str:
     )
 
 
-def _tile(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
     """A group in one line: how many are within limits, and the one that comes closest to its limit."""
     judged = [(row.limit_use, row) for row in rows if row.tolerance is not None]
     use, worst = max(judged, key=lambda entry: entry[0], default=(0.0, None))
@@ -191,7 +191,12 @@ def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -
 def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Trace | None) -> TracePanel:
     """The panel's signals, from the comparison where there is one, else from the trace."""
     rows = {row.signal: row for row in validation.rows}
-    lines, errors, compared, units = list[TraceLine](), list[TraceLine](), list[tuple[str, Row]](), set[str]()
+    lines, errors, compared, units = (
+        list[TraceLine](),
+        list[TraceLine](),
+        list[tuple[str, ValidatedSignal]](),
+        set[str](),
+    )
     for place, signal in enumerate(panel.signals):
         light, dark = PALETTE.pair(place)
         name = panel.names[place] if place < len(panel.names) else ""
@@ -225,14 +230,14 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
     )
 
 
-def _verdict(name: str, row: Row) -> tuple[str, str]:
+def _verdict(name: str, row: ValidatedSignal) -> tuple[str, str]:
     """The judged number with its limit, and its colour."""
     value = summary.judged(row, row.judged_value)
     text = f"{'✓' if row.passed else '✗'} {name} {value}\n{summary.limit(row)}".replace("  ", " ")
     return text, PALETTE.good if row.passed else PALETTE.bad
 
 
-def _bounds(row: Row) -> Iterable[float]:
+def _bounds(row: ValidatedSignal) -> Iterable[float]:
     """The limit as an error in the display unit, for metrics that have one."""
     if row.tolerance is not None and row.tolerance.metric in ("nrmse", "rmse", "maximum"):
         scale = 1.0 if row.tolerance.in_unit else row.metrics.normalised_by

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import folder, there
 from orchestrator.data.recording import read_recording
-from orchestrator.results.validate import another_model
+from orchestrator.results.validate_system import another_model
 from orchestrator.ssp.load import load
 from orchestrator.studies.convergence import (
     ConvergenceStudy,

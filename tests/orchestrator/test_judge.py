@@ -11,7 +11,7 @@ from orchestrator import Problem, System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.results.layout import FigureSpec, Layout, MovingPoint, PanelSpec
-from orchestrator.results.validate import card, describe, judge, parameters
+from orchestrator.results.validate_system import card, describe, judge, parameters
 
 PROVENANCE = """
 [parameters.factor]

@@ -11,7 +11,7 @@ from any_fmu.edit import edited as changed
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
-from orchestrator.results.validate import validate
+from orchestrator.results.validate_system import validate_system
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"
@@ -267,7 +267,7 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
     Path("m.csv").write_text("time,result,g.offset\n0,0,2\n1,0,2\n", encoding="utf-8")
     system, usual = Path("build/harvester.ssp").resolve(), (Path("none.csv"), Path("none.toml"))
     options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "usual": usual, "rate": False}
-    validate(system, None, Path("m.csv"), None, Path("out"), **options)
+    validate_system(system, None, Path("m.csv"), None, Path("out"), **options)
     report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
     assert "not compared, lost in a swap: g.offset" in str(report)
     for file in ("m.toml", "m.csv"):
@@ -275,7 +275,7 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
             Path(file).read_text(encoding="utf-8").replace("offset", "ofset"), encoding="utf-8"
         )
     with pytest.raises(Problem, match=r"no signal g.ofset in the run"):
-        validate(system, None, Path("m.csv"), None, Path("out"), **options)
+        validate_system(system, None, Path("m.csv"), None, Path("out"), **options)
 
 
 @pytest.mark.usefixtures("bench")
@@ -295,7 +295,7 @@ def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
         about = f'[reference]\nkind = "{kind}"\n{made}'
         Path("m.toml").write_text(f'{about}[signals.result]\nunit = "m"\n', encoding="utf-8")
         system = Path("build/harvester.ssp").resolve()
-        validate(system, None, Path("m.csv"), None, Path("out"), rate=False, **options)
+        validate_system(system, None, Path("m.csv"), None, Path("out"), rate=False, **options)
         assert (f"note: {note}" in capsys.readouterr().out) is expected
         page = Path("out/report.html").read_text(encoding="utf-8")
         assert (f"<p>G{note[1:]}.</p>" in page) is expected
@@ -310,7 +310,7 @@ def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
     Path("u.csv").write_text("time,command\n0,0\n1,0\n", encoding="utf-8")
     Path("l.toml").write_text('title = "T"', encoding="utf-8")
     usual, system = (Path("m.csv"), Path("l.toml")), Path("build/harvester.ssp").resolve()
-    validate(system, Path("u.csv"), None, None, Path("out"), usual=usual, rate=False, step=0.5)
+    validate_system(system, Path("u.csv"), None, None, Path("out"), usual=usual, rate=False, step=0.5)
     note = "no --reference given: judged against m.csv, which may be of another scenario than u.csv"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("out/report.json").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import Validation, compare
+from orchestrator.results.validation import Validation, validate
 
 META = """
 [reference]
@@ -57,7 +57,7 @@ def folder(tmp_path: Path, trace: Trace) -> Path:
 @pytest.fixture
 def outcome(folder: Path, trace: Trace) -> Validation:
     """The run compared with the reference, without the slow ISO rating."""
-    return compare(trace, read_recording(folder / "ref.csv"), rate=False)
+    return validate(trace, read_recording(folder / "ref.csv"), rate=False)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import Validation, compare
+from orchestrator.results.validation import Validation, validate
 
 Edit = Callable[[str, str], Path]
 
@@ -38,7 +38,7 @@ def test_limit_in_the_files_unit(outcome: Validation, edited: Edit, trace: Trace
     """A limit of 2 bar holds for 1 bar of error, a limit of 0.9 bar does not, and the whole run fails."""
     assert outcome.passed
     assert outcome["pump.pressure"].tolerance == Tolerance("maximum", 2e5)
-    strict = compare(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    strict = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
     assert not strict.passed
     assert [row.signal for row in strict.failed] == ["pump.pressure"]
     assert strict.verdict == "fail: 1 of 2 signals within their limits"
@@ -54,7 +54,7 @@ def test_coarse_run_against_fine_reference() -> None:
     """A run coarser than its reference is compared at its own samples."""
     fine = np.linspace(0, 1, 101)
     run = Trace(fine[::20], {"a.x": fine[::20]}, {"a.x": "m"})
-    found = compare(run, made(fine, fine), rate=False)
+    found = validate(run, made(fine, fine), rate=False)
     assert len(found["a.x"].time) == 6
     assert found["a.x"].metrics.maximum_error < 1e-15  # a straight line is interpolated exactly
 
@@ -65,7 +65,7 @@ def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> N
     t = trace.time[250::10]
     table = np.column_stack((t - 0.25, np.degrees(trace["shaft.angle"][250::10]), np.full(len(t), 100.0)))
     np.savetxt(folder / "ref.csv", table, "%.12g", ",", header="time,shaft.angle,pump.pressure", comments="")
-    found = compare(trace, read_recording(folder / "ref.csv"), rate=False)
+    found = validate(trace, read_recording(folder / "ref.csv"), rate=False)
     assert found["shaft.angle"].metrics.maximum_error < 1e-11  # 12 digits in the CSV
     assert found.window == pytest.approx((0.25, 2.0))
     assert found.notes[1] == "the window was cut: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
@@ -75,7 +75,7 @@ def test_window_narrows_the_comparison() -> None:
     """Outside start and stop nothing counts, so a wild start-up does no harm."""
     t = np.linspace(0, 10, 101)
     run = Trace(t, {"a.x": np.where(t < 2, 99.0, t)}, {"a.x": "m"})
-    found = compare(run, made(t, t, start=2.0, stop=8.0), rate=False)
+    found = validate(run, made(t, t, start=2.0, stop=8.0), rate=False)
     assert found.window == (2.0, 8.0)
     assert found["a.x"].metrics.maximum_error == 0
     assert "the window was cut" in found.notes[1]
@@ -84,7 +84,7 @@ def test_window_narrows_the_comparison() -> None:
 def test_rounded_times_do_not_cut_the_last_sample() -> None:
     """A last time of 0.3 in the CSV and 0.30000000000000004 in the run are the same instant."""
     run = Trace(np.arange(4) * 0.1, {"a.x": np.arange(4.0)}, {"a.x": "m"})
-    found = compare(run, made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0)), rate=False)
+    found = validate(run, made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0)), rate=False)
     assert len(found["a.x"].time) == 4
     assert len(found.notes) == 1
 
@@ -93,7 +93,7 @@ def test_coincident_samples_are_compared_as_they_are() -> None:
     """A 50 Hz reference meets every fourth point of a 200 Hz record; nothing is interpolated."""
     run_time, time = np.arange(2101) * 5e-3, np.array([float(f"{k * 0.02:.9g}") for k in range(526)])
     rough = np.random.default_rng(0).standard_normal(len(run_time))
-    found = compare(Trace(run_time, {"a.x": rough}, {"a.x": "m"}), made(time, rough[::4]), rate=False)
+    found = validate(Trace(run_time, {"a.x": rough}, {"a.x": "m"}), made(time, rough[::4]), rate=False)
     # times of the file are rounded in their last bit: an ulp of time times the slope of the noise
     assert found["a.x"].metrics.maximum_error < 1e-11
     assert len(found.notes) == 1
@@ -102,7 +102,7 @@ def test_coincident_samples_are_compared_as_they_are() -> None:
 def test_interpolation_is_said() -> None:
     """Where the samples of the two do not meet, a note says how many lie between."""
     t = np.linspace(0, 1, 101)
-    found = compare(Trace(t, {"a.x": t}, {"a.x": "m"}), made(np.array([0.0, 0.25, 0.333, 1.0]), np.zeros(4)))
+    found = validate(Trace(t, {"a.x": t}, {"a.x": "m"}), made(np.array([0.0, 0.25, 0.333, 1.0]), np.zeros(4)))
     assert found.notes[1] == "1 of them lie between the samples of the run: interpolated linearly"
 
 
@@ -111,7 +111,7 @@ def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
     t = np.linspace(0, 10, 1001)
     moves = np.where(t < 5, 0.0, t - 5)
     run = Trace(t[:200], {"a.x": moves[:200] + 1e-15}, {"a.x": "m"})
-    row = compare(run, made(t, moves))["a.x"]
+    row = validate(run, made(t, moves))["a.x"]
     assert row.metrics.normalised_by == 5.0
     assert row.metrics.nrmse == pytest.approx(2e-16)  # 1e-15 m over 5 m
     assert (row.metrics.fit, row.metrics.vaf, row.metrics.iso.overall) == (None, None, None)
@@ -123,7 +123,7 @@ def test_the_range_is_that_of_the_window_of_the_file() -> None:
     t = np.linspace(0, 10, 101)
     wild = np.where(t < 2, 99.0, t)
     run = Trace(t[:50], {"a.x": t[:50]}, {"a.x": "m"})
-    assert compare(run, made(t, wild, start=2.0), rate=False)["a.x"].metrics.normalised_by == 8.0
+    assert validate(run, made(t, wild, start=2.0), rate=False)["a.x"].metrics.normalised_by == 8.0
 
 
 def test_no_common_window_is_refused() -> None:
@@ -132,9 +132,9 @@ def test_no_common_window_is_refused() -> None:
     with pytest.raises(
         Problem, match=r"ref.csv: expected two or more .* got 0; the run covers 0 to 1 s; the reference"
     ):
-        compare(run, made(np.array([5.0, 6.0]), np.zeros(2)))
+        validate(run, made(np.array([5.0, 6.0]), np.zeros(2)))
     with pytest.raises(Problem, match="the window asked for begins at 3 s"):
-        compare(run, made(np.array([0.0, 1.0]), np.zeros(2), start=3.0))
+        validate(run, made(np.array([0.0, 1.0]), np.zeros(2), start=3.0))
 
 
 def test_unknown_signal_is_refused(trace: Trace) -> None:
@@ -142,7 +142,7 @@ def test_unknown_signal_is_refused(trace: Trace) -> None:
     time = trace.time[::10]
     reference = Recording(Path("ref.csv"), time, {"shaft.angel": time}, {"shaft.angel": "rad"})
     with pytest.raises(Problem, match=r"ref.csv: no signal shaft.angel in .*; did you mean shaft.angle\?"):
-        compare(trace, reference)
+        validate(trace, reference)
 
 
 def test_wrong_quantity_is_refused() -> None:
@@ -151,13 +151,13 @@ def test_wrong_quantity_is_refused() -> None:
     with pytest.raises(
         Problem, match=r"ref.csv: a.x: unit 'bar' cannot be converted, expected a unit like 'm'"
     ):
-        compare(run, made(run.time, np.zeros(2), "bar"))
+        validate(run, made(run.time, np.zeros(2), "bar"))
 
 
 def test_missing_unit_of_the_run_is_said() -> None:
     """A run without unit is taken in the unit of the reference, and a note says so."""
     run = Trace(np.array([0.0, 1.0]), {"a.x": np.array([0.0, 2.0])})
-    row = compare(run, made(run.time, run["a.x"], "bar"), rate=False)["a.x"]
+    row = validate(run, made(run.time, run["a.x"], "bar"), rate=False)["a.x"]
     assert row.notes == ("the run states no unit, 'bar' of the reference assumed",)
     assert row.metrics.maximum_error == 0
 
@@ -168,7 +168,7 @@ def test_nan_in_the_run_is_refused(trace: Trace, folder: Path) -> None:
     broken[1234] = np.nan
     run = replace(trace, signals={**trace.signals, "shaft.angle": broken})
     with pytest.raises(Problem, match=r"run: shaft.angle: expected finite numbers, got nan at 1.234 s"):
-        compare(run, read_recording(folder / "ref.csv"))
+        validate(run, read_recording(folder / "ref.csv"))
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_every_metric_can_be_a_limit(metric: str, good: float, bad: float) -> No
     t = np.linspace(0, 6, 300)
     run = Trace(t, {"a.x": np.sin(t) + 0.05}, {"a.x": "m"})
     for limit, passed in ((good, True), (bad, False)):
-        found = compare(run, made(t, np.sin(t), limit=Tolerance(metric, limit)), rate=metric == "iso")
+        found = validate(run, made(t, np.sin(t), limit=Tolerance(metric, limit)), rate=metric == "iso")
         assert found.passed is passed
 
 
@@ -198,7 +198,7 @@ def test_relative_limit_needs_a_reference_off_zero() -> None:
         y = base + t
         run = Trace(t, {"a.x": y * 1.01 + (0 if base else 0.01)}, {"a.x": "m"})
         limit = Tolerance("maximum_relative", 0.02)
-        assert compare(run, made(t, y, limit=limit), rate=False).passed is passed
+        assert validate(run, made(t, y, limit=limit), rate=False).passed is passed
 
 
 def test_gaps_of_the_reference_are_left_out() -> None:
@@ -206,23 +206,23 @@ def test_gaps_of_the_reference_are_left_out() -> None:
     t = np.linspace(0, 1, 101)
     values = np.where((t > 0.305) & (t < 0.395), np.nan, t)  # nine samples, 0.31 to 0.39 s
     fine = Trace(np.linspace(0, 1, 1001), {"a.x": np.linspace(0, 1, 1001) + 0.5}, {"a.x": "m"})
-    row = compare(fine, made(t, values))["a.x"]
+    row = validate(fine, made(t, values))["a.x"]
     assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples lie in gaps of the reference, left out")
     # a straight line is interpolated exactly, but for rounding
     assert row.metrics.rmse == pytest.approx(0.5, rel=1e-12)
     assert row.metrics.iso.overall is not None
     coarse = Trace(t[::5], {"a.x": t[::5]}, {"a.x": "m"})
-    row = compare(coarse, made(t, values), rate=False)["a.x"]
+    row = validate(coarse, made(t, values), rate=False)["a.x"]
     assert set(t[::5]) - set(row.time) == {t[35]}  # 0.30 s and 0.40 s have their samples
     assert row.metrics.maximum_error < 1e-15
     with pytest.raises(Problem, match=r"ref.csv: a.x: expected two or more samples .* got 0"):
-        compare(coarse, made(t, np.full(101, np.nan)))
+        validate(coarse, made(t, np.full(101, np.nan)))
 
 
 def test_without_limits_nothing_is_judged() -> None:
     """No limit, no verdict: the run is not called good, and it does not fail either."""
     t = np.array([0.0, 1.0])
-    found = compare(Trace(t, {"a.x": t}, {"a.x": "m"}), made(t, t + 5), rate=False)
+    found = validate(Trace(t, {"a.x": t}, {"a.x": "m"}), made(t, t + 5), rate=False)
     assert found.passed
     assert found.judged == ()
     assert found.verdict == "not judged: the reference states no limits"

@@ -15,8 +15,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.plotting import decimate, png, svg
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import Validation, compare
 from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import draw
 
 SPEC = FigureSpec(
@@ -61,7 +61,7 @@ def test_signals_that_are_not_judged_have_no_error_strip(
     """Unless the reference states no limits at all: then the errors are what there is to see."""
 
     def strips() -> int:
-        outcome = compare(trace, read_recording(meta), rate=False)
+        outcome = validate(trace, read_recording(meta), rate=False)
         return sum("error" in axes.get_ylabel() for axes in draw(SPEC, outcome, trace).axes)
 
     meta = edited('angle = { metric = "nrmse", limit = 0.01 }', 'angle = "none"')

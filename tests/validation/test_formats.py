@@ -12,7 +12,7 @@ import scipy.io
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, bridged, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import compare
+from orchestrator.results.validation import validate
 
 
 @pytest.mark.parametrize("kind", ["parquet", "mat"])
@@ -32,8 +32,8 @@ def test_parquet_and_matlab_are_compared_like_csv(folder: Path, trace: Trace, ki
         (folder / "ref.toml").write_text(text, encoding="utf-8")
         columns = {name.replace(".", "_"): table[name].to_numpy() for name in table}
         scipy.io.savemat(folder / "ref.mat", columns)
-    found = compare(trace, read_recording(folder / "ref.toml"), rate=False)
-    expected = compare(trace, csv, rate=False)
+    found = validate(trace, read_recording(folder / "ref.toml"), rate=False)
+    expected = validate(trace, csv, rate=False)
     assert found["pump.pressure"].metrics == expected["pump.pressure"].metrics
     assert found["shaft.angle"].notes == ("10 of 201 samples lie in gaps of the reference, left out",)
     assert len(found["shaft.angle"].time) == 191

@@ -3,7 +3,7 @@
 import numpy as np
 
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import by_variable
+from orchestrator.results.validation import by_variable
 
 TIME = np.array([0.0, 1.0])
 RUN = Trace(TIME, {"all.angle": TIME, "all.flow": 2 * TIME, "all.own": 3 * TIME}, {"all.angle": "rad"})

@@ -15,9 +15,9 @@ import pytest
 
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import Validation, compare
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import Motion
+from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import (
     Report,
     ReportedComponent,
@@ -149,7 +149,7 @@ def test_a_missed_limit_is_plain_to_see(
     report: Report, edited: Callable[[str, str], Path], trace: Trace, tmp_path: Path
 ) -> None:
     """A failed run says so at the top, in the table and in the figure, in words and not by colour alone."""
-    failed = compare(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
+    failed = validate(trace, read_recording(edited("limit = 2.0", "limit = 0.9")), rate=False)
     html, data = write_report(tmp_path / "report.html", replace(report, validation=failed))
     page = html.read_text(encoding="utf-8")
     for text in (

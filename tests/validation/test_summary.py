@@ -15,8 +15,8 @@ from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import Validation, compare
 from orchestrator.results.summary import percent, summary
+from orchestrator.results.validation import Validation, validate
 
 
 def shown(outcome: Validation, width: int = 80) -> list[str]:
@@ -39,7 +39,7 @@ def made(**signals: Tolerance | None) -> Validation:
     known = dict.fromkeys(names, np.sin(t))
     criteria = {name: Criterion(tolerance=limit) for name, limit in names.items()}
     reference = Recording(Path("ref.csv"), t, known, dict.fromkeys(names, "m"), criteria=criteria)
-    return compare(run, reference, rate=False)
+    return validate(run, reference, rate=False)
 
 
 def test_a_line_per_signal_below_its_group_and_limit(outcome: Validation) -> None:
@@ -63,7 +63,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
 ) -> None:
     """Signal, value, limit and their ratio come first; the row is marked without colour too."""
     edited("limit = 0.01", "limit = 1e-20")
-    lines = shown(compare(trace, read_recording(edited("limit = 2.0", "limit = 0.4")), rate=False))
+    lines = shown(validate(trace, read_recording(edited("limit = 2.0", "limit = 0.4")), rate=False))
     assert lines[0] == "FAIL: 2 of 2 signals miss their limits"
     assert lines[1].startswith("! shaft.angle: NRMSE ")  # the worst first
     assert lines[2] == "! pump.pressure: max. error 1 bar, limit 0.4 bar (2.5 times)"

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.description import Origin, Tolerance
 from orchestrator.data.recording import read_recording, write_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.compare import compare
+from orchestrator.results.validation import validate
 
 ORIGIN = Origin(
     title='The "joined" machine',
@@ -43,7 +43,7 @@ def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
     assert found.criterion("shaft.angle").tolerance == Tolerance("nrmse", 0.0005)
     assert found.criterion("pump.command").tolerance is None
     assert found.file_units["pump.pressure"] == "Pa"
-    outcome = compare(trace, found, rate=False)
+    outcome = validate(trace, found, rate=False)
     assert outcome.passed
     # nine digits in the CSV
     np.testing.assert_allclose(outcome["pump.pressure"].reference, trace["pump.pressure"], rtol=1e-8)

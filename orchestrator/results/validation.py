@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,10 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.units import linear
 from orchestrator.data.description import Tolerance
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, read
+from orchestrator.engine.result import Result
 from orchestrator.results.metrics import Metrics, measure
 
 
@@ -62,7 +64,7 @@ ROUNDING = 1e-6  # of a sampling interval: of times in a text file
 
 
 @dataclass(frozen=True)
-class Row:
+class ValidatedSignal:
     """One compared signal: samples of shape (n,) and numbers, all in `unit`; passed None: not judged."""
 
     signal: str
@@ -97,7 +99,7 @@ class Row:
 class Validation:
     """The outcome for all signals over the window (start, stop) [s]."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[ValidatedSignal, ...]
     window: tuple[float, float]
     title: str
     source: str
@@ -105,20 +107,20 @@ class Validation:
     notes: tuple[str, ...] = ()
 
     @property
-    def groups(self) -> dict[str, list[Row]]:
+    def groups(self) -> dict[str, list[ValidatedSignal]]:
         """The rows by group, in the order of the reference."""
-        found: dict[str, list[Row]] = {}
+        found: dict[str, list[ValidatedSignal]] = {}
         for row in self.rows:
             found.setdefault(row.group, []).append(row)
         return found
 
     @property
-    def judged(self) -> tuple[Row, ...]:
+    def judged(self) -> tuple[ValidatedSignal, ...]:
         """The rows that have a limit."""
         return tuple(row for row in self.rows if row.passed is not None)
 
     @property
-    def failed(self) -> tuple[Row, ...]:
+    def failed(self) -> tuple[ValidatedSignal, ...]:
         """The rows that miss their limit."""
         return tuple(row for row in self.rows if row.passed is False)
 
@@ -137,12 +139,23 @@ class Validation:
             f"{'pass' if self.passed else 'fail'}: {inside} of {len(self.judged)} signals within their limits"
         )
 
-    def __getitem__(self, signal: str) -> Row:
+    def __getitem__(self, signal: str) -> ValidatedSignal:
         return next(row for row in self.rows if row.signal == signal)
 
 
-def compare(trace: Trace, reference: Recording, *, rate: bool = True) -> Validation:
-    """Compare every signal of the reference with the run; rate=False leaves the ISO rating out."""
+def validate(
+    run: Result | Trace | str | Path, reference: Recording | str | Path, *, rate: bool = True
+) -> Validation:
+    """Compare every signal of the reference with the run.
+
+    run         a result, a trace, or its .csv or .parquet file
+    reference   a recording, or its data file with a .toml next to it
+    rate        with the ISO/TS 18571 rating, which takes most of the time
+
+    Raises Problem for a signal that the run lacks, a unit that differs, or no common window.
+    """
+    trace = run if isinstance(run, Trace) else run.trace if isinstance(run, Result) else read(run)
+    reference = reference if isinstance(reference, Recording) else read_recording(reference)
     for name in reference.signals:
         if name not in trace.signals:
             raise UnknownSignal(name, trace.signals, f"{reference.source}: ")
@@ -197,7 +210,7 @@ def _between(grid: Array, time: Array) -> int:
     return int(np.sum(np.abs(time[at_or_after] - grid) > slack))
 
 
-def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> Row:
+def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> ValidatedSignal:
     """One signal on the common samples, measured and judged."""
     where, values, notes = f"{reference.source}: {name}", trace[name], []
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
@@ -227,7 +240,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         where=where,
     )
     tolerance = None if criterion.tolerance is None else criterion.tolerance.scaled(factor)
-    return Row(
+    return ValidatedSignal(
         signal=name,
         label=criterion.label,
         group=criterion.group,

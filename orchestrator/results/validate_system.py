@@ -24,9 +24,9 @@ from orchestrator.engine.result import Card, Result, write_metadata
 from orchestrator.engine.run import contents, given, simulated
 from orchestrator.fmi.description import Variable
 from orchestrator.results import validation_report as reporting
-from orchestrator.results.compare import Validation, by_variable, compare, once
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
+from orchestrator.results.validation import Validation, by_variable, once, validate
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import lost
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -101,9 +101,9 @@ def judge(
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     facts   what ran, in the order to show
-    rate    with the ISO/TS 18571 rating (its library takes some seconds to start)
+    rate    with the ISO/TS 18571 rating, most of the time of a comparison
     """
-    validation = compare(result.trace, reference, rate=rate)
+    validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
@@ -204,7 +204,7 @@ def _figures(validation: Validation) -> tuple[FigureSpec, ...]:
     return (FigureSpec("Signals", panels),) if panels else ()
 
 
-def validate(
+def validate_system(
     system: Path,
     scenario: Path | None,
     reference: Path | None,
