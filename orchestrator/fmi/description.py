@@ -14,6 +14,7 @@ from orchestrator.base.files import Location
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import parse
 from orchestrator.fmi.raw_description import (
+    COMBINATIONS,
     FLOATS,
     INTERFACES,
     SIGNED,
@@ -295,7 +296,7 @@ def _variable(
         raise Problem(f"{v}: declaredType {type_!r} is not defined")
     if v.reference is None:
         raise Problem(f"{v}: valueReference {v.attributes.get('valueReference')!r}, expected a whole number")
-    if not v.initial and v.causality not in ("input", "independent"):
+    if (v.causality, v.variability) not in COMBINATIONS and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
     word = "Int64" if v.type == "Enumeration" else v.type
     items = description.types[type_].items if type_ and v.type == "Enumeration" else ()

@@ -29,6 +29,8 @@ INITIAL = {  # default of `initial` by causality and variability, both versions
     **{(c, v): "calculated" for c in ("output", "local") for v in ("discrete", "continuous")},
     **{(c, "constant"): "exact" for c in ("output", "local")},
 }
+# causality and variability that go together, both versions
+COMBINATIONS = {*INITIAL, ("input", "discrete"), ("input", "continuous"), ("independent", "continuous")}
 
 
 def whole(text: str | None) -> int | None:
