@@ -26,7 +26,7 @@ EXACT = {"rtol": 0, "atol": 1e-12}
 
 
 def test_places_and_slopes_are_row_sums():
-    """alpha_i = sum_j alpha_ij and g_i = sum_j gamma_ij: each coefficient of A and C counts in one of them."""
+    """alpha_i = sum_j alpha_ij, g_i = sum_j gamma_ij: each coefficient of A and C counts in one of them."""
     np.testing.assert_allclose(STEPS.sum(axis=1), solver.ALPHA, **EXACT)
     np.testing.assert_allclose(GAMMA.sum(axis=1), solver.G, **EXACT)
 
