@@ -39,7 +39,7 @@ stop = {seconds}
 
 [factors]
 "swing.motor_displacement" = {{ distribution = "uniform", minimum = 0.9, maximum = 1.1, relative = true }}
-"swing.line_capacitance" = {{ distribution = "uniform", minimum = 4.7e-13, maximum = 18.8e-13, unit = "m3/Pa" }}
+"swing.line_capacitance" = {{ distribution = "uniform", minimum = 4.7e-13, maximum = 1.88e-12 }}
 "manipulator.head_mass" = {{ distribution = "uniform", minimum = 300, maximum = 400, unit = "kg" }}
 "supply.pressure_setting" = {{ distribution = "normal", mean = 170, sd = 5, unit = "bar" }}
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.assembly import assemble
     from orchestrator.ssp.load import load
+    from orchestrator.ssp.swap import with_swaps
     from orchestrator.ssp.system import System
     from orchestrator.ssp.write import write_ssp
     from orchestrator.studies import Study, read_study, sweep
@@ -48,6 +49,7 @@ _MODULES = {
     "results.validation": "Validation validate",
     "ssp.assembly": "assemble",
     "ssp.load": "load",
+    "ssp.swap": "with_swaps",
     "ssp.system": "System",
     "ssp.write": "write_ssp",
     "studies": "Study read_study sweep",
@@ -57,7 +59,8 @@ _WHERE = {name: module for module, names in _MODULES.items() for name in names.s
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
     "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
-    "load", "read", "read_recording", "read_study", "run", "sweep", "validate", "write", "write_ssp",
+    "load", "read", "read_recording", "read_study", "run", "sweep", "validate", "with_swaps",
+    "write", "write_ssp",
 ]  # fmt: skip
 
 

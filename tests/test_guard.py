@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, RunFailed, System, Trace, load, run
+from orchestrator.ssp.swap import with_swaps
 
 SPEEDS = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 GUARDED = ("hermite", "interface-jacobian")
@@ -43,7 +44,7 @@ def test_without_it_a_pose_is_lost(system):
 
 def test_a_slope_at_the_start_that_dies_at_once_is_not_followed(system):
     """The pump's pressure falls for microseconds only; a cubic with that slope would dip by 12 bar."""
-    pumped = system.swapped({"supply": "engine_pump"})
+    pumped = with_swaps(system, {"supply": "engine_pump"})
     options = {"stop": 2.0, "record_step": 0.005, "record": ["supply.supply_pressure"]}
     truth = run(pumped, master="hermite", step=5e-4, **options).trace
     found = run(pumped, master="hermite", step=5e-3, **options).trace

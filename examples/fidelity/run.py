@@ -16,6 +16,7 @@ from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, load, run
 from orchestrator.base.text import share
 from orchestrator.results.comparison import Comparison, compare
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.studies.convergence_report import write
 from orchestrator.studies.variants import inside
 
@@ -37,7 +38,7 @@ def simulate(system: Path, part: str, stop: float) -> Comparison:
 
 def costs(system: Path, part: str, stop: float) -> dict[str, float]:
     """Of each variant: milliseconds inside the FMU for each second simulated."""
-    machines = [load(system).swapped({part: name}) for name in FAMILIES[part]]
+    machines = [with_swaps(load(system), {part: name}) for name in FAMILIES[part]]
     spent = inside(machines, stop=min(stop, TIMED), step=1e-3)
     return {name: max(found[part], 0.0) for name, found in zip(FAMILIES[part], spent, strict=True)}
 

@@ -1,4 +1,4 @@
-"""Shared libraries of an FMU: for which machines, where in the FMU each one goes, and how they are compiled."""
+"""Shared libraries of an FMU: the platforms, the place of each in the FMU, and the compiler's options."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ REST = 1e-6  # of the nominal value: a signal that moves less is at rest
 
 
 def kept_values(sub: Subsystem) -> Values:
-    """Numbers of a subsystem of the machine whose traces are kept: those of its hoses rounded as once printed."""
+    """Numbers of the machine that the kept traces are of: those of its hoses as printed, rounded."""
     return values(with_numbers(sub, read(data("reference/hoses.toml"))["parameters"]))
 
 

@@ -70,5 +70,6 @@ def signals(
     from orchestrator.base.files import there
     from orchestrator.ssp.listing import lines
     from orchestrator.ssp.load import load
+    from orchestrator.ssp.swap import with_swaps
 
-    print("\n".join(lines(load(there(system)).swapped(swaps(swap or [])), kind)))
+    print("\n".join(lines(with_swaps(load(there(system)), swaps(swap or [])), kind)))

@@ -70,10 +70,11 @@ def _usual(swapped: Mapping[str, str]) -> Path:
     if not CONTROL.exists():
         return SYSTEM
     from orchestrator.ssp.load import load
+    from orchestrator.ssp.swap import with_swaps
 
     if swapped:
         try:
-            load(CONTROL).swapped(swapped)
+            with_swaps(load(CONTROL), swapped)
         except Problem as problem:
             if SYSTEM.exists() and _takes(SYSTEM, swapped):
                 text = f"{problem}; {SYSTEM} has no controller and takes it: harvester view {SYSTEM}"
@@ -84,9 +85,10 @@ def _usual(swapped: Mapping[str, str]) -> Path:
 
 def _takes(system: Path, swapped: Mapping[str, str]) -> bool:
     from orchestrator.ssp.load import load
+    from orchestrator.ssp.swap import with_swaps
 
     try:
-        load(system).swapped(swapped)
+        with_swaps(load(system), swapped)
     except Problem:
         return False
     return True

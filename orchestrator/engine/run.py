@@ -17,6 +17,7 @@ from orchestrator.engine.time_grid import RECORD, communication_step, divided, f
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
 __all__ = [
@@ -62,7 +63,7 @@ def run(
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
     record, execution = _settings(record, execution, single)
-    whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
+    whole = with_swaps(system if isinstance(system, System) else load(system), swap or {})
     if master is not None:
         whole = whole.coupled(master if isinstance(master, Coupling) else Coupling(master))
     whole = replace(whole, notes=whole.notes + whole.suggestion.notes(step is not None))
@@ -140,7 +141,7 @@ def simulated(
     swap          other FMUs: component -> name of a variant, or path
     """
     check_suffix(out)
-    loaded = load(there(system)).without(*cut).swapped(swap or {})
+    loaded = with_swaps(load(there(system)).without(*cut), swap or {})
     loaded = loaded.coupled(coupling) if coupling else loaded
     if record_step is None and loaded.coupling and loaded.coupling.adaptive is not None:
         interval = None if everywhere else RECORD

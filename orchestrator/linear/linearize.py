@@ -19,6 +19,7 @@ from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import steady as find_steady
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 
 
@@ -117,7 +118,7 @@ def linearize(
 
     Raises Problem for a mistake, and where an FMU is not made for model exchange.
     """
-    whole = (system if isinstance(system, System) else load(system)).swapped(swap or {})
+    whole = with_swaps(system if isinstance(system, System) else load(system), swap or {})
     whole = with_sets(whole, parameters)
     if speeds and not steady:
         raise Problem("--speed: expected --steady with it, only a steady state has given speeds")

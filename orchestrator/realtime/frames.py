@@ -31,6 +31,7 @@ from orchestrator.realtime.setup import Array, Axis, Setup
 from orchestrator.realtime.shared_memory import Orders
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 
 
@@ -160,7 +161,8 @@ class Engine:
     def __init__(self, setup: Setup, open: Opener = open_slave) -> None:
         """Raises Problem for a mistake in the setup."""
         check(setup)
-        system = with_sets(load(setup.system).swapped(setup.swap), setup.parameters).with_start(setup.set)
+        system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
+        system = system.with_start(setup.set)
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         times, self._steps = _grid(system, coupling, setup)

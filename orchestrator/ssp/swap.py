@@ -27,10 +27,11 @@ STEMS = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}  # ends of na
 FOLDER, SUFFIX, MAKE = "variants", ".fmu", "harvester build"
 
 
-def swapped(system: System, swaps: Mapping[str, str | Path]) -> System:
-    """The system with other FMUs.
+def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
+    """The same system with other FMUs, which must have the ports that are used.
 
-    swaps   component -> the name of a variant, or the path of an .fmu file
+    swaps   component -> the name of a variant, or the path of an .fmu file; variants lie in `variants/`, next
+            to the system's file
     """
     for name, chosen in swaps.items():
         if name not in system.components:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from orchestrator.base.coupling import Coupling, Suggestion
@@ -242,15 +241,6 @@ class System:
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (f"cut, so these inputs keep their start values: {', '.join(cut)}",) if cut else ()
         return replace(self, connections=kept, notes=self.notes + notes)
-
-    def swapped(self, swaps: Mapping[str, str | Path]) -> System:
-        """The same system with other FMUs: component -> the name of a variant, or the path of an .fmu file.
-
-        Variants lie in `variants/` beside the system's file. The new FMU must have the ports that are used.
-        """
-        from orchestrator.ssp.swap import swapped
-
-        return swapped(self, swaps)
 
 
 def settable(port: Port, interface: Interface) -> None:

@@ -22,6 +22,7 @@ from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 from orchestrator.studies.study import Factor, Output, Study, measure_unit
 
@@ -81,7 +82,7 @@ def _case(study: Study, whole: System, options: Options) -> StudyCase:
     }
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
-    system = with_sets(whole.swapped(chosen), sets)
+    system = with_sets(with_swaps(whole, chosen), sets)
     trace = None if scenario is None else read(scenario)
     if trace is not None:
         drive(system, trace, str(scenario))

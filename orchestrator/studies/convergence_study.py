@@ -15,6 +15,7 @@ from orchestrator.base.files import folder, there
 from orchestrator.data.recording import read_recording
 from orchestrator.results.validate_system import another_model
 from orchestrator.ssp.load import load
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.studies.convergence import (
     ConvergenceStudy,
     SettingRun,
@@ -54,7 +55,7 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings, lengths = choose(_items(masters)), durations(steps)
-    whole = load(there(system)).without(*cut).swapped(swap or {})
+    whole = with_swaps(load(there(system)).without(*cut), swap or {})
     if not whole.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     folder(out)

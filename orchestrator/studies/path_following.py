@@ -23,6 +23,7 @@ from orchestrator.data.trace import Trace, read
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
@@ -169,7 +170,7 @@ def assembled(
     system: System, machines: Mapping[str, Mapping[str, str]], given: Mapping[str, Value | str]
 ) -> dict[str, System]:
     """Every machine {name: variants} with the start values that are given; each must have all of them."""
-    swapped = {name: system.swapped(swap) for name, swap in machines.items()}
+    swapped = {name: with_swaps(system, swap) for name, swap in machines.items()}
     for value in given:
         having = [name for name, machine in swapped.items() if machine.has(value)]
         lacking = [name for name in swapped if name not in having]

@@ -25,6 +25,7 @@ from orchestrator.data.trace import Trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.ssp.load import load
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
 
@@ -72,7 +73,7 @@ def combinations(
     first = None
     for names in product(*variants.values()):
         chosen = dict(zip(variants, names, strict=True))
-        whole, failure = system.swapped(chosen), ""
+        whole, failure = with_swaps(system, chosen), ""
         try:
             result = run(whole, **options)
         except RunFailed as failed:
@@ -141,7 +142,7 @@ RUN = {"step": STEP, "record_step": 0.02}  # of each combination [s]
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
     """(component, variant) -> time [us] per step inside its FMU, with the usual variants around it."""
     whole = load(system)
-    machines = [whole.swapped({part: variant}) for part, variant in variants]
+    machines = [with_swaps(whole, {part: variant}) for part, variant in variants]
     spent = inside(machines, REPEATS, stop=LENGTH, **RUN)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 

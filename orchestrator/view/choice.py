@@ -10,6 +10,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.view.readings import watched
 from orchestrator.view.scene.pose import Geometry, Start, geometry, start
@@ -59,7 +60,7 @@ def plan(choice: Choice) -> Plan:
         known = poses(choice.system)
         near = suggest(choice.pose, known) or f"; there are {', '.join(known) or 'none'}"
         raise Problem(f"{choice.system}: no pose {choice.pose!r}{near}")
-    system = loaded.swapped(choice.swap)
+    system = with_swaps(loaded, choice.swap)
     posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
     driven = axes(system)
     setup = Setup(
@@ -113,7 +114,8 @@ def variants(system: Path) -> Mapping[str, Mapping[str, str]]:
     for component, brought in loaded.components.items():
         own = [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]
         if own:
-            guids = {n: loaded.swapped({component: n}).components[component].interface.guid for n in own}
+            machines = {n: with_swaps(loaded, {component: n}) for n in own}
+            guids = {n: machine.components[component].interface.guid for n, machine in machines.items()}
             same = next((n for n in own if guids[n] == brought.interface.guid), "")
             others = {n: n for n in own if n != same}
             found[component] = {USUAL: f"{same} ({USUAL})" if same else USUAL, **others}

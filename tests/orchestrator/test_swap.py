@@ -12,6 +12,7 @@ from any_fmu.edit import edited as changed
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
 from orchestrator.results.validate_system import validate_system
+from orchestrator.ssp.swap import with_swaps
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"
@@ -88,13 +89,13 @@ def test_variants_lie_beside_the_system(bench):
 def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
     """With what is there."""
     with pytest.raises(Problem, match=re.escape(message)):
-        bench.swapped(swaps)
+        with_swaps(bench, swaps)
 
 
 def test_a_system_without_a_file_has_no_variants(oscillator):
     """Assembled in Python."""
     with pytest.raises(Problem, match=r"swap a=fine: the system has no file to look for variants beside"):
-        oscillator.swapped({"a": "fine"})
+        with_swaps(oscillator, {"a": "fine"})
 
 
 def test_convertible_units_are_converted(fmus):
@@ -111,7 +112,7 @@ def test_convertible_units_are_converted(fmus):
     np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
     note = f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]: converted"
     assert f"{note}; given values stay in the latter" in result.card.notes
-    back = system.swapped({"g": bar}).swapped({"g": pascal})
+    back = with_swaps(with_swaps(system, {"g": bar}), {"g": pascal})
     for c, usual in zip(back.connections, system.connections, strict=True):
         assert c.map(1e5) == pytest.approx(usual.map(1e5), rel=1e-14)
 
@@ -163,7 +164,7 @@ def test_what_does_not_fit_is_told_in_one_line(fmus, oscillator, changes, messag
     """Component, file, port, expected, got; all faults together."""
     faulty = edited(fmus["mass_b"], "faulty", *changes)
     with pytest.raises(Problem) as caught:
-        oscillator.swapped({"b": faulty})
+        with_swaps(oscillator, {"b": faulty})
     told = str(caught.value).partition("; to do without: ")[0]
     assert told == f"swap b: {faulty} does not fit: {message}"
 
@@ -174,7 +175,7 @@ def test_many_faults_are_all_told(fmus3):
     wires = [f"p.{port}_out -> q.{port}_in" for port in ports]
     system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, wires)
     with pytest.raises(Problem) as caught:
-        system.swapped({"q": fmus3["source"]})
+        with_swaps(system, {"q": fmus3["source"]})
     expected = [f"expected input {port}_in, got none" for port in ports]
     expected[0] = "expected input float32_in [m], got none"
     told, _, way_out = str(caught.value).partition("; to do without: ")
@@ -187,7 +188,7 @@ def test_an_input_may_be_missing_if_its_wire_is_cut(fmus, oscillator):
     """The message says so where nothing else is wrong and the wire carries no power."""
     faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
     with pytest.raises(Problem, match=r"got none; to do without: --cut b.force$"):
-        oscillator.swapped({"b": faulty})
+        with_swaps(oscillator, {"b": faulty})
     result = run(oscillator.without("b.force"), step=1e-3, stop=0.1, swap={"b": faulty})
     assert np.ptp(result.trace["b.x"]) > 0  # m: it swings by its own spring
 
@@ -198,7 +199,7 @@ def test_no_cut_is_suggested_where_power_would_be_lost(fmus):
     system = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, wires)
     faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
     with pytest.raises(Problem, match=r"expected input force \[N\], got none$"):
-        system.swapped({"b": faulty})
+        with_swaps(system, {"b": faulty})
 
 
 def test_rate_ports_may_be_missing(fmus):
@@ -220,11 +221,11 @@ def test_a_rate_is_known_by_its_name_only_beside_what_it_changes(fmus):
     undeclared = edited(fmus["drift"], "undeclared", (' derivative="1"', ""))
     plain = edited(undeclared, "plain", renamed("u_rate"))
     files = {"v": fmus.make("source", "speed", units={"y": "m/s"}), "d": undeclared}
-    assert assemble(files, ["v.y -> d.u_rate"]).swapped({"d": plain}).connections == ()
+    assert with_swaps(assemble(files, ["v.y -> d.u_rate"]), {"d": plain}).connections == ()
     flow = edited(undeclared, "flow", renamed("u", "level"), renamed("u_rate", "flow_rate"))
     alone = assemble({**files, "d": flow}, ["v.y -> d.flow_rate"])
     with pytest.raises(Problem, match=r"expected input flow_rate \[m/s\], got none"):
-        alone.swapped({"d": plain})
+        with_swaps(alone, {"d": plain})
 
 
 def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
@@ -232,7 +233,7 @@ def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
     speed = fmus.make("source", "speed", units={"y": "m/s"})
     system = assemble({"v": speed, "g": fmus["glide"]}, ["v.y -> g.velocity"])
     with pytest.raises(Problem, match=r"expected input velocity \[m/s\], got none"):
-        system.swapped({"g": edited(fmus["glide"], "plain", renamed("velocity"))})
+        with_swaps(system, {"g": edited(fmus["glide"], "plain", renamed("velocity"))})
 
 
 def test_start_values_go_over_where_there_is_a_place(bench, fmus):
@@ -329,7 +330,7 @@ def test_signals_of_a_swapped_system_are_listed(capsys, fmus):
 def test_an_input_that_is_new_is_told(oscillator, fmus):
     """No wire reaches it, so it keeps its start value."""
     more = edited(fmus["mass_b"], "more", renamed("force", "push"))
-    notes = oscillator.without("b.force").swapped({"b": more}).notes
+    notes = with_swaps(oscillator.without("b.force"), {"b": more}).notes
     assert f"{more} has inputs of its own, push: no wire feeds them" in notes
 
 
@@ -337,14 +338,14 @@ def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):
     """Not one of another causality, nor one that has its own work to do."""
     output = edited(fmus["mass_b"], "output", renamed("force", "forces"), caused("forces", "local"))
     with pytest.raises(Problem, match=r"expected input force \[N\], got none; to do without"):
-        oscillator.swapped({"b": output})
+        with_swaps(oscillator, {"b": output})
 
 
 def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
     """An input and an output of the outermost system."""
     bare = edited(fmus["gain"], "bare", renamed("y"))
     with pytest.raises(Problem, match=r"expected output y \[m\], got none$"):
-        bench.swapped({"g": bare})
+        with_swaps(bench, {"g": bare})
     units = ('unit="m"', 'unit="mm"'), ('name="m"><BaseUnit m="1"', 'name="mm"><BaseUnit m="1" factor="1e-3"')
     small = edited(fmus["gain"], "small", *units)
     trace = run(bench, step=0.5, stop=1.0, swap={"g": small}, set={"command": 4.0}).trace

@@ -7,6 +7,7 @@ import pytest
 from any_fmu.edit import caused, edited, renamed
 
 from orchestrator import Problem, load, run
+from orchestrator.ssp.swap import with_swaps
 
 JOINTS = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 # Through closed valves oil leaks, 20 mL/min per edge, and the arm settles on it: 1.5e-4 rad/s at full reach.
@@ -49,7 +50,7 @@ def test_an_actuator_without_start_wires_needs_cuts(machine, fmu_dir, tmp_path):
     table = edited(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
     cuts = "--cut boom_stick.boom_holding_force --cut boom_stick.stick_holding_force"
     with pytest.raises(Problem, match=f"; to do without: {cuts}$"):
-        machine.swapped({"boom_stick": table})
+        with_swaps(machine, {"boom_stick": table})
     cut = machine.without("boom_stick.*_holding_force")
     assert run(cut, swap={"boom_stick": table}, stop=0.1).complete
 
@@ -93,4 +94,4 @@ def test_a_faulty_actuator_is_told_in_one_line(machine, fmu_dir, tmp_path, chang
     faulty = edited(fmu_dir / "boom_stick.fmu", tmp_path / "faulty.fmu", *changes)
     told = f"swap boom_stick: {faulty} does not fit: {message}"
     with pytest.raises(Problem, match=f"^{re.escape(told)}$"):
-        machine.swapped({"boom_stick": faulty})
+        with_swaps(machine, {"boom_stick": faulty})

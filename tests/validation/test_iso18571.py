@@ -1,4 +1,4 @@
-"""The rating of ISO/TS 18571 is that of an independent implementation, and of what the standard says by hand."""
+"""The rating of ISO/TS 18571 is that of an independent implementation, and of examples by hand."""
 
 import numpy as np
 import pytest
