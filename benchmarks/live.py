@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.realtime.machine import Station
-from orchestrator.realtime.pace import WISH
+from orchestrator.realtime.deadlines import PRIORITY_VARIABLE
+from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Machine
 
@@ -54,11 +54,11 @@ class Watched:
     """The machine behind the server of the view, and how to start another one."""
 
     def __init__(self, server: bool) -> None:
-        from orchestrator.view.choice import Choice
+        from orchestrator.view.choice import MachineChoice
         from orchestrator.view.session import Session
 
-        self._choice = Choice
-        self.session = Session(Choice(SYSTEM), Station, Replay)
+        self._choice = MachineChoice
+        self.session = Session(MachineChoice(SYSTEM), RealTimeMachine, Replay)
         self.machine = self.session.machine
         self.url, self._server = "", None
         if server:
@@ -72,7 +72,7 @@ class Watched:
     def start(self, swap: Mapping[str, str]) -> None:
         """From the beginning with these parts; waits until it runs."""
         self.session.start(self._choice(SYSTEM, swap=swap))
-        while (frame := self.machine.latest()).state != "running" or frame.pulse.frames < 1:
+        while (frame := self.machine.latest()).state != "running" or frame.timing.frames < 1:
             if frame.state == "failed":
                 raise Problem(frame.message)
             time.sleep(0.01)
@@ -120,13 +120,13 @@ def measure(name: str, watched: Watched, seconds: float, page: Any) -> float:
     """One machine: prints its line; the share of missed deadlines."""
     watched.start(MACHINES[name])
     drive(watched.machine, seconds)
-    pulse = watched.machine.latest().pulse
-    share = pulse.missed / pulse.frames
-    middle, most, worst = (1e3 * x for x in pulse.latency)
+    timing = watched.machine.latest().timing
+    share = timing.missed / timing.frames
+    middle, most, worst = (1e3 * x for x in timing.latency)
     drawn = f"{page.evaluate(PICTURES):>9.0f}" if page else f"{'-':>9}"
     print(
-        f"{name:<10}{pulse.frames:>8}{pulse.missed:>8}{100 * share:>9.3f} %{middle:>9.2f}{most:>9.2f}"
-        f"{worst:>9.2f}{100 * pulse.load:>8.1f} %{drawn}{os.getloadavg()[0]:>8.1f}",
+        f"{name:<10}{timing.frames:>8}{timing.missed:>8}{100 * share:>9.3f} %{middle:>9.2f}{most:>9.2f}"
+        f"{worst:>9.2f}{100 * timing.load:>8.1f} %{drawn}{os.getloadavg()[0]:>8.1f}",
         flush=True,
     )
     return share
@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--ordinary", action="store_true", help="without priority over other processes")
     given = parser.parse_args()
     if given.ordinary:
-        os.environ[WISH] = "ordinary"
+        os.environ[PRIORITY_VARIABLE] = "ordinary"
     watched = Watched(given.browser)
     try:
         notes = getattr(watched.session.machine.machine, "notes", ("",))

@@ -48,10 +48,10 @@ def view(
     ] = BUILD,
 ) -> None:
     """Watch and drive the machine in a browser, in real time; or replay a result file."""
-    from orchestrator.view.command import view as shown
+    from orchestrator.view.server import serve
 
     swapped = swaps(swap or [])
-    shown(
+    serve(
         system or _usual(swapped),
         replay,
         pose,

@@ -1,27 +1,46 @@
-"""The process of a machine in real time: reads its setup, opens the FMUs, and goes frame by frame."""
+"""The process that steps a machine in real time: commands in, frames out, each by its deadline.
+
+One frame: the command is read (`CommandWatchdog`), limited to what each axis may do (`RestDelay`,
+`RateLimiter`), and the inputs move to it at straight lines while `FrameStepper` takes the communication
+steps. Loop, masters and FMUs are those of `run`: a scenario with a row at each frame gives the same numbers
+to the last bit.
+"""
 
 from __future__ import annotations
 
 import json
 import tempfile
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from math import inf, isfinite
+from typing import Any
 
+import numpy as np
+
+from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.network import Network
+from orchestrator.engine.recorder import Recorder
+from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
+from orchestrator.engine.time_grid import Grid, communication_step
 from orchestrator.realtime import shared_memory as b
-from orchestrator.realtime.frames import Hand, Limits, Linger
-from orchestrator.realtime.pace import Pace, bin_of, urgent
-from orchestrator.realtime.process import Task
-from orchestrator.realtime.shared_memory import attach
+from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
+from orchestrator.realtime.setup import Array, Axis, Setup, Task
+from orchestrator.realtime.shared_memory import Command, attach
+from orchestrator.ssp.load import load
+from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.swap import with_swaps
+from orchestrator.ssp.system import Port, System
 from orchestrator.worker.main import Channel
 
-if TYPE_CHECKING:
-    from orchestrator.realtime.frames import Engine
-
 GRACE = 2.0  # [s] for the last frame and for closing the FMUs
-LOOK = 0.01  # [s] between two looks at the orders while the machine is paused
-SECOND = 1.0  # [s] over which the load is averaged
+POLL = 0.01  # [s] between two readings of the command while the machine is paused
+LOAD_SPAN = 1.0  # [s] over which the load is averaged
+NEVER = 1 << 40  # steps, more than anybody waits for
 
 
 def main(channel: Channel) -> None:
@@ -29,68 +48,248 @@ def main(channel: Channel) -> None:
     task: Task = channel.get()
     channel.grace = GRACE
     tempfile.tempdir = str(channel.folder)  # where the FMUs are unpacked
-    board = b.Board(attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows)
-    said: dict[str, Any] = {}
+    shared = b.SharedState(attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows)
+    details: dict[str, Any] = {}
     try:
-        _live(task, board, said, lambda: not channel.ended.is_set())
+        _open_and_run(task, shared, details, lambda: not channel.ended.is_set())
     except Exception as problem:
         text = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
-        board.say("failed", json.dumps(said | {"message": " ".join(text.split())}))
+        shared.set_state("failed", json.dumps(details | {"message": " ".join(text.split())}))
     channel.ended.wait()
 
 
-def _live(task: Task, board: b.Board, said: dict[str, Any], wanted: Callable[[], bool]) -> None:
-    """Open the machine, and go on as long as it is wanted."""
-    from orchestrator.realtime.frames import Engine
-
-    engine = Engine(task.setup)
+def _open_and_run(
+    task: Task, shared: b.SharedState, details: dict[str, Any], needed: Callable[[], bool]
+) -> None:
+    """Open the FMUs, publish the first frame, and run while the process is needed."""
+    stepper = FrameStepper(task.setup)
     try:
-        said |= {"units": dict(engine.units), "notes": [*engine.notes, urgent()]}
-        board.put(task.first, engine.t, engine.axes, engine.values)
-        with board.writing() as (counts, _):
+        details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
+        shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
+        with shared.writing() as (counts, _):
             counts[b.LAST] = task.first
-        board.say("paused", json.dumps(said))
-        _loop(engine, task, board, json.dumps(said), wanted)
+        shared.set_state("paused", json.dumps(details))
+        _loop(stepper, task, shared, json.dumps(details), needed)
     finally:
-        engine.close()
+        stepper.close()
 
 
-def _loop(engine: Engine, task: Task, board: b.Board, said: str, wanted: Callable[[], bool]) -> None:
+def _loop(
+    stepper: FrameStepper, task: Task, shared: b.SharedState, details: str, needed: Callable[[], bool]
+) -> None:
     """One frame after the other, each when it is due."""
-    setup, pace, number = task.setup, Pace(), task.first
-    limits, linger = Limits(setup.axes, setup.frame), Linger(setup.axes, setup.frame)
-    orders = b.Orders(False, 1.0, 0, limits.rest)
-    hand, running = Hand(limits.rest, setup.patience, task.serial), False
-    while wanted():
+    setup, clock, number = task.setup, DeadlineClock(), task.first
+    limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
+    command = b.Command(False, 1.0, 0, limiter.rest)
+    watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
+    while needed():
         if running:
-            pace.wait()
+            clock.wait()
         else:
-            time.sleep(LOOK)
+            time.sleep(POLL)
         began = time.monotonic()
-        orders = board.orders() or orders  # none while they are being written
-        board.alive()
-        aim, length = hand.wanted(orders, began), setup.frame / orders.speed
-        if orders.playing != running:
-            running = orders.playing
-            board.say("running" if running else "paused", said)
-            pace.begin(length)
+        command = shared.read_command() or command  # none while it is being written
+        shared.heartbeat()
+        wanted, length = watchdog.wanted(command, began), setup.frame / command.speed
+        if command.playing != running:
+            running = command.playing
+            shared.set_state("running" if running else "paused", details)
+            clock.begin(length)
         elif running:
-            now = engine.axes
-            engine.advance(limits.toward(now, linger.outlast(now, aim)))
+            now = stepper.axes
+            stepper.advance(limiter.toward(now, rest_delay.delayed(now, wanted)))
             number += 1
-            board.put(number, engine.t, engine.axes, engine.values)
-            _tell(board, number, pace, began, length)
-            pace.done(length)
+            shared.write_frame(number, stepper.t, stepper.axes, stepper.values)
+            _publish(shared, number, clock, began, length)
+            clock.done(length)
 
 
-def _tell(board: b.Board, number: int, pace: Pace, began: float, length: float) -> None:
-    """Let the frame be read, and note how late that is."""
-    with board.writing() as (counts, reals):
+def _publish(shared: b.SharedState, number: int, clock: DeadlineClock, began: float, length: float) -> None:
+    """Let the frame be read, and record its latency and load."""
+    with shared.writing() as (counts, reals):
         now = time.monotonic()
-        latency, load = now - pace.due, (now - began) / length
-        board.latencies[bin_of(latency)] += 1
+        latency, load = now - clock.due, (now - began) / length
+        shared.latencies[latency_bin(latency)] += 1
         counts[b.LAST] = number
         counts[b.FRAMES] += 1
         counts[b.MISSED] += latency > length
-        reals[b.LOAD] += (load - reals[b.LOAD]) * min(length / SECOND, 1.0)
-        reals[b.WORST], reals[b.SLIPPED] = max(reals[b.WORST], latency), pace.slipped
+        reals[b.LOAD] += (load - reals[b.LOAD]) * min(length / LOAD_SPAN, 1.0)
+        reals[b.WORST], reals[b.SLIPPED] = max(reals[b.WORST], latency), clock.slipped
+
+
+class Ramp(ScenarioTable):
+    """A table of two rows that is written anew for each frame, in place, because C has its address."""
+
+    def __init__(self, begin: float, end: float, values: Array) -> None:
+        """values, shape (axes,), hold from `begin` to `end` [s]."""
+        super().__init__(np.array([begin, end]), np.stack([values, values]))
+
+    def aim(self, begin: float, end: float, values: Array) -> None:
+        """From the values at the end of the last frame to these, between two times [s]."""
+        times, base, slopes, anchor = self.arrays
+        base[0] = base[1] = base[2]
+        base[2] = values
+        np.subtract(base[2], base[1], out=slopes[1])
+        slopes[1] /= end - begin
+        times[0] = anchor[0] = anchor[1] = begin
+        times[1] = anchor[2] = end
+
+
+class CommandWatchdog:
+    """Without a new command for `timeout` [s] all axes shall go to rest.
+
+    Age counts from when a command was first seen, on the clock of the one who looks.
+    """
+
+    def __init__(self, rest: Array, timeout: float, serial: int) -> None:
+        """serial: of a command that is too old already."""
+        self._rest, self._timeout, self._serial = rest, timeout, serial
+        self._values, self._seen = rest, -inf
+
+    def wanted(self, command: Command, now: float) -> Array:
+        """Values of the axes, shape (axes,), at `now` [s]."""
+        if command.serial != self._serial:
+            self._serial, self._values, self._seen = command.serial, command.values, now
+        return self._values if now - self._seen <= self._timeout else self._rest
+
+
+class RateLimiter:
+    """Keeps each axis within its limit and its rate of change.
+
+    rest   where they go when nobody commands, shape (axes,)
+    """
+
+    def __init__(self, axes: Sequence[Axis], frame: float) -> None:
+        """frame: [s]"""
+        self.rest = np.array([axis.rest for axis in axes], dtype=np.float64)
+        self._limit = np.array([axis.limit for axis in axes], dtype=np.float64)
+        self._reach = frame * np.array([axis.rate for axis in axes], dtype=np.float64)
+
+    def toward(self, now: Array, wanted: Array) -> Array:
+        """One frame from `now` in the direction of `wanted`; NaN counts as rest."""
+        sane = np.where(np.isnan(wanted), self.rest, wanted)
+        move = np.clip(np.clip(sane, -self._limit, self._limit) - now, -self._reach, self._reach)
+        return np.clip(now + move, -self._limit, self._limit)
+
+
+class RestDelay:
+    """Keeps axes where they are until rest has been wanted of them for their `rest_delay`."""
+
+    def __init__(self, axes: Sequence[Axis], frame: float) -> None:
+        """frame: [s]"""
+        self._rest = np.array([axis.rest for axis in axes], dtype=np.float64)
+        self._frames = np.array([round(axis.rest_delay / frame) for axis in axes])
+        self._left = np.zeros_like(self._frames)
+
+    def delayed(self, now: Array, wanted: Array) -> Array:
+        """What is wanted of this frame; to be called once in each. NaN counts as rest."""
+        resting = np.isnan(wanted) | (wanted == self._rest)
+        self._left = np.where(resting, np.maximum(self._left - 1, -1), self._frames)
+        return np.where(resting & (self._left >= 0), now, wanted)
+
+
+class LatestRecorder(Recorder):
+    """Keeps the values of the latest communication point only: `values`, in the order of the ports."""
+
+    def __init__(self, network: Network, times: Grid, chosen: Sequence[Port] | None = None) -> None:
+        super().__init__(network, replace(times, steps=1), chosen)
+        self.values = np.zeros(len(self._ports))
+        self._reals = np.array([self._ports.index(p) for p in self._real], dtype=np.intp)
+        self._wholes = np.array([self._ports.index(p) for p in self._whole], dtype=np.intp)
+
+    def _keep(self) -> None:
+        if last := self.made.filled:
+            self.values[self._reals] = self.fresh.reals[last - 1]
+            self.values[self._wholes] = self.fresh.wholes[last - 1]
+            self.made.filled = 0
+
+
+class FrameStepper:
+    """Steps a system of FMUs, one frame at a call.
+
+    t        simulated time [s]
+    axes     what drives it at t, shape (axes,)
+    values   of the signals at t, shape (signals,)
+    units    of axes and signals, where they have one
+    notes    remarks on how it runs
+    """
+
+    def __init__(self, setup: Setup, open: Opener = open_slave) -> None:
+        """Raises Problem for a mistake in the setup."""
+        setup.check()
+        system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
+        system = system.with_start(setup.set)
+        coupling = system.coupling or Coupling()
+        coupling.check(system.components)
+        times, self._steps = _grid(system, coupling, setup)
+        limits = RateLimiter(setup.axes, setup.frame)
+        self.t, self.axes = times.start, limits.rest.copy()
+        self._ramp = Ramp(self.t, self._at(times, self._steps), self.axes)
+        driven = _drive(system, setup, self._ramp)
+        system = driven.released(system) if driven else system
+        self._times = times
+        self.units = _units(system, setup)
+        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
+        with ExitStack() as stack:
+            opened = stack.enter_context(job.opened(times, LatestRecorder))
+            self._loop, self._latest = opened.loop, opened.recorder
+            self._loop.begin()
+            suggested = system.suggestion.notes(setup.step is not None)
+            self.notes = (*system.notes, *suggested, *opened.network.notes)
+            self._exit = stack.pop_all()
+        assert isinstance(self._latest, LatestRecorder)
+        self.values = self._latest.values
+
+    def advance(self, axes: Array) -> None:
+        """One frame, in which the axes move at straight lines to these values, shape (axes,)."""
+        state = self._loop.state
+        state.total = state.done + self._steps
+        self._ramp.aim(self.t, self._at(self._times, state.total), axes)
+        while state.done < state.total:
+            self._loop.advance()
+        self.t = state.t
+        self.axes[:] = axes
+
+    def close(self) -> None:
+        """Free the FMUs. May be repeated."""
+        self._exit.close()
+
+    @staticmethod
+    def _at(times: Grid, steps: int) -> float:
+        return times.start + steps * times.step
+
+
+def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
+    """The communication points, without end, and how many of them are a frame."""
+    start, step = system.start or 0.0, communication_step(system, setup.step)
+    if not (isfinite(step) and step > 0):
+        raise Problem(f"step: expected a positive time, got {step:g} s")
+    if coupling.adaptive is not None:
+        return Grid(start, setup.frame, NEVER, first=step), 1
+    ratio = setup.frame / step
+    if ratio > NEVER:
+        raise Problem(f"step: expected at least {setup.frame / NEVER:.3g} s, got {step:g} s")
+    steps = round(ratio)
+    if steps < 1 or abs(ratio - steps) > 1e-6 * steps:
+        raise Problem(f"frame: expected a multiple of the step {step:g} s, got {setup.frame:g} s")
+    return Grid(start, step, NEVER), steps
+
+
+def _drive(system: System, setup: Setup, ramp: Ramp) -> Scenario | None:
+    """The axes bound to the inputs that they drive."""
+    if not setup.axes:
+        return None
+    still = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
+    bound = drive(system, Trace(ramp.arrays[0].copy(), still), "axes")
+    return replace(bound, table=ramp)
+
+
+def _units(system: System, setup: Setup) -> Mapping[str, str]:
+    """Of the axes those that commands are given in, of the signals those of the FMUs."""
+    units = {}
+    for axis in setup.axes:
+        inlet = system.inputs.get(axis.name)
+        units[axis.name] = inlet.unit if inlet else system.unit(system.targets(axis.name)[0][0])
+    for name in setup.signals:
+        units[name] = system.variable(system.port(name)).unit
+    return {name: unit.name for name, unit in units.items() if unit}

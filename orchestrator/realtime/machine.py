@@ -1,7 +1,4 @@
-"""From one start of a live machine to the next: its process, and all that is known of its frames.
-
-A live machine: its physics runs in a process of its own, this is who drives and watches it.
-"""
+"""A machine in real time as its user sees it: commands go to its process, frames come from shared memory."""
 
 from __future__ import annotations
 
@@ -17,81 +14,89 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.data.trace import Trace
-from orchestrator.realtime.frames import check
-from orchestrator.realtime.pace import factor_of, quantile
-from orchestrator.realtime.process import Process
-from orchestrator.realtime.setup import Array, Frame, Pulse, Setup
-from orchestrator.realtime.shared_memory import HEAD, NUMBER, TIME, Board, Memory, News, Orders, size
+from orchestrator.realtime.deadlines import latency_quantile, speed_factor
+from orchestrator.realtime.setup import Array, Frame, Setup, Task, Timing
+from orchestrator.realtime.shared_memory import (
+    HEAD,
+    NUMBER,
+    TIME,
+    Command,
+    MachineStatus,
+    Memory,
+    SharedState,
+    size,
+)
+from orchestrator.worker.process import Worker
 
 KEPT = 1800.0  # [s] of frames that are kept
 MOST = 256 << 20  # bytes that they may take
 MARGIN = 200  # of the oldest frames, which may be overwritten while they are read
 SILENT = 5.0  # [s] without a sign of life: an FMU does not return
+TIMEOUT = 3.0  # [s] for an orderly end, then the process is killed
 
 
-class Session:
-    """One session. Memory for all of its frames is reserved, and taken as it fills.
+class MachineProcess:
+    """The process of one start of a machine. Memory for all of its frames is reserved, and taken as it fills.
 
-    board    the shared memory, which stays readable when the process has ended
+    shared    the shared memory, which stays readable when the process has ended
     closed   it was ended on purpose
     """
 
     def __init__(self, setup: Setup, first: int, serial: int) -> None:
-        """first: number of the first frame; serial: of the last command that is not for this session."""
+        """first: number of the first frame; serial: of the last command that is not for this process."""
         self.setup, self.first, self.closed = setup, first, False
         self.axes = tuple(axis.name for axis in setup.axes)
         sizes = len(setup.axes), len(setup.signals)
         rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
         memory = Memory(size(*sizes, rows))
-        self.board = Board(memory.map, *sizes, rows)
-        self._process = Process(setup, memory, rows, first, serial)
-        self._beat, self._heard = -1, time.monotonic()
+        self.shared = SharedState(memory.map, *sizes, rows)
+        target = "orchestrator.realtime.child:main"
+        self._worker = Worker(target, "live", TIMEOUT, descriptors=memory.descriptors)
+        memory.handed_over()
+        self._worker.put(Task(setup, memory.address, rows, first, serial))
+        self._heartbeat, self._heard = -1, time.monotonic()
 
     def close(self) -> None:
         """End the process. May be repeated."""
         self.closed = True
-        self._process.end()
+        self._worker.close()
 
     @property
     def pid(self) -> int:
         """Number of its process."""
-        return self._process.pid
-
-    # ---- what there is to say
+        return self._worker.pid
 
     @property
     def units(self) -> Mapping[str, str]:
         """Of axes and signals; empty until the machine is ready."""
-        return dict(_said(self.board.news()).get("units", {}))
+        return dict(_details(self.shared.status()).get("units", {}))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """How it runs, what it could not keep up with, and what is no longer kept."""
-        news = self.board.news()
-        notes = [str(note) for note in _said(news).get("notes", ())]
-        if news.slipped > 0:
-            notes.append(f"the machine could not keep up: its clock was stopped for {news.slipped:.3g} s")
-        if (lost := self._oldest(news) - self.first) > 0:
+        status = self.shared.status()
+        notes = [str(note) for note in _details(status).get("notes", ())]
+        if status.slipped > 0:
+            notes.append(f"the machine could not keep up: its clock was stopped for {status.slipped:.3g} s")
+        if (lost := self._oldest(status) - self.first) > 0:
             notes.append(f"the first {lost} frames are no longer in memory")
         return tuple(notes)
 
-    # ---- frames
-
     def latest(self) -> Frame:
         """What is known now."""
-        news, n = self.board.news(), len(self.axes)
-        known = news.last >= self.first
-        row = self._row(news.last) if known else np.full(self.board.rows.shape[1], np.nan)
-        number = news.last if known else self.first - 1
-        state, message = self._state(news)
+        status, n = self.shared.status(), len(self.axes)
+        known = status.last >= self.first
+        row = self._row(status.last) if known else np.full(self.shared.rows.shape[1], np.nan)
+        number = status.last if known else self.first - 1
+        state, message = self._state(status)
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
-        return Frame(number, float(row[TIME]), axes, values, state, message, _pulse(news))
+        return Frame(number, float(row[TIME]), axes, values, state, message, _timing(status))
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
-        news, rows, n = self.board.news(), self.board.rows, len(self.axes)
-        begin = max(number + 1, self._oldest(news))
-        numbers = np.arange(begin, max(news.last + 1, begin))
+        status, rows, n = self.shared.status(), self.shared.rows, len(self.axes)
+        begin = max(number + 1, self._oldest(status))
+        numbers = np.arange(begin, max(status.last + 1, begin))
         found = rows[numbers % len(rows)]
         kept = found[:, NUMBER] == numbers  # but for those that were overwritten in the meantime
         found = found[kept]
@@ -105,61 +110,63 @@ class Session:
         return Trace(np.ascontiguousarray(times), table, self.units)
 
     def _row(self, number: int) -> Array:
-        return np.array(self.board.rows[number % len(self.board.rows)])
+        return np.array(self.shared.rows[number % len(self.shared.rows)])
 
-    def _oldest(self, news: News) -> int:
+    def _oldest(self, status: MachineStatus) -> int:
         """Number of the first frame that is in memory."""
-        room = len(self.board.rows)
-        full = news.last - self.first >= room
-        return news.last - room + 1 + min(MARGIN, room // 4) if full else self.first
+        room = len(self.shared.rows)
+        full = status.last - self.first >= room
+        return status.last - room + 1 + min(MARGIN, room // 4) if full else self.first
 
-    def _state(self, news: News) -> tuple[str, str]:
+    def _state(self, status: MachineStatus) -> tuple[str, str]:
         """The state, and why it failed: it says so itself, or it ended, or it is silent."""
-        if news.state == "failed":
-            return "failed", str(_said(news).get("message", ""))
+        if status.state == "failed":
+            return "failed", str(_details(status).get("message", ""))
         if self.closed:
             return "ended", ""
-        if fate := self._process.fate:
-            return "failed", fate
+        if ending := self._worker.ending:
+            return "failed", f"the process of the machine ended: {ending}"
         now = time.monotonic()
-        if news.beat != self._beat or news.state == "starting":
-            self._beat, self._heard = news.beat, now
+        if status.heartbeat != self._heartbeat or status.state == "starting":
+            self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
             return "failed", f"the machine has not answered for {silent:.0f} s"
-        return news.state, ""
+        return status.state, ""
 
 
-def _said(news: News) -> dict[str, Any]:
-    """What the process said of itself; nothing if it died over it."""
+def _details(status: MachineStatus) -> dict[str, Any]:
+    """What the process details of itself; nothing if it died over it."""
     try:
-        return dict(json.loads(news.text or "{}"))
+        return dict(json.loads(status.text or "{}"))
     except ValueError:
         return {}
 
 
-def _pulse(news: News) -> Pulse:
-    middle, most = (min(quantile(news.latencies, share), news.worst) for share in (0.5, 0.99))
-    return Pulse(news.frames, news.missed, (middle, most, news.worst), news.load)
+def _timing(status: MachineStatus) -> Timing:
+    middle, most = (min(latency_quantile(status.latencies, share), status.worst) for share in (0.5, 0.99))
+    return Timing(status.frames, status.missed, (middle, most, status.worst), status.load)
 
 
-APART = 10_000  # frames between the numbers of two sessions: the old one goes on while the new one is started
+APART = (
+    10_000  # frames between the numbers of two starts: the old process goes on while the new one is started
+)
 POLL = 2e-3  # [s] between two looks at a machine that is awaited
 
 
-class Station:
+class RealTimeMachine:
     """A machine in real time, see `setup.Machine`.
 
-    Every session (start or restart) has a process and memory of its own. Numbers of frames go on counting.
+    Every start or restart has a process and memory of its own. Numbers of frames go on counting.
     """
 
     drives = True
 
     def __init__(self, setup: Setup, playing: bool = True, speed: float = 1.0) -> None:
         """Returns when the machine is ready; raises Problem for a mistake in the setup."""
-        self._playing, self._speed, self._serial = playing, factor_of(speed), 0
+        self._playing, self._speed, self._serial = playing, speed_factor(speed), 0
         self._lock = threading.Lock()  # among the threads of this process
         self._ending: list[threading.Thread] = []
-        self._session = self._open(setup, 0)
+        self._process = self._open(setup, 0)
         try:
             frame = self.ready()
             if frame.state == "failed":
@@ -168,40 +175,40 @@ class Station:
             self.close()
             raise
 
-    # ---- what it is
+    # ---- description
 
     @property
     def setup(self) -> Setup:
         """What runs now."""
-        return self._session.setup
+        return self._process.setup
 
     @property
     def axes(self) -> tuple[str, ...]:
-        return self._session.axes
+        return self._process.axes
 
     @property
     def signals(self) -> tuple[str, ...]:
-        return self._session.setup.signals
+        return self._process.setup.signals
 
     @property
     def units(self) -> Mapping[str, str]:
         """Of axes and signals; empty until the machine is ready."""
-        return self._session.units
+        return self._process.units
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What there is to say about how this session runs."""
-        return self._session.notes
+        """Remarks on how it runs."""
+        return self._process.notes
 
     @property
     def pid(self) -> int:
         """Number of the process that steps the machine."""
-        return self._session.pid
+        return self._process.pid
 
     # ---- driving
 
     def command(self, values: Mapping[str, float]) -> None:
-        """New values by axis; what is not named goes to rest. They expire after `patience`."""
+        """New values by axis; what is not named goes to rest. They expire after `timeout`."""
         with self._lock:
             wanted = {axis.name: float(axis.rest) for axis in self.setup.axes}
             for name, value in values.items():
@@ -210,7 +217,7 @@ class Station:
                 wanted[name] = _number(name, value)
             self._serial += 1
             self._wanted = np.array([*wanted.values()], dtype=np.float64)
-            self._order(self._session)
+            self._send(self._process)
 
     def play(self) -> None:
         """Go on."""
@@ -222,7 +229,7 @@ class Station:
 
     def speed(self, factor: float) -> None:
         """How many times as fast as real time, 0.1 to 10."""
-        self._set(self._playing, factor_of(factor))
+        self._set(self._playing, speed_factor(factor))
 
     def restart(self, setup: Setup | None = None) -> None:
         """From the beginning, perhaps with another setup; returns at once, the state is "starting".
@@ -230,10 +237,10 @@ class Station:
         It plays or stays paused as before. A setup that does not work makes the state "failed".
         """
         with self._lock:
-            old = self._session
+            old = self._process
             if old.closed:
                 raise Problem("the machine is closed")
-            self._session = self._open(setup or old.setup, old.latest().number + APART)
+            self._process = self._open(setup or old.setup, old.latest().number + APART)
             ending = threading.Thread(target=old.close, daemon=True)
             ending.start()
             self._ending = [t for t in self._ending if t.is_alive()] + [ending]
@@ -241,54 +248,57 @@ class Station:
     def close(self) -> None:
         """End the process. May be repeated; the frames stay readable."""
         with self._lock:
-            self._session.close()
+            self._process.close()
             for ending in self._ending:
                 ending.join()
 
     # ---- watching
 
     def latest(self) -> Frame:
-        """What is known now; before the first frame of a session the numbers in it are NaN."""
-        return self._session.latest()
+        """What is known now; before the first frame of a start the numbers in it are NaN."""
+        return self._process.latest()
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number.
 
-        Of this session only; what is no longer in memory is left out.
+        Of this start only; what is no longer in memory is left out.
         """
-        return self._session.since(number)
+        return self._process.since(number)
 
     def trace(self) -> Trace:
         """The session, as far as it is in memory (see `notes`): axes and signals over time."""
-        return self._session.trace()
+        return self._process.trace()
 
-    def ready(self, patience: float = 60.0) -> Frame:
-        """Wait until the machine has started, or failed to; at most `patience` [s]."""
-        until = time.monotonic() + patience
+    def ready(self, timeout: float = 60.0) -> Frame:
+        """Wait until the machine has started, or failed to; at most `timeout` [s]."""
+        until = time.monotonic() + timeout
         while (frame := self.latest()).state == "starting":
             if time.monotonic() > until:
-                raise Problem(f"{self.setup.system}: not ready within {patience:g} s")
+                raise Problem(f"{self.setup.system}: not ready within {timeout:g} s")
             time.sleep(POLL)
         return frame
 
     # ---- inside
 
-    def _open(self, setup: Setup, before: int) -> Session:
-        """A session; `before` is the number of what is shown before its first frame."""
+    def _open(self, setup: Setup, before: int) -> MachineProcess:
+        """A new process; `before` is the number of what is shown before its first frame."""
         plain = _plain(setup)
-        check(plain)
-        session = Session(plain, before + 1, self._serial)
+        plain.check()
+        process = MachineProcess(plain, before + 1, self._serial)
         self._wanted = np.array([axis.rest for axis in plain.axes], dtype=np.float64)
-        self._order(session)
-        return session
+        self._send(process)
+        return process
 
     def _set(self, playing: bool, speed: float) -> None:
         with self._lock:
             self._playing, self._speed = playing, speed
-            self._order(self._session)
+            self._send(self._process)
 
-    def _order(self, session: Session) -> None:
-        session.board.order(Orders(self._playing, self._speed, self._serial, self._wanted))
+    def _send(self, process: MachineProcess) -> None:
+        process.shared.write_command(Command(self._playing, self._speed, self._serial, self._wanted))
+
+
+Station = RealTimeMachine  # its name in 0.1
 
 
 def _plain(setup: Setup) -> Setup:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read
-from orchestrator.realtime.pace import factor_of
-from orchestrator.realtime.setup import Array, Frame, Pulse, Setup
+from orchestrator.realtime.deadlines import speed_factor
+from orchestrator.realtime.setup import Array, Frame, Setup, Timing
 
 FRAME = 0.01  # [s]
 
@@ -44,7 +44,7 @@ class Replay:
         self.units: Mapping[str, str] = dict(self._trace.units)
         self.begin, self.end = float(whole.time[0]), float(whole.time[-1])
         self._frame, self._last = frame, int((self.end - self.begin) / frame + 1e-6)
-        self._speed, self._playing = factor_of(speed), playing
+        self._speed, self._playing = speed_factor(speed), playing
         self._first, self._origin = 1, 0  # number and place of the first frame since the last jump
         self._at, self._since = 0.0, time.monotonic()  # frames that had passed at a time
 
@@ -67,7 +67,7 @@ class Replay:
 
     def speed(self, factor: float) -> None:
         """How many times as fast as real time, 0.1 to 10."""
-        factor = factor_of(factor)
+        factor = speed_factor(factor)
         self._hold()
         self._speed = factor
 
@@ -97,7 +97,7 @@ class Replay:
         times, values = self._values(np.array([place]))
         state = "ended" if place == self._last else "running" if self._playing else "paused"
         number = self._first + place - self._origin
-        return Frame(number, float(times[0]), np.zeros(0), values[0], state, "", Pulse())
+        return Frame(number, float(times[0]), np.zeros(0), values[0], state, "", Timing())
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """The frames after this number and after the last jump."""

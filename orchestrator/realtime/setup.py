@@ -1,14 +1,16 @@
-"""What a live machine runs and what it shows: the contract between who steps and who watches."""
+"""What runs in real time and what is known of it: setup, frames, and the interface that a page drives."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 
 Array = NDArray[np.float64]
@@ -18,19 +20,31 @@ Array = NDArray[np.float64]
 class Axis:
     """An input that is driven while the machine runs.
 
-    name      as a column of a scenario: an input of the system, `component.variable`, or a bare name
-    limit     largest magnitude, in the unit of the FMU; what is beyond is cut off
-    rate      largest change per second, also towards rest, in that unit per second
-    rest      what it goes to when nobody commands
-    linger    how long it stays where it is before it goes to rest [s of simulated time]: whatever brakes the
-              others, such as a controller that is engaged, has to outlast them
+    name        as a column of a scenario: an input of the system, `component.variable`, or a bare name
+    limit       largest magnitude, in the unit of the FMU; what is beyond is cut off
+    rate        largest change per second in that unit, also towards rest
+    rest        what it goes to when nobody commands
+    rest_delay  how long it stays where it is before it goes to rest [s of simulated time]: what brakes the
+                others, such as a controller that is engaged, has to stay longer than they
     """
 
     name: str
     limit: float
     rate: float
     rest: float = 0.0
-    linger: float = 0.0
+    rest_delay: float = 0.0
+
+    def check(self) -> None:
+        """Refuse an axis that cannot move, that rests beyond its limit, or never."""
+        for name, value in (("limit", self.limit), ("rate", self.rate)):
+            if not (isfinite(value) and value > 0):
+                raise Problem(f"axis {self.name}: expected a positive {name}, got {value:g}")
+        if not (isfinite(self.rest_delay) and self.rest_delay >= 0):
+            raise Problem(
+                f"axis {self.name}: expected a rest delay of 0 s or more, got {self.rest_delay:g} s"
+            )
+        if not abs(self.rest) <= self.limit:
+            raise Problem(f"axis {self.name}: expected a rest within {self.limit:g}, got {self.rest:g}")
 
 
 @dataclass(frozen=True)
@@ -43,7 +57,7 @@ class Setup:
     swap, parameters, set   as of `run`
     step         communication step [s]; default: what the system suggests
     frame        interval between two looks at the commands [s]: the deadline
-    patience     commands that are older than this go to rest [s]
+    timeout     commands that are older than this go to rest [s]
     """
 
     system: str
@@ -54,11 +68,39 @@ class Setup:
     set: Mapping[str, float | str] = field(default_factory=dict)
     step: float | None = None
     frame: float = 0.01
-    patience: float = 0.25
+    timeout: float = 0.25
+
+    def check(self) -> None:
+        """Refuse a setup that is wrong for any machine."""
+        for name, value in (("frame", self.frame), ("timeout", self.timeout)):
+            if not (isfinite(value) and value > 0):
+                raise Problem(f"{name}: expected a positive time, got {value:g} s")
+        for what, names in (("axis", [a.name for a in self.axes]), ("signal", list(self.signals))):
+            if twice := [n for i, n in enumerate(names) if n in names[:i]]:
+                raise Problem(f"{what} {twice[0]}: expected it once, got it twice")
+        for axis in self.axes:
+            axis.check()
 
 
 @dataclass(frozen=True)
-class Pulse:
+class Task:
+    """What the process of a machine gets through its pipe.
+
+    address   of the shared memory
+    rows      frames that it holds
+    first     number of the first frame
+    serial    of the last command that is not for this process
+    """
+
+    setup: Setup
+    address: str
+    rows: int
+    first: int
+    serial: int
+
+
+@dataclass(frozen=True)
+class Timing:
     """How well real time is held, since the last start or restart.
 
     frames     how many there were
@@ -91,11 +133,11 @@ class Frame:
     values: Array
     state: str
     message: str
-    pulse: Pulse
+    timing: Timing
 
 
 class Machine(Protocol):
-    """What a page shows and drives: a live machine (`station.Station`) or a replay (`replay.Replay`).
+    """What a page shows and drives: simulated (`machine.RealTimeMachine`) or a replay (`replay.Replay`).
 
     axes, signals, units   names and units of what `Frame` holds
     drives     it takes commands

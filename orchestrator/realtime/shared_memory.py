@@ -1,13 +1,12 @@
-"""Memory that two processes share and that nobody has to clean up: it has no name that outlives them.
+"""Memory that the process of a machine shares with its parent: commands, status, and all frames.
 
-On POSIX it is a file that is deleted already (on Linux one that never was on a disk), handed to the child as
-an open descriptor; on Windows a named mapping, which goes with its last user.
-
-What lies in the shared memory of a live machine: orders to the child, news from it, and all its frames.
+The memory has no name that outlives both processes. On POSIX it is a file that is deleted already (on Linux
+one that never was on a disk), handed to the child as an open descriptor; on Windows it is a named mapping,
+which goes with its last user.
 
 Each part has one writer. It makes the sequence number odd, writes, and makes it even; a reader that sees it
-odd or changed reads again. So nobody waits for anybody, and whoever dies leaves nothing locked. Orders carry
-a checksum, too: half of an order must not move a machine.
+odd or changed reads again. So nobody waits for anybody, and whoever dies leaves nothing locked. Commands
+carry a checksum, too: half of a command must not move a machine.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.realtime.pace import BINS
+from orchestrator.realtime.deadlines import BINS
 from orchestrator.realtime.setup import Array
 
 
@@ -80,14 +79,14 @@ def _nameless() -> int:
 STATES = ("starting", "running", "paused", "ended", "failed")
 TEXT = 1 << 20  # bytes
 TRIES = 1000  # to read while the other one writes, which takes it microseconds
-SEQUENCE, CHECK, PLAYING, SERIAL = range(4)  # of the orders, then the speed and the values
-STATE, LAST, BEAT, FRAMES, MISSED, LENGTH = range(1, 7)  # of the news
+SEQUENCE, CHECK, PLAYING, SERIAL = range(4)  # of the command, then the speed and the values
+STATE, LAST, HEARTBEAT, FRAMES, MISSED, LENGTH = range(1, 7)  # of the status
 LOAD, WORST, SLIPPED = range(3)
 NUMBER, TIME, HEAD = range(3)  # columns of a frame; axes and signals follow
 
 
-class Orders(NamedTuple):
-    """What the machine shall do; serial counts the commands."""
+class Command(NamedTuple):
+    """What the machine shall do; serial counts the new values of the axes."""
 
     playing: bool
     speed: float
@@ -95,12 +94,12 @@ class Orders(NamedTuple):
     values: Array
 
 
-class News(NamedTuple):
-    """What is known of the machine; last: number of the latest frame; beat: counts looks at the orders."""
+class MachineStatus(NamedTuple):
+    """What the process says of itself. last: number of the latest frame; heartbeat: counts its loops."""
 
     state: str
     last: int
-    beat: int
+    heartbeat: int
     frames: int
     missed: int
     load: float
@@ -111,11 +110,11 @@ class News(NamedTuple):
 
 
 def size(axes: int, signals: int, rows: int) -> int:
-    """Bytes that a board takes."""
+    """Bytes that a `SharedState` takes."""
     return 8 * (8 + 1 + axes + 16 + 8 + BINS + TEXT // 8 + rows * (HEAD + axes + signals))
 
 
-class Board:
+class SharedState:
     """Views of one piece of shared memory.
 
     rows    the latest frames, shape (rows, 2 + axes + signals): frame n is in row n modulo their number
@@ -123,80 +122,82 @@ class Board:
 
     def __init__(self, memory: mmap_of_mmap, axes: int, signals: int, rows: int) -> None:
         self.axes, self._memory, self._place = axes, memory, 0
-        self._orders, self._wanted = self._whole(8), self._real(1 + axes)
-        self._counts, self._reals, self.latencies = self._whole(16), self._real(8), self._whole(BINS)
-        self._text = self._whole(TEXT // 8).view(np.uint8)
-        self.rows = self._real(rows * (HEAD + axes + signals)).reshape(rows, -1)
+        self._command, self._wanted = self._integers(8), self._floats(1 + axes)
+        self._counts, self._reals, self.latencies = self._integers(16), self._floats(8), self._integers(BINS)
+        self._text = self._integers(TEXT // 8).view(np.uint8)
+        self.rows = self._floats(rows * (HEAD + axes + signals)).reshape(rows, -1)
 
-    def _whole(self, count: int) -> NDArray[np.int64]:
+    def _integers(self, count: int) -> NDArray[np.int64]:
         """The next numbers of the memory."""
         self._place += 8 * count
         return np.frombuffer(self._memory, np.int64, count, self._place - 8 * count)
 
-    def _real(self, count: int) -> Array:
-        return self._whole(count).view(np.float64)
+    def _floats(self, count: int) -> Array:
+        return self._integers(count).view(np.float64)
 
-    # ---- orders
+    # ---- command
 
-    def order(self, orders: Orders) -> None:
-        """Write new orders; by the parent only."""
-        o = self._orders
+    def write_command(self, command: Command) -> None:
+        """Write a command; by the parent only."""
+        o = self._command
         o[SEQUENCE] += 1
-        o[PLAYING], o[SERIAL] = orders.playing, orders.serial
-        self._wanted[0], self._wanted[1:] = orders.speed, orders.values
+        o[PLAYING], o[SERIAL] = command.playing, command.serial
+        self._wanted[0], self._wanted[1:] = command.speed, command.values
         o[CHECK] = _check(o, self._wanted)
         o[SEQUENCE] += 1
 
-    def orders(self) -> Orders | None:
-        """The orders; None while they are being written."""
-        o = self._orders.copy()
+    def read_command(self) -> Command | None:
+        """The command; None while it is being written."""
+        o = self._command.copy()
         wanted = self._wanted.copy()
-        if o[SEQUENCE] % 2 or o[SEQUENCE] != self._orders[SEQUENCE] or o[CHECK] != _check(o, wanted):
+        if o[SEQUENCE] % 2 or o[SEQUENCE] != self._command[SEQUENCE] or o[CHECK] != _check(o, wanted):
             return None
-        return Orders(bool(o[PLAYING]), float(wanted[0]), int(o[SERIAL]), wanted[1:])
+        return Command(bool(o[PLAYING]), float(wanted[0]), int(o[SERIAL]), wanted[1:])
 
-    # ---- news
+    # ---- status
 
     @contextmanager
     def writing(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Write news; by the child only."""
+        """Write the status; by the child only."""
         self._counts[SEQUENCE] += 1
         try:
             yield self._counts, self._reals
         finally:
             self._counts[SEQUENCE] += 1
 
-    def put(self, number: int, t: float, axes: Array, values: Array) -> None:
-        """Write a frame, which is not known before the news tell its number."""
+    def write_frame(self, number: int, t: float, axes: Array, values: Array) -> None:
+        """Write a frame, which nobody reads before the status has its number."""
         row = self.rows[number % len(self.rows)]
         row[NUMBER], row[TIME] = number, t
         row[HEAD : HEAD + self.axes] = axes
         row[HEAD + self.axes :] = values
 
-    def say(self, state: str, text: str) -> None:
-        """A change of state, and what there is to say."""
+    def set_state(self, state: str, text: str) -> None:
+        """A change of state, and a text that goes with it."""
         data = text.encode("utf-8")[:TEXT]
         with self.writing() as (counts, _):
             self._text[: len(data)] = np.frombuffer(data, np.uint8)
             counts[LENGTH], counts[STATE] = len(data), STATES.index(state)
 
-    def alive(self) -> None:
-        """A sign of life; of one number, so it needs no sequence."""
-        self._counts[BEAT] += 1
+    def heartbeat(self) -> None:
+        """A sign of life; one number, so it needs no sequence."""
+        self._counts[HEARTBEAT] += 1
 
-    def news(self) -> News:
-        """The news; if the writer died while writing, what there is of them."""
+    def status(self) -> MachineStatus:
+        """The status; if the writer died while writing, what there is of it."""
         for _ in range(TRIES):
             n, reals = self._counts.copy(), self._reals.copy()
             latencies, text = self.latencies.copy(), self._text[: n[LENGTH]].tobytes()
             if n[SEQUENCE] % 2 == 0 and n[SEQUENCE] == self._counts[SEQUENCE]:
                 break
-        last, beat, frames, missed = (int(n[i]) for i in (LAST, BEAT, FRAMES, MISSED))
+        last, heartbeat, frames, missed = (int(n[i]) for i in (LAST, HEARTBEAT, FRAMES, MISSED))
         load, worst, slipped = (float(r) for r in reals[:3])
         words = text.decode("utf-8", "replace")
-        return News(STATES[n[STATE]], last, beat, frames, missed, load, worst, slipped, words, latencies)
+        return MachineStatus(
+            STATES[n[STATE]], last, heartbeat, frames, missed, load, worst, slipped, words, latencies
+        )
 
 
-def _check(orders: NDArray[np.int64], wanted: Array) -> int:
-    """A checksum of orders."""
-    return zlib.crc32(wanted.tobytes(), zlib.crc32(orders[PLAYING : SERIAL + 1].tobytes()))
+def _check(command: NDArray[np.int64], wanted: Array) -> int:
+    """A checksum of a command."""
+    return zlib.crc32(wanted.tobytes(), zlib.crc32(command[PLAYING : SERIAL + 1].tobytes()))

@@ -12,8 +12,8 @@ from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
-from orchestrator.view.readings import watched
 from orchestrator.view.scene.pose import Geometry, Start, geometry, start
+from orchestrator.view.signals import watched
 
 USUAL = "usual"  # the FMU that the system brings
 VARIANTS = "variants"  # folder beside the system's file
@@ -29,7 +29,7 @@ VELOCITIES = (("radial_velocity", TIP, TIP_RATE), ("vertical_velocity", TIP, TIP
 
 
 @dataclass(frozen=True)
-class Choice:
+class MachineChoice:
     """What a user wants.
 
     swap   component -> name of a variant or path
@@ -44,16 +44,16 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ViewPlan:
     """A choice, worked out: what runs, how large it is, where it begins."""
 
-    choice: Choice
+    choice: MachineChoice
     setup: Setup
     geometry: Geometry
     start: Start
 
 
-def plan(choice: Choice) -> Plan:
+def plan(choice: MachineChoice) -> ViewPlan:
     """What a choice means; Problem for one that does not work."""
     loaded = load(choice.system)
     if choice.pose and choice.pose not in poses(choice.system):
@@ -71,7 +71,7 @@ def plan(choice: Choice) -> Plan:
         parameters=(choice.pose,) if choice.pose else (),
         set=dict(choice.set),
     )
-    return Plan(choice, setup, geometry(posed), start(posed))
+    return ViewPlan(choice, setup, geometry(posed), start(posed))
 
 
 def axes(system: System) -> tuple[Axis, ...]:
@@ -81,7 +81,7 @@ def axes(system: System) -> tuple[Axis, ...]:
     found = [Axis(f"{joint}_{lever}", VOLTS, rate) for joint, rate in VOLTS_RATES.items()]
     if "engaged" in inputs:
         found += [Axis(*values) for values in (*VELOCITIES, ("swing_velocity", TURN, TURN_RATE))]
-        found += [Axis("engaged", 1.0, SWITCH_RATE, linger=BRAKING)]
+        found += [Axis("engaged", 1.0, SWITCH_RATE, rest_delay=BRAKING)]
     there = tuple(axis for axis in found if axis.name in inputs)
     if not there:
         raise Problem(

@@ -1,25 +1,165 @@
-"""The page: the machine, its numbers, the bar, and the controls."""
+"""The page, and the stream of frames to all open pages.
+
+A browser tells which pictures it has drawn. Where more than `AHEAD` are on the way it gets no more until it
+has caught up, so a slow one sees fewer pictures, never old ones, and costs the server nothing.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import logging
+import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from nicegui import ui
 
 from orchestrator.realtime.setup import Frame
+from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.driving.endpoint import mount
-from orchestrator.view.driving.pilot import Pilot, Seat
 from orchestrator.view.panels.bar import Bar
-from orchestrator.view.panels.charts import Charts
-from orchestrator.view.panels.gauges import Gauges, Line, limit
-from orchestrator.view.readings import Reading
+from orchestrator.view.panels.charts import NAMES, Charts, History
+from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, limit
 from orchestrator.view.scene.canvas import Canvas, rings
 from orchestrator.view.session import Session
-from orchestrator.view.stream import Shared, Stream
+from orchestrator.view.signals import SignalIndex
 from orchestrator.view.task.training import Training
 from orchestrator.view.task.training import mount as task
+
+
+class SharedFigures:
+    """Renewed at each look; begins anew with another machine.
+
+    index   the one that the history belongs to
+    looks     how many there were
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.looks = 0
+        self._begin()
+
+    def look(self, frame: Frame) -> None:
+        """Before the pages are told."""
+        if self.index is not self._session.index:
+            self._begin()
+        self.looks += 1
+        self.history.look()
+        self.clock.look(frame)
+
+    def _begin(self) -> None:
+        self.index = self._session.index
+        self.history = History(self._session.machine, self.index, NAMES)
+        self.clock = RealTimeFactor()
+
+
+RATE, FIGURES = 25.0, 4.0  # 1/s
+AHEAD = 8  # pictures on the way to a browser
+LOST = 2.0  # s; after that a picture is taken for lost
+log = logging.getLogger(__name__)
+
+
+class Viewer(Protocol):
+    """A page. `picture` sends the machine, if it has moved; `figures` everything else, less often.
+
+    ready   the browser has built its scene
+    """
+
+    @property
+    def ready(self) -> bool: ...
+    def picture(self, number: int, frame: Frame) -> bool: ...
+    def figures(self, frame: Frame, shared: SharedFigures) -> None: ...
+
+
+class Credit:
+    """How many pictures are on the way to one browser."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self.sent = self.drawn = 0
+        self._heard = clock()
+
+    def next(self) -> int:
+        """The number of the next picture, or 0 if there are enough on the way."""
+        if self.sent - self.drawn >= AHEAD:
+            if self._clock() - self._heard < LOST:
+                return 0
+            self.drawn = self.sent
+        if self.sent == self.drawn:
+            self._heard = self._clock()
+        return self.sent + 1
+
+    def shown(self, number: int) -> None:
+        """The browser has drawn this one."""
+        if self.drawn < number <= self.sent:
+            self.drawn, self._heard = number, self._clock()
+
+
+class Stream:
+    """Looks at the machine and hands its frames to all viewers."""
+
+    def __init__(self, session: Session, shared: SharedFigures, figures: float = FIGURES) -> None:
+        """figures: how often numbers and charts are renewed [1/s]."""
+        self._session, self.shared = session, shared
+        self._every = max(1, round(RATE / figures))
+        self._viewers: dict[Viewer, Credit] = {}
+        self._seen: tuple[int, int, str] = (-1, -1, "")
+        self._ticks = 0
+
+    def join(self, viewer: Viewer) -> Credit:
+        """A page that opens."""
+        self._viewers[viewer] = Credit()
+        return self._viewers[viewer]
+
+    def refresh(self) -> None:
+        """Everybody gets a picture at the next look, also if nothing moves."""
+        self._seen = (-1, -1, "")
+
+    def leave(self, viewer: Viewer) -> None:
+        """A page that is gone."""
+        self._viewers.pop(viewer, None)
+
+    def tick(self) -> None:
+        """One look."""
+        self._ticks += 1
+        slow = self._ticks % self._every == 0
+        if not self._viewers or not (slow or self._fresh()):
+            return
+        frame = self._session.machine.latest()
+        if slow:
+            self.shared.look(frame)
+        for viewer, credit in list(self._viewers.items()):
+            try:
+                if viewer.ready and (number := credit.next()) and viewer.picture(number, frame):
+                    credit.sent = number
+                if slow:
+                    viewer.figures(frame, self.shared)
+            except Exception:  # one broken page must not take the picture from the others
+                log.exception("a page takes no frame")
+                self.leave(viewer)
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        due = time.monotonic()
+        while True:
+            try:
+                self.tick()
+            except (
+                Exception
+            ):  # the next look may go well; without this no page would ever get a picture again
+                log.exception("a frame is not shown")
+            due = max(due + 1 / RATE, time.monotonic() + 0.2 / RATE)
+            await asyncio.sleep(due - time.monotonic())
+
+    def _fresh(self) -> bool:
+        """Has anything changed since the last look?"""
+        frame = self._session.machine.latest()
+        now = (self._session.machine.exchanges, frame.number, frame.state)
+        changed, self._seen = now != self._seen, now
+        return changed
+
 
 STYLE = Path(__file__).with_name("page.css")
 GREEN = "#2f5a45"
@@ -43,11 +183,13 @@ STANDING = {  # what to do about a machine that stands still
 class Page:
     """One open page; a `Viewer` of the stream."""
 
-    def __init__(self, session: Session, stream: Stream, pilot: Pilot, training: Training) -> None:
+    def __init__(
+        self, session: Session, stream: Stream, authority: ControlAuthority, training: Training
+    ) -> None:
         self._session, self._training = session, training
         self._geometry = session.plan.geometry
         self._exchange, self._slow = -1, False
-        self._fitted: Reading | None = None
+        self._fitted: SignalIndex | None = None
         ui.add_css(STYLE)
         ui.colors(primary=GREEN)
         ui.dark_mode(None)  # as the browser says
@@ -61,15 +203,15 @@ class Page:
                     self._opened = task(training, table, lambda: self._task.visible)
                 self._banner = ui.label().classes("banner").props("role=alert")
             with ui.element("div").classes("hands"):
-                seat = mount(session.machine, pilot, self._save_work)
+                station = mount(session.machine, authority, self._save_work)
                 _hint()
             with ui.element("aside"):
                 self._gauges, self._charts = Gauges(), Charts()
             with ui.element("header"):
-                self._bar = Bar(session, self._canvas, partial(_refusal, pilot, seat), pilot)
+                self._bar = Bar(session, self._canvas, partial(_refusal, authority, station), authority)
                 self._bar.extra("sports_score", "Training task", self._toggle, "Task")
             with ui.element("footer"):
-                self._line = Line()
+                self._line = StatusLine()
         self._client = ui.context.client
         self._client.on_delete(lambda: stream.leave(self))
 
@@ -82,23 +224,23 @@ class Page:
         """The machine; False if it looks as before, so that nothing was sent."""
         session, again = self._session, self._exchange != self._session.machine.exchanges
         self._exchange = session.machine.exchanges
-        pose = session.reading.pose(frame, session.plan.geometry, session.plan.start)
-        return self._canvas.show(number, pose, session.reading.colours(frame), again)
+        pose = session.index.pose(frame, session.plan.geometry, session.plan.start)
+        return self._canvas.show(number, pose, session.index.colours(frame), again)
 
-    def figures(self, frame: Frame, shared: Shared) -> None:
+    def figures(self, frame: Frame, shared: SharedFigures) -> None:
         """Everything else; a machine of other sizes is built anew."""
         if self._geometry != self._session.plan.geometry:
             self._geometry = self._session.plan.geometry
             self._client.run_javascript("window.location.reload()")
-        if self._fitted is not shared.reading:
-            self._fitted = shared.reading
-            self._gauges.fit(shared.reading)
-        self._gauges.show(frame, shared.reading)
+        if self._fitted is not shared.index:
+            self._fitted = shared.index
+            self._gauges.fit(shared.index)
+        self._gauges.show(frame, shared.index)
         self._bar.show(frame)
         self._tell(frame)
         self._canvas.marks(self._rings() if self._task.visible else [])
         if shared.looks % 2 == 0:
-            held = limit(shared.reading, frame)
+            held = limit(shared.index, frame)
             self._line.show(frame, shared.clock.factor, self._session.machine.drives, held)
             self._charts.show(shared.history, one=self._slow)
 
@@ -135,7 +277,7 @@ def _hint() -> None:
         ui.label(LEVER).classes("lever")
 
 
-def _refusal(pilot: Pilot, seat: Seat) -> str:
-    """Why the page of this seat may not decide for all; empty if it may."""
-    watching = pilot.status(seat).role == "watching"
+def _refusal(authority: ControlAuthority, station: OperatorStation) -> str:
+    """Why the page of this station may not decide for all; empty if it may."""
+    watching = authority.status(station).role == "watching"
     return "another page drives and decides" if watching else ""

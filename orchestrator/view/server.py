@@ -7,22 +7,27 @@ import contextlib
 import logging
 import socket
 import threading
-from collections.abc import AsyncIterator, Callable
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import folder, there
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.replay import Replay
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
+from orchestrator.view.choice import MachineChoice
+from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.driving.endpoint import serve as serve_controls
 from orchestrator.view.driving.endpoint import watching
-from orchestrator.view.driving.pilot import Pilot
-from orchestrator.view.page import Page
+from orchestrator.view.page import Page, SharedFigures, Stream
 from orchestrator.view.session import Session
-from orchestrator.view.stream import Shared, Stream
 from orchestrator.view.task.training import Training
 
 TITLE = "Harvester"
@@ -30,21 +35,21 @@ LOOPBACK = "127.0.0.1"
 SHORTEST = 16  # characters of a token that somebody chooses
 LARGEST = 2**16  # bytes of one message of a browser; what a page says takes far less
 GRACE = 2  # s for open connections at the end
-PATIENCE = 20.0  # s for a page that is slow to begin, or whose network is lost for a while
+TIMEOUT = 20.0  # s for a page that is slow to begin, or whose network is lost for a while
 
 
 class Server:
     """Serves a session. There can be one in a process: the pages of the library are one application.
 
     url     where its page is, with the token if one is needed
-    pilot   who drives
+    authority   who drives
     """
 
     def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, token: str = "") -> None:
         """port 0: a free one. A host other than the loopback needs a token; none given: a fresh one."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, self.pilot = session, Pilot(session.machine)
+        self.session, self.authority = session, ControlAuthority(session.machine)
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
         found = rules(host, names=(_shown(host),), port=self.port)
@@ -52,15 +57,15 @@ class Server:
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_shown(host)}:{self.port}/{query}"
         app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
-        serve_controls(app, self.pilot)
-        self._stream, self._training = Stream(session, Shared(session)), Training(session.machine)
+        serve_controls(app, self.authority)
+        self._stream, self._training = Stream(session, SharedFigures(session)), Training(session.machine)
         ui.run_with(
             app,
             root=self._page,
             title=TITLE,
             tailwind=False,
             show_welcome_message=False,
-            reconnect_timeout=PATIENCE,
+            reconnect_timeout=TIMEOUT,
         )
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
@@ -95,12 +100,12 @@ class Server:
             self._thread.join(4 * GRACE)
 
     def _page(self) -> None:
-        Page(self.session, self._stream, self.pilot, self._training)
+        Page(self.session, self._stream, self.authority, self._training)
 
     @contextlib.asynccontextmanager
     async def _life(self, _: FastAPI) -> AsyncIterator[None]:
         """While the server runs, the watchdog looks and the pages get their frames."""
-        async with watching(self.pilot):
+        async with watching(self.authority):
             showing = asyncio.create_task(self._stream.run())
             try:
                 self._began()
@@ -138,3 +143,37 @@ def quiet() -> None:
     """A page that is closed while something is on its way is no news."""
     logging.getLogger("nicegui").setLevel(logging.ERROR)
     access.shorten()
+
+
+def serve(
+    system: Path,
+    replay: Path | None,
+    pose: str,
+    swap: Mapping[str, str],
+    set_: Mapping[str, str],
+    *,
+    host: str,
+    port: int,
+    token: str,
+    open_: bool,
+    results: Path,
+) -> None:
+    """Serve until interrupted. A mistake is told before anything is served."""
+    first = MachineChoice(there(system), pose, swap, set_)
+    folder(results)
+    quiet()
+    session = Session(first, RealTimeMachine, Replay, [results])
+    try:
+        if replay is not None:
+            session.replay_file(replay)
+        server = Server(session, host, port, token)
+
+        def began() -> None:
+            print(f"{session.title}\n{server.url}\nCtrl-C ends it", flush=True)
+            if open_:  # aside: some systems wait here for the browser to end
+                threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+
+        server.run(began)
+        raise KeyboardInterrupt  # the server ends without one where its signal is ignored, as behind a script
+    finally:
+        session.close()

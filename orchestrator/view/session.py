@@ -1,7 +1,4 @@
-"""The machine that is shown now: live, or a replay in its place, under one name for whoever holds it.
-
-One machine, one server: what is shown, started anew, replayed and saved.
-"""
+"""What all pages show, a running machine or a replayed file: started, exchanged and saved."""
 
 from __future__ import annotations
 
@@ -17,12 +14,12 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read, write
 from orchestrator.realtime.setup import Array, Frame, Machine, Setup
-from orchestrator.view.access import listed, resolved
-from orchestrator.view.choice import Choice, Plan, plan
-from orchestrator.view.readings import Reading, by_bare_name, names
+from orchestrator.view.choice import MachineChoice, ViewPlan, plan
+from orchestrator.view.result_files import columns_of, find_result, list_results
+from orchestrator.view.signals import SignalIndex, by_bare_name
 
 
-class Current:
+class ExchangeableMachine:
     """A `Machine` that hands everything on to another one, which may be exchanged.
 
     factor      the speed that was asked for last, of whichever machine
@@ -91,14 +88,14 @@ class Current:
 JOINTS = ("swing_angle", "boom_angle", "stick_angle")
 
 
-class Recording(Machine, Protocol):
+class SeekableMachine(Machine, Protocol):
     """A machine that can go to any time of its file."""
 
     def seek(self, t: float) -> None: ...
 
 
-Live = Callable[[Setup], Machine]
-Replayed = Callable[[Trace], Recording]
+Simulate = Callable[[Setup], Machine]
+Replayed = Callable[[Trace], SeekableMachine]
 
 
 class Session:
@@ -106,19 +103,21 @@ class Session:
 
     plan      what was chosen last
     machine   live, or a replay
-    reading   of its frames
+    index   of its frames
     title     what is shown, in words
     span      times of the file that is replayed: first, last [s]; None for a live machine
     """
 
-    def __init__(self, first: Choice, live: Live, replay: Replayed, folders: Sequence[Path] = ()) -> None:
-        """live, replay: make machines; folders: where result files lie, the first one also to write to."""
+    def __init__(
+        self, first: MachineChoice, simulate: Simulate, replay: Replayed, folders: Sequence[Path] = ()
+    ) -> None:
+        """simulate, replay: make machines; folders: with result files, the first one also to write to."""
         self._replay, self.folders = replay, tuple(folders)
-        self.plan: Plan = plan(first)
-        self._live = live(self.plan.setup)
-        self.machine = Current(self._live)
+        self.plan: ViewPlan = plan(first)
+        self._live = simulate(self.plan.setup)
+        self.machine = ExchangeableMachine(self._live)
         self.file = ""
-        self._recording: Recording | None = None
+        self._recording: SeekableMachine | None = None
         self.span: tuple[float, float] | None = None
         self._read()
 
@@ -137,7 +136,7 @@ class Session:
         """Is it a file that is shown?"""
         return bool(self.file)
 
-    def start(self, choice: Choice) -> None:
+    def start(self, choice: MachineChoice) -> None:
         """The live machine from the beginning, with this choice."""
         wanted = plan(choice)
         self._live.restart(wanted.setup)
@@ -152,12 +151,12 @@ class Session:
 
     def files(self) -> list[str]:
         """The result files of the allowed folders that can be replayed."""
-        found = ((name, resolved(name, self.folders)) for name in listed(self.folders))
-        return [name for name, path in found if set(JOINTS) & set(by_bare_name(names(path)))]
+        found = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
+        return [name for name, path in found if set(JOINTS) & set(by_bare_name(columns_of(path)))]
 
     def replay(self, name: str) -> None:
         """A result file of the allowed folders in place of the machine, which stands still meanwhile."""
-        self.replay_file(resolved(name, self.folders), name)
+        self.replay_file(find_result(name, self.folders), name)
 
     def replay_file(self, path: Path, name: str = "") -> None:
         """A result file wherever it lies: only for names that do not come from a page."""
@@ -165,7 +164,7 @@ class Session:
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
         recording = self._replay(trace)
-        found = Reading(recording)
+        found = SignalIndex(recording)
         if not any(found.knows(joint) for joint in JOINTS):
             raise Problem(
                 f"{path}: expected signals such as manipulator.boom_angle, found"
@@ -212,4 +211,4 @@ class Session:
         self._read()
 
     def _read(self) -> None:
-        self.reading = Reading(self.machine)
+        self.index = SignalIndex(self.machine)

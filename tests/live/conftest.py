@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from any_fmu.models import Workshop
 
-from orchestrator.realtime.machine import Station
+from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
 LONG = 60.0  # [s]: only a test that fails waits for it
@@ -35,7 +35,7 @@ def gone(pid: int) -> bool:
         return True
 
 
-def u(station: Station) -> float:
+def u(station: RealTimeMachine) -> float:
     """What drives the machine."""
     return float(station.latest().axes[0])
 
@@ -49,9 +49,7 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 @pytest.fixture(scope="session")
 def drift(fmus: Workshop) -> Setup:
     """y' = u, commands live for a minute."""
-    return Setup(
-        str(fmus["drift"]), (Axis("u", limit=2.0, rate=10.0),), ("drift.y", "drift.u"), patience=LONG
-    )
+    return Setup(str(fmus["drift"]), (Axis("u", limit=2.0, rate=10.0),), ("drift.y", "drift.u"), timeout=LONG)
 
 
 @pytest.fixture(scope="session")
@@ -63,13 +61,13 @@ def failing(fmus: Workshop, drift: Setup) -> Setup:
 
 
 @pytest.fixture
-def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Station]]:
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., RealTimeMachine]]:
     """Opens stations, closes them at the end, and looks whether they leave anything behind."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    stations: list[Station] = []
+    stations: list[RealTimeMachine] = []
 
-    def start(*args: object, **options: object) -> Station:
-        stations.append(Station(*args, **options))
+    def start(*args: object, **options: object) -> RealTimeMachine:
+        stations.append(RealTimeMachine(*args, **options))
         return stations[-1]
 
     yield start

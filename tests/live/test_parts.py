@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 from orchestrator import Problem, Trace
 from orchestrator.engine.scenario import ScenarioTable
 from orchestrator.realtime import shared_memory
-from orchestrator.realtime.frames import Hand, Limits, Linger, Ramp, check
-from orchestrator.realtime.pace import BINS, bin_of, quantile
+from orchestrator.realtime.child import CommandWatchdog, Ramp, RateLimiter, RestDelay
+from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.realtime.shared_memory import Board, Memory, Orders, attach
+from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach
 
 positive = st.floats(1e-6, 1e6)
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -31,7 +31,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 def test_an_axis_is_never_beyond_its_limit_or_faster_than_its_rate(kinds, commands, frame):
     """Whatever is commanded, no numbers and infinite ones included."""
     axes = [Axis(f"a{i}", limit, rate, share * limit) for i, (limit, rate, share) in enumerate(kinds)]
-    limits = Limits(axes, frame)
+    limits = RateLimiter(axes, frame)
     now = limits.rest.copy()
     for command in commands:
         new = limits.toward(now, command[: len(axes)])
@@ -45,7 +45,7 @@ def test_an_axis_is_never_beyond_its_limit_or_faster_than_its_rate(kinds, comman
 @given(positive, st.integers(1, 50), st.floats(-1, 1), st.floats(-1, 1))
 def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
     """In as many frames as its rate needs."""
-    limits = Limits([Axis("a", limit, rate=2 * limit / (frames * 0.01))], 0.01)
+    limits = RateLimiter([Axis("a", limit, rate=2 * limit / (frames * 0.01))], 0.01)
     now, target = np.array([start * limit]), np.array([wanted * limit])
     for _ in range(frames):
         now = limits.toward(now, target)
@@ -54,17 +54,17 @@ def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
 
 def test_no_number_means_rest():
     """NaN is not kept, and not turned into a limit."""
-    limits = Limits([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
+    limits = RateLimiter([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
     np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
 
 
 def test_an_axis_that_lingers_outlasts_the_others():
     """It stays for 0.03 s after the last command, asked to rest or not named alike, and obeys at once."""
-    axes = [Axis("engaged", 1.0, 1000.0, linger=0.03), Axis("velocity", 1.0, 1000.0)]
-    limits, linger = Limits(axes, 0.01), Linger(axes, 0.01)
+    axes = [Axis("engaged", 1.0, 1000.0, rest_delay=0.03), Axis("velocity", 1.0, 1000.0)]
+    limits, rest_delay = RateLimiter(axes, 0.01), RestDelay(axes, 0.01)
     now, seen = limits.rest.copy(), []
     for wanted in [(0, 0)] + 2 * [(1, 1)] + 2 * [(0, 0)] + [(1, 1)] + 3 * [(0, 0)] + [(np.nan, 0)] + [(0, 0)]:
-        now = limits.toward(now, linger.outlast(now, np.array(wanted, dtype=float)))
+        now = limits.toward(now, rest_delay.delayed(now, np.array(wanted, dtype=float)))
         seen.append((int(now[0]), int(now[1])))
     assert seen == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1), (1, 0), (1, 0), (1, 0), (0, 0), (0, 0)]
 
@@ -73,35 +73,41 @@ AXIS = Axis("u", 1.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ({"frame": 0.0}, "frame: expected a positive time, got 0 s"),
-        ({"patience": math.nan}, "patience: expected a positive time, got nan s"),
+        ({"timeout": math.nan}, "timeout: expected a positive time, got nan s"),
         ({"axes": (AXIS, AXIS)}, "axis u: expected it once, got it twice"),
         ({"signals": ("a.b", "a.b")}, "signal a.b: expected it once, got it twice"),
         ({"axes": (replace(AXIS, limit=-1.0),)}, "axis u: expected a positive limit, got -1"),
         ({"axes": (replace(AXIS, rate=math.inf),)}, "axis u: expected a positive rate, got inf"),
         ({"axes": (replace(AXIS, rest=2.0),)}, "axis u: expected a rest within 1, got 2"),
-        ({"axes": (replace(AXIS, linger=-1.0),)}, "axis u: expected a linger of 0 s or more, got -1 s"),
-        ({"axes": (replace(AXIS, linger=math.inf),)}, "axis u: expected a linger of 0 s or more, got inf s"),
+        (
+            {"axes": (replace(AXIS, rest_delay=-1.0),)},
+            "axis u: expected a rest delay of 0 s or more, got -1 s",
+        ),
+        (
+            {"axes": (replace(AXIS, rest_delay=math.inf),)},
+            "axis u: expected a rest delay of 0 s or more, got inf s",
+        ),
     ],
 )
-def test_a_wrong_setup_is_told_in_one_line(wrong, told):
+def test_a_wrong_setup_is_told_in_one_line(wrong, message):
     """Before any process is started."""
     with pytest.raises(Problem) as caught:
-        check(replace(Setup("a.fmu", (AXIS,), ("a.b",)), **wrong))
-    assert str(caught.value) == told
+        replace(Setup("a.fmu", (AXIS,), ("a.b",)), **wrong).check()
+    assert str(caught.value) == message
 
 
 def test_the_watchdog_lets_go_of_old_commands():
-    """A command holds for the patience after it was seen; the same one seen again is no younger."""
-    hand = Hand(np.array([7.0]), patience=0.25, serial=3)
-    old, new = (Orders(True, 1.0, serial, np.array([float(serial)])) for serial in (3, 4))
-    assert hand.wanted(old, 10.0) == 7.0  # of the session before
-    assert hand.wanted(new, 10.1) == 4.0
-    assert hand.wanted(new, 10.35) == 4.0
-    assert hand.wanted(new, 10.36) == 7.0
-    assert hand.wanted(new._replace(serial=5), 10.4) == 4.0
+    """A command holds for the timeout after it was seen; the same one seen again is no younger."""
+    watchdog = CommandWatchdog(np.array([7.0]), timeout=0.25, serial=3)
+    old, new = (Command(True, 1.0, serial, np.array([float(serial)])) for serial in (3, 4))
+    assert watchdog.wanted(old, 10.0) == 7.0  # of the session before
+    assert watchdog.wanted(new, 10.1) == 4.0
+    assert watchdog.wanted(new, 10.35) == 4.0
+    assert watchdog.wanted(new, 10.36) == 7.0
+    assert watchdog.wanted(new._replace(serial=5), 10.4) == 4.0
 
 
 @pytest.fixture
@@ -109,40 +115,40 @@ def shared():
     """Two views of the same memory."""
     memory = Memory(shared_memory.size(2, 3, 10))
     other = attach(memory.address)
-    return Board(memory.map, 2, 3, 10), Board(other, 2, 3, 10)
+    return SharedState(memory.map, 2, 3, 10), SharedState(other, 2, 3, 10)
 
 
-def test_orders_and_frames_arrive_in_another_mapping(shared):
+def test_commands_and_frames_arrive_in_another_mapping(shared):
     """What one side writes the other one reads, to the last bit."""
     parent, child = shared
-    parent.order(Orders(True, 0.1, 12, np.array([math.pi, -1e300])))
-    orders = child.orders()
-    assert orders[:3] == (True, 0.1, 12)
-    np.testing.assert_array_equal(orders.values, [math.pi, -1e300])
-    child.put(13, 0.125, np.array([1.0, 2.0]), np.array([3.0, np.nan, 5.0]))
+    parent.write_command(Command(True, 0.1, 12, np.array([math.pi, -1e300])))
+    command = child.read_command()
+    assert command[:3] == (True, 0.1, 12)
+    np.testing.assert_array_equal(command.values, [math.pi, -1e300])
+    child.write_frame(13, 0.125, np.array([1.0, 2.0]), np.array([3.0, np.nan, 5.0]))
     np.testing.assert_array_equal(parent.rows[3], [13, 0.125, 1, 2, 3, np.nan, 5])
-    child.say("failed", "gauge \u00fc")
-    assert (parent.news().state, parent.news().text) == ("failed", "gauge \u00fc")
+    child.set_state("failed", "gauge \u00fc")
+    assert (parent.status().state, parent.status().text) == ("failed", "gauge \u00fc")
 
 
 def test_half_an_order_is_none(shared):
     """Neither one that is being written nor one whose numbers do not fit together."""
     parent, child = shared
-    parent.order(Orders(True, 1.0, 1, np.array([1.0, 2.0])))
-    parent._orders[shared_memory.SEQUENCE] += 1
-    assert child.orders() is None
-    parent._orders[shared_memory.SEQUENCE] += 1
-    assert child.orders() is not None
+    parent.write_command(Command(True, 1.0, 1, np.array([1.0, 2.0])))
+    parent._command[shared_memory.SEQUENCE] += 1
+    assert child.read_command() is None
+    parent._command[shared_memory.SEQUENCE] += 1
+    assert child.read_command() is not None
     parent._wanted[2] = 3.0
-    assert child.orders() is None
+    assert child.read_command() is None
 
 
 def test_a_writer_that_died_locks_nobody_out(shared):
-    """News whose sequence stays odd are read as they are."""
+    """MachineStatus whose sequence stays odd are read as they are."""
     parent, child = shared
-    child.say("running", "on")
+    child.set_state("running", "on")
     child._counts[shared_memory.SEQUENCE] += 1
-    assert parent.news().state == "running"
+    assert parent.status().state == "running"
 
 
 @given(st.lists(st.floats(1e-6, 50.0), min_size=1, max_size=50), st.floats(0.01, 1.0))
@@ -150,11 +156,11 @@ def test_quantiles_of_latencies(latencies, share):
     """At least the share lies below, but for half a bin, which is 1 %."""
     bins = np.zeros(BINS, np.int64)
     for latency in latencies:
-        bins[bin_of(latency)] += 1
-    found = quantile(bins, share)
+        bins[latency_bin(latency)] += 1
+    found = latency_quantile(bins, share)
     exact = sorted(latencies)[max(math.ceil(share * len(latencies) - 1e-9) - 1, 0)]
     assert abs(found / exact - 1) < 0.011  # half a bin, and the rounding of its number
-    assert quantile(np.zeros(BINS, np.int64), share) == 0.0
+    assert latency_quantile(np.zeros(BINS, np.int64), share) == 0.0
 
 
 @given(st.lists(arrays(float, 2, elements=st.floats(-10, 10)), min_size=1, max_size=5))

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.realtime.frames import Engine, Limits, Linger
+from orchestrator.realtime.child import FrameStepper, RateLimiter, RestDelay
 from orchestrator.realtime.setup import Array
-from orchestrator.view.choice import Choice, plan
-from orchestrator.view.driving.commands import Full, commands
-from orchestrator.view.driving.sticks import Functions
+from orchestrator.view.choice import MachineChoice, plan
+from orchestrator.view.driving.sticks import CraneFunctions, FullDeflection, commands
 
 HELD, WATCHED = 400, 400  # frames of 10 ms
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
@@ -19,16 +18,20 @@ DETAILED |= {"supply": "engine_pump"}
 
 
 def released(system: Path, mode: str, pose: str, swap: dict[str, str]) -> dict[str, Array]:
-    """Full swing, then nothing, as the process of a live machine does it; the signals by bare names."""
-    setup = plan(Choice(system, pose, swap)).setup
+    """Full swing, then nothing, as the process of a machine does it; the signals by bare names."""
+    setup = plan(MachineChoice(system, pose, swap)).setup
     names = [axis.name for axis in setup.axes]
-    full = commands(Functions(swing=1), mode, names, Full())
-    live, limits, linger = Engine(setup), Limits(setup.axes, setup.frame), Linger(setup.axes, setup.frame)
+    full = commands(CraneFunctions(swing=1), mode, names, FullDeflection())
+    live, limits, rest_delay = (
+        FrameStepper(setup),
+        RateLimiter(setup.axes, setup.frame),
+        RestDelay(setup.axes, setup.frame),
+    )
     rows = []
     try:
         for n in range(HELD + WATCHED):
             wanted = np.array([full.get(name, 0.0) if n < HELD else 0.0 for name in names])
-            live.advance(limits.toward(live.axes, linger.outlast(live.axes, wanted)))
+            live.advance(limits.toward(live.axes, rest_delay.delayed(live.axes, wanted)))
             rows.append([*live.axes, *live.values])
     finally:
         live.close()

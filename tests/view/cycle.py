@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.data.trace import Trace
-from orchestrator.view.task.exercise import Exercise, Target
+from orchestrator.view.task.score import Exercise, Target
 
 Array = NDArray[np.float64]
 STEP = 0.01

@@ -1,4 +1,4 @@
-"""A pilot with a clock that the test moves, its machine, and pages that send."""
+"""A authority with a clock that the test moves, its machine, and pages that send."""
 
 from __future__ import annotations
 
@@ -6,45 +6,51 @@ import json
 
 from view.standin import StandIn
 
-from orchestrator.view.driving.pilot import Pilot, Seat
+from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 
 LEFT = (-1, 0, 0, 0)
 
 
 class Desk:
-    """A pilot, its machine, and pages that send."""
+    """A authority, its machine, and pages that send."""
 
     def __init__(self) -> None:
         self.now = 100.0
         self.machine = StandIn()
-        self.pilot = Pilot(self.machine, patience=0.25, absence=1.0, clock=lambda: self.now)
+        self.authority = ControlAuthority(
+            self.machine, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
+        )
         self.numbers: dict[str, int] = {}
 
-    def page(self) -> Seat:
-        seat = self.pilot.join()
-        self.pilot.connect(seat)
-        return seat
+    def page(self) -> OperatorStation:
+        station = self.authority.join()
+        self.authority.connect(station)
+        return station
 
-    def driver(self) -> Seat:
+    def driver(self) -> OperatorStation:
         """A page that drives to the left."""
-        seat = self.page()
-        assert self.pilot.take(seat)
-        self.say(seat, dead_man=False)
-        self.say(seat)
+        station = self.page()
+        assert self.authority.take(station)
+        self.say(station, dead_man=False)
+        self.say(station)
         assert self.machine.moving
-        return seat
+        return station
 
     def say(
-        self, seat: Seat, dead_man: object = True, n: int | None = None, sticks: object = (-1, 0, 0, 0)
+        self,
+        station: OperatorStation,
+        dead_man: object = True,
+        n: int | None = None,
+        sticks: object = (-1, 0, 0, 0),
     ) -> bool:
         """A message 30 ms after the last one."""
         self.now += 0.03
-        number = self.numbers[seat.key] = self.numbers.get(seat.key, -1) + 1 if n is None else n
+        number = self.numbers[station.key] = self.numbers.get(station.key, -1) + 1 if n is None else n
         raw = json.dumps({"n": number, "sticks": list(sticks), "dead_man": dead_man})
-        return self.pilot.hear(seat, seat.connection, raw)
+        return self.authority.hear(station, station.connection, raw)
 
     def wait(self, seconds: float) -> None:
         """The watchdog looks every 50 ms."""
         for _ in range(round(seconds / 0.05)):
             self.now += 0.05
-            self.pilot.check()
+            self.authority.check()

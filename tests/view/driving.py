@@ -11,7 +11,7 @@ import httpx
 import pytest
 from view.standin import LONG, comes
 
-from orchestrator.view.driving.pilot import HOLD
+from orchestrator.view.driving.authority import HOLD
 
 STATE = ".harvester-sticks .state"
 TOLD = f"document.querySelector('{STATE}').innerText"

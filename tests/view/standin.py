@@ -16,10 +16,10 @@ from fastapi import FastAPI
 
 from orchestrator.view.access import Guard, Rules, rules
 from orchestrator.view.driving import endpoint
-from orchestrator.view.driving.pilot import Pilot
+from orchestrator.view.driving.authority import ControlAuthority
 
 LONG = 60.0  # s; only bounds a failure, on a computer that does much else
-PATIENCE, ABSENCE = 4 * LONG, 8 * LONG  # s, of a pilot that must not lose them by itself
+TIMEOUT, SILENCE_LIMIT = 4 * LONG, 8 * LONG  # s, of a authority that must not lose them by itself
 LEVERS = ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command")
 CONTROLLER = tuple(
     f"controller.{name}"
@@ -67,10 +67,10 @@ class StandIn:
 
 @dataclass
 class Server:
-    """A running server on a port of its own; `silence` moves the clock of its pilot on."""
+    """A running server on a port of its own; `silence` moves the clock of its authority on."""
 
     machine: StandIn
-    pilot: Pilot
+    authority: ControlAuthority
     port: int
     rules: Rules
     silence: Callable[[float], None]
@@ -80,27 +80,29 @@ class Server:
         return f"http://127.0.0.1:{self.port}"
 
     def socket(self, key: str) -> str:
-        return f"ws://127.0.0.1:{self.port}{endpoint.PATH}?seat={key}"
+        return f"ws://127.0.0.1:{self.port}{endpoint.PATH}?station={key}"
 
 
 @contextlib.contextmanager
 def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     """The websocket of the controls, one plain page, and the guard around both.
 
-    Its pilot has so much patience that a halt of this computer never uses it up, and no test waits for it:
-    what rests does so for a reason. Silence comes by moving the pilot's clock.
+    Its authority has so much timeout that a halt of this computer never uses it up, and no test waits for it:
+    what rests does so for a reason. Silence comes by moving the authority's clock.
     """
     machine, passed = StandIn(), [0.0]
-    pilot = Pilot(machine, patience=PATIENCE, absence=ABSENCE, clock=lambda: time.monotonic() + sum(passed))
+    authority = ControlAuthority(
+        machine, timeout=TIMEOUT, silence_limit=SILENCE_LIMIT, clock=lambda: time.monotonic() + sum(passed)
+    )
     asked = rules(host)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        async with endpoint.watching(pilot):
+        async with endpoint.watching(authority):
             yield
 
     app = FastAPI(lifespan=lifespan)
-    endpoint.serve(app, pilot)
+    endpoint.serve(app, authority)
     app.add_middleware(Guard, rules=asked)
     app.get("/")(lambda: "the page")
     settings = uvicorn.Config(
@@ -112,7 +114,7 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     wait(lambda: server.started)
     try:
         port = server.servers[0].sockets[0].getsockname()[1]
-        yield Server(machine, pilot, port, asked, passed.append)
+        yield Server(machine, authority, port, asked, passed.append)
     finally:
         server.should_exit = True
         thread.join(LONG)

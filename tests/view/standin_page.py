@@ -16,9 +16,10 @@ from view.standin import StandIn
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.driving import endpoint
 from orchestrator.view.driving import endpoint as driving_endpoint
-from orchestrator.view.driving.pilot import Pilot, Seat
-from orchestrator.view.task.exercise import NEEDED
+from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
+from orchestrator.view.task.score import NEEDED
 from orchestrator.view.task.training import Training
+from orchestrator.view.task.training import mount as mount_task
 
 FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
 
@@ -39,30 +40,30 @@ class Machine(StandIn):
 def main(port: int) -> None:
     machine = Machine(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
     # a computer that does much else may halt for some seconds: that is no driver who went away
-    pilot, training = Pilot(machine, absence=6.0), Training(machine)
-    machine.driver = lambda: pilot.status().driver
-    seats: list[Seat] = []
-    endpoint.serve(app, pilot)
-    watchdog = endpoint.watching(pilot)
+    authority, training = ControlAuthority(machine, silence_limit=6.0), Training(machine)
+    machine.driver = lambda: authority.status().driver
+    stations: list[OperatorStation] = []
+    endpoint.serve(app, authority)
+    watchdog = endpoint.watching(authority)
     app.on_startup(watchdog.__aenter__)
     app.on_shutdown(lambda: watchdog.__aexit__(None, None, None))
     app.add_middleware(Guard, rules=rules("127.0.0.1"))
 
     @app.get("/last")
     def last() -> dict[str, Any]:
-        heard = sum(seat.counts["accepted"] for seat in seats)
+        heard = sum(station.counts["accepted"] for station in stations)
         return {
             "command": machine.commands[-1:],
             "rested": machine.rested,
             "heard": heard,
-            **vars(pilot.status()),
+            **vars(authority.status()),
         }
 
     @ui.page("/")
     def page() -> None:
-        seats.append(driving_endpoint.mount(machine, pilot))
+        stations.append(driving_endpoint.mount(machine, authority))
         ui.input("field")
-        training.mount(training)
+        mount_task(training)
         ui.html("<div style='height: 3000px'></div>", sanitize=False)
 
     ui.run(host="127.0.0.1", port=port, show=False, reload=False, show_welcome_message=False)

@@ -29,7 +29,7 @@ from view.driving import (
 )
 from view.standin import LONG, comes, wait
 
-from orchestrator.view.driving.pilot import AFRESH, HOLD
+from orchestrator.view.driving.authority import AFRESH, HOLD
 
 PAD = """() => {
   window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],

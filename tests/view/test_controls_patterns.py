@@ -8,33 +8,35 @@ from hypothesis import strategies as st
 from view.standin import CONTROLLER, LEVERS
 
 from orchestrator.base.errors import Problem
-from orchestrator.view.driving.commands import Full, commands, modes
 from orchestrator.view.driving.sticks import (
     PATTERNS,
-    Curve,
-    Functions,
+    CraneFunctions,
+    FullDeflection,
+    ResponseCurve,
     StickAxes,
+    commands,
     functions,
     legend,
+    modes,
     pattern,
     shaped,
 )
 
 share = st.floats(0, 0.9)
-CURVES = st.builds(Curve, share, st.floats(0, 1))
+CURVES = st.builds(ResponseCurve, share, st.floats(0, 1))
 DEFLECTIONS = st.floats(-1, 1)
-SMALL = Curve(0.1, 0.5)
+SMALL = ResponseCurve(0.1, 0.5)
 
 
 @given(CURVES, DEFLECTIONS)
-def test_curve_is_odd_and_bounded(curve: Curve, x: float) -> None:
+def test_curve_is_odd_and_bounded(curve: ResponseCurve, x: float) -> None:
     """Both directions are the same, and no deflection gives more than full speed."""
     assert shaped(-x, curve) == -shaped(x, curve)
     assert abs(shaped(x, curve)) <= 1
 
 
 @given(CURVES, DEFLECTIONS, DEFLECTIONS)
-def test_curve_never_falls(curve: Curve, a: float, b: float) -> None:
+def test_curve_never_falls(curve: ResponseCurve, a: float, b: float) -> None:
     """A larger deflection never means less."""
     low, high = sorted((a, b))
     # the cubic of numbers a rounding error apart may be a rounding error out of order
@@ -42,7 +44,7 @@ def test_curve_never_falls(curve: Curve, a: float, b: float) -> None:
 
 
 @given(CURVES)
-def test_curve_ends(curve: Curve) -> None:
+def test_curve_ends(curve: ResponseCurve) -> None:
     """Nothing in the dead zone, everything at the stop and beyond it."""
     assert shaped(curve.dead_zone, curve) == 0
     # exact identity up to rounding: (1 - d) / (1 - d), and c + (1 - c)
@@ -61,10 +63,10 @@ def test_curve_by_hand() -> None:
 def test_curve_refuses(wrong: tuple[float, float]) -> None:
     """A curve that would divide by zero or turn round is refused."""
     with pytest.raises(Problem, match="curve: expected"):
-        Curve(*wrong)
+        ResponseCurve(*wrong)
 
 
-FULL = Curve(0.0, 0.0)
+FULL = ResponseCurve(0.0, 0.0)
 SIDES = {
     # stick moved, function that answers in ISO, in SAE (None: no function on this machine)
     "left_x": ("swing", -1, "swing", -1),
@@ -80,7 +82,7 @@ def test_patterns(name: str, axis: str) -> None:
     """Each axis moves the one function that ISO 10968 and SAE J1814 give it, in their direction."""
     which, sign = SIDES[axis][:2] if name == "ISO" else SIDES[axis][2:]
     found = functions(StickAxes(**{axis: 1.0}), pattern(name), FULL)
-    assert found == Functions(**{which: float(sign)})
+    assert found == CraneFunctions(**{which: float(sign)})
 
 
 @pytest.mark.parametrize("mode", ["levers", "tip"])
@@ -110,20 +112,24 @@ def test_unknown_pattern() -> None:
 
 def test_levers() -> None:
     """Positive functions are positive commands, whatever the component is called."""
-    found = commands(Functions(swing=1, boom=0.5, stick=-1), "levers", LEVERS, Full(swing_lever=5, lever=8))
+    found = commands(
+        CraneFunctions(swing=1, boom=0.5, stick=-1), "levers", LEVERS, FullDeflection(swing_lever=5, lever=8)
+    )
     assert found == dict(zip(LEVERS, (5, 4, -8), strict=True))
 
 
 def test_levers_through_a_controller() -> None:
     """With a controller the levers are its levers, and what engages it is left to rest."""
-    found = commands(Functions(boom=1), "levers", CONTROLLER, Full(lever=8))
+    found = commands(CraneFunctions(boom=1), "levers", CONTROLLER, FullDeflection(lever=8))
     assert found["controller.boom_lever"] == 8
     assert set(found) == set(CONTROLLER[:3])
 
 
 def test_tip() -> None:
     """Stick in is radially inwards, boom up is upwards, left is positive; the controller is on."""
-    found = commands(Functions(swing=1, boom=1, stick=1), "tip", CONTROLLER, Full(tip=0.7, swing=0.3))
+    found = commands(
+        CraneFunctions(swing=1, boom=1, stick=1), "tip", CONTROLLER, FullDeflection(tip=0.7, swing=0.3)
+    )
     short = {name.partition(".")[2]: value for name, value in found.items()}
     assert short == {"engaged": 1, "radial_velocity": -0.7, "vertical_velocity": 0.7, "swing_velocity": 0.3}
 
@@ -134,7 +140,7 @@ def test_modes() -> None:
     assert modes(CONTROLLER) == ("levers", "tip")
     assert modes(("engine.speed",)) == ()
     with pytest.raises(Problem, match="mode: this machine takes levers, found tip"):
-        commands(Functions(), "tip", LEVERS, Full())
+        commands(CraneFunctions(), "tip", LEVERS, FullDeflection())
 
 
 @given(
@@ -144,6 +150,6 @@ def test_modes() -> None:
 )
 def test_commands_are_bounded(sticks: StickAxes, name: str, mode: str) -> None:
     """No position of the sticks commands more than full."""
-    full = Full()
-    found = commands(functions(sticks, pattern(name), Curve()), mode, CONTROLLER, full)
+    full = FullDeflection()
+    found = commands(functions(sticks, pattern(name), ResponseCurve()), mode, CONTROLLER, full)
     assert all(abs(value) <= max(full.lever, full.tip, full.swing, 1) for value in found.values())

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from view.standin import LONG, wait
 
 from orchestrator.data.trace import Trace, write
-from orchestrator.realtime.machine import APART, Station
+from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
-from orchestrator.view.choice import Choice
-from orchestrator.view.driving.pilot import Pilot
+from orchestrator.view.choice import MachineChoice
+from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
 
@@ -36,10 +36,10 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
     write(Trace(times, angles), results / "rising.csv")
-    session = Session(Choice(fmu_dir / "harvester.ssp"), Station, Replay, [results])
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay, [results])
     with pytest.MonkeyPatch.context() as patient:
         # a browser may halt for some seconds where much else is done: that is no driver who went away
-        patient.setattr(serving, "Pilot", partial(Pilot, absence=LONG))
+        patient.setattr(serving, "ControlAuthority", partial(ControlAuthority, silence_limit=LONG))
         served = Server(session)
     served.start()
     yield served
@@ -61,7 +61,7 @@ def page(chromium: Any, server: Server) -> Iterator[Any]:
     opened.wait_for_function(DRAWN, arg=1)
     yield opened
     context.close()
-    wait(lambda: server.pilot.status().driver == "")
+    wait(lambda: server.authority.status().driver == "")
 
 
 def picture(page: Any) -> NDArray[np.float64]:
@@ -72,7 +72,7 @@ def picture(page: Any) -> NDArray[np.float64]:
 
 def angle(server: Server, joint: str) -> float:
     """Of a joint [rad], from the machine itself."""
-    return server.session.reading.value(server.session.machine.latest(), f"{joint}_angle")
+    return server.session.index.value(server.session.machine.latest(), f"{joint}_angle")
 
 
 def driven(server: Server) -> bool:
@@ -89,7 +89,7 @@ def begin(server: Server) -> float:
 def take(page: Any, server: Server) -> None:
     """The controls, by the button."""
     page.get_by_role("button", name="Take controls").click()
-    wait(lambda: server.pilot.status().driver != "")
+    wait(lambda: server.authority.status().driver != "")
 
 
 def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None:
@@ -97,8 +97,8 @@ def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None
     it should: then it is let go and held again, as a driver would."""
     end = time.monotonic() + LONG
     while not done():
-        assert time.monotonic() < end, f"the machine did not move: {server.pilot.status()}"
-        if not server.pilot.status().driver:
+        assert time.monotonic() < end, f"the machine did not move: {server.authority.status()}"
+        if not server.authority.status().driver:
             take(page, server)
         page.keyboard.down("Shift")
         page.keyboard.down(key)
@@ -132,7 +132,7 @@ def test_machine_is_seen_and_moves(page: Any, server: Server) -> None:
     page.close()
     wait(lambda: not driven(server))
     speed = "swing_speed"
-    wait(lambda: abs(server.session.reading.value(server.session.machine.latest(), speed)) < 0.01)
+    wait(lambda: abs(server.session.index.value(server.session.machine.latest(), speed)) < 0.01)
 
 
 def test_pause_and_restart(page: Any, server: Server) -> None:
@@ -155,9 +155,9 @@ def test_driver_goes_on_after_a_pause(page: Any, server: Server) -> None:
     for state in ("paused", "running"):
         page.keyboard.press("p")
         wait(lambda state=state: server.session.machine.latest().state == state)
-        assert server.pilot.status().driver
+        assert server.authority.status().driver
     page.keyboard.press("Home")
-    wait(lambda: not server.pilot.status().driver)
+    wait(lambda: not server.authority.status().driver)
 
 
 def test_less_to_draw(page: Any) -> None:
@@ -180,8 +180,8 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
 
     def looked_at() -> bool:
         *target, away = page.evaluate(CAMERA)
-        reading, frame = server.session.reading, server.session.machine.latest()
-        tip = [reading.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
+        index, frame = server.session.index, server.session.machine.latest()
+        tip = [index.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
         # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
         return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
 

@@ -7,23 +7,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from orchestrator.realtime.setup import Frame, Pulse
+from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.view.panels.charts import CHARTS, Chart, options
-from orchestrator.view.panels.gauges import Clock, cells, limit
-from orchestrator.view.readings import Reading
+from orchestrator.view.panels.gauges import RealTimeFactor, cells, limit
+from orchestrator.view.signals import SignalIndex
 
-PULSE = Pulse()
+PULSE = Timing()
 NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")
 
 
-def frame(t: float = 1.0, state: str = "running", message: str = "", pulse: Pulse = PULSE) -> Frame:
-    return Frame(1, t, np.zeros(0), np.zeros(0), state, message, pulse)
+def frame(t: float = 1.0, state: str = "running", message: str = "", timing: Timing = PULSE) -> Frame:
+    return Frame(1, t, np.zeros(0), np.zeros(0), state, message, timing)
 
 
 def test_clock() -> None:
     """The factor is simulated over real time, and nothing is told right after a pause."""
     now = [0.0]
-    clock = Clock(lambda: now[0])
+    clock = RealTimeFactor(lambda: now[0])
     for k in range(20):
         now[0] = 0.1 * k
         clock.look(frame(t=0.05 * k))
@@ -34,11 +34,11 @@ def test_clock() -> None:
 
 def test_cells() -> None:
     """Missed deadlines and latency are told of a live machine, the reason of a failure in any case."""
-    pulse = Pulse(frames=1000, missed=10, latency=(4e-4, 1e-3, 2e-2), load=0.05)
-    live = dict((name, text) for name, text, _ in cells(frame(pulse=pulse), 1.0, drives=True))
+    timing = Timing(frames=1000, missed=10, latency=(4e-4, 1e-3, 2e-2), load=0.05)
+    live = dict((name, text) for name, text, _ in cells(frame(timing=timing), 1.0, drives=True))
     assert live["missed"] == "10 of 1000 (1.00 %)"
     assert live["latency"] == "0.4 ms, 99 % 1.0, worst 20.0"
-    replayed = cells(frame(pulse=pulse), 1.0, drives=False)
+    replayed = cells(frame(timing=timing), 1.0, drives=False)
     assert next(text for _, text, _ in replayed) == "replaying"
     assert "missed" not in [name for name, *_ in replayed]
     assert cells(frame(state="failed", message="it broke"), None, drives=True)[-1][1:] == ("it broke", "bad")
@@ -58,7 +58,7 @@ def test_what_holds_the_tip(values: tuple[float, ...], told: str) -> None:
     """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
     machine = SimpleNamespace(signals=NAMES, axes=())
     now = Frame(1, 1.0, np.zeros(0), np.array(values), "running", "", PULSE)
-    held = limit(Reading(machine), now)
+    held = limit(SignalIndex(machine), now)
     assert held == told
     shown = {name: text for name, text, _ in cells(now, 1.0, drives=True, held=held)}
     assert shown.get("tip", "") == told
@@ -66,7 +66,7 @@ def test_what_holds_the_tip(values: tuple[float, ...], told: str) -> None:
 
 def test_a_machine_without_a_controller_is_held_by_nothing() -> None:
     """Where there is no share there is no word."""
-    assert limit(Reading(SimpleNamespace(signals=(), axes=())), frame()) == ""
+    assert limit(SignalIndex(SimpleNamespace(signals=(), axes=())), frame()) == ""
 
 
 @pytest.mark.parametrize("chart", CHARTS, ids=lambda chart: chart.title)

@@ -17,15 +17,15 @@ from hypothesis.extra.numpy import arrays
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, write
 from orchestrator.realtime.replay import Replay
-from orchestrator.realtime.setup import Frame, Pulse
+from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.ssp.load import load
-from orchestrator.view.choice import Choice, axes, plan, poses, variants
+from orchestrator.view.choice import MachineChoice, axes, plan, poses, variants
+from orchestrator.view.page import AHEAD, LOST, Credit
 from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
 from orchestrator.view.panels.gauges import GROUPS, figure
-from orchestrator.view.readings import Reading, by_bare_name, watched
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session
-from orchestrator.view.stream import AHEAD, LOST, Credit
+from orchestrator.view.signals import SignalIndex, by_bare_name, watched
 
 
 @given(
@@ -50,7 +50,7 @@ class Recorded:
 
     def latest(self) -> Frame:
         t, axis, value = self.rows[-1]
-        return Frame(len(self.rows) - 1, t, np.array([axis]), np.array([value]), "running", "", Pulse())
+        return Frame(len(self.rows) - 1, t, np.array([axis]), np.array([value]), "running", "", Timing())
 
     def since(self, number: int) -> tuple[np.ndarray, ...]:
         first = max(number + 1, 0)
@@ -61,7 +61,7 @@ class Recorded:
 def test_history() -> None:
     """A spike of one frame stays in sight for the window, and is gone after it; a restart begins anew."""
     machine = Recorded(rows=[(0.01 * k, 1.0, 9.0 if k == 137 else 0.5) for k in range(1000)])
-    history = History(machine, Reading(machine), ["boom_command", "boom_speed", "unknown"])
+    history = History(machine, SignalIndex(machine), ["boom_command", "boom_speed", "unknown"])
     history.look()
     times, table = history.table()
     assert history.names == ("boom_command", "boom_speed")
@@ -80,7 +80,7 @@ def test_history() -> None:
 def test_history_of_nothing() -> None:
     """A file without any of the curves has an empty history."""
     machine = Recorded(rows=[(0.0, 0.0, 0.0)])
-    history = History(machine, Reading(machine), ["unknown"])
+    history = History(machine, SignalIndex(machine), ["unknown"])
     history.look()
     assert history.table()[0].size == 0
 
@@ -132,7 +132,7 @@ def test_choice(fmu_dir: Path) -> None:
         "quasistatic": "quasistatic",
     }
     assert "operator" not in variants(system)
-    found = plan(Choice(system)).setup
+    found = plan(MachineChoice(system)).setup
     assert [axis.name for axis in found.axes] == ["swing_command", "boom_command", "stick_command"]
     assert not [name for name in found.signals if name.startswith("operator.")]
 
@@ -153,10 +153,10 @@ def test_choice_with_a_controller(fmu_dir: Path) -> None:
 def test_start_values(fmu_dir: Path) -> None:
     """Start values go to the machine; one that there is not is told in one line."""
     system = fmu_dir / "harvester.ssp"
-    assert plan(Choice(system, set={"manipulator.stick_length": "2.5"})).geometry.stick_length == 2.5
-    assert plan(Choice(system, set={"manipulator.stick_length": "2.5"})).setup.set
+    assert plan(MachineChoice(system, set={"manipulator.stick_length": "2.5"})).geometry.stick_length == 2.5
+    assert plan(MachineChoice(system, set={"manipulator.stick_length": "2.5"})).setup.set
     with pytest.raises(Problem, match="stick_lenght"):
-        plan(Choice(system, set={"manipulator.stick_lenght": "2.5"}))
+        plan(MachineChoice(system, set={"manipulator.stick_lenght": "2.5"}))
 
 
 def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
@@ -168,7 +168,10 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
     session = Session(
-        Choice(fmu_dir / "harvester.ssp"), lambda _: Replay(Trace(np.arange(2.0), still)), Replay, [tmp_path]
+        MachineChoice(fmu_dir / "harvester.ssp"),
+        lambda _: Replay(Trace(np.arange(2.0), still)),
+        Replay,
+        [tmp_path],
     )
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
 
@@ -176,16 +179,16 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
 def test_unknown_pose(fmu_dir: Path) -> None:
     """A misspelt pose is refused in one line with what may be meant."""
     with pytest.raises(Problem, match=r"no pose 'raech'; did you mean reach"):
-        plan(Choice(fmu_dir / "harvester.ssp", "raech"))
+        plan(MachineChoice(fmu_dir / "harvester.ssp", "raech"))
 
 
 def test_replay_tells_what_it_knows() -> None:
     """Of a file, signals are found by their bare names; a joint that is not in it stands where it began."""
     trace = Trace(np.array([0.0, 1.0]), {"manipulator.boom_angle": np.array([0.3, 0.3])})
     machine = Replay(trace)
-    reading = Reading(machine)
-    assert reading.value(machine.latest(), "boom_angle") == 0.3
-    assert math.isnan(reading.value(machine.latest(), "stick_angle"))
+    index = SignalIndex(machine)
+    assert index.value(machine.latest(), "boom_angle") == 0.3
+    assert math.isnan(index.value(machine.latest(), "stick_angle"))
 
 
 def test_port_in_use() -> None:

@@ -71,19 +71,22 @@ ORIGINS = (
 @pytest.mark.parametrize("origin", ORIGINS)
 def test_foreign_pages(local: Server, origin: str) -> None:
     """A page from elsewhere opens no socket and sends no request."""
-    seat = local.pilot.join()
+    station = local.authority.join()
     refused = pytest.raises(InvalidStatus, match="403")
-    with refused, connect(local.socket(seat.key), open_timeout=LONG, additional_headers={"Origin": origin}):
+    with (
+        refused,
+        connect(local.socket(station.key), open_timeout=LONG, additional_headers={"Origin": origin}),
+    ):
         pass
     assert get(local.http, headers={"origin": origin}).status_code == 400
-    assert not seat.connected
+    assert not station.connected
 
 
 def test_own_page(local: Server) -> None:
     """The page's own origin opens its socket."""
-    seat = local.pilot.join()
-    with connect(local.socket(seat.key), open_timeout=LONG, origin=local.http):
-        wait(lambda: seat.connected)
+    station = local.authority.join()
+    with connect(local.socket(station.key), open_timeout=LONG, origin=local.http):
+        wait(lambda: station.connected)
 
 
 def test_no_token_on_the_loopback(local: Server) -> None:
@@ -107,8 +110,8 @@ def test_tokens_are_random() -> None:
 def test_without_token(remote: Server, query: str) -> None:
     """No page without the token, and no socket."""
     assert get(remote.http + "/" + query).status_code == 401
-    seat = remote.pilot.join()
-    with pytest.raises(InvalidStatus, match="403"), connect(remote.socket(seat.key), open_timeout=LONG):
+    station = remote.authority.join()
+    with pytest.raises(InvalidStatus, match="403"), connect(remote.socket(station.key), open_timeout=LONG):
         pass
 
 
@@ -133,9 +136,9 @@ def test_token_becomes_a_cookie(remote: Server) -> None:
     assert "SameSite=Strict" in kept
     cookie = kept.partition(";")[0]
     assert get(remote.http, headers={"cookie": cookie}).text == '"the page"'
-    seat = remote.pilot.join()
-    with connect(remote.socket(seat.key), open_timeout=LONG, additional_headers={"Cookie": cookie}):
-        wait(lambda: seat.connected)
+    station = remote.authority.join()
+    with connect(remote.socket(station.key), open_timeout=LONG, additional_headers={"Cookie": cookie}):
+        wait(lambda: station.connected)
 
 
 def test_door_shows_no_script(remote: Server) -> None:

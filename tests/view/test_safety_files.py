@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.base.errors import Problem
-from orchestrator.view import access
-from orchestrator.view.access import listed, resolved
+from orchestrator.view import result_files
+from orchestrator.view.result_files import find_result, list_results
 
 
 @pytest.fixture
@@ -34,18 +34,18 @@ def folder(tmp_path: Path) -> Path:
 
 def test_found(folder: Path) -> None:
     """Result files in the folder and below it are found; a link inside leads to what it points to."""
-    assert resolved("run.csv", [folder]) == folder / "run.csv"
-    assert resolved("deep/more.parquet", [folder]) == folder / "deep/more.parquet"
-    assert resolved("in.csv", [folder]) == folder / "run.csv"
-    assert resolved("run.csv", [folder / "nowhere", folder]) == folder / "run.csv"
+    assert find_result("run.csv", [folder]) == folder / "run.csv"
+    assert find_result("deep/more.parquet", [folder]) == folder / "deep/more.parquet"
+    assert find_result("in.csv", [folder]) == folder / "run.csv"
+    assert find_result("run.csv", [folder / "nowhere", folder]) == folder / "run.csv"
 
 
 def test_listed(folder: Path) -> None:
-    """What is listed can be opened, and nothing else is listed."""
-    names = listed([folder])
+    """What is list_results can be opened, and nothing else is list_results."""
+    names = list_results([folder])
     assert names == ["run.csv"]
-    assert all(resolved(name, [folder]) for name in names)
-    assert listed([folder / "nowhere"]) == []
+    assert all(find_result(name, [folder]) for name in names)
+    assert list_results([folder / "nowhere"]) == []
 
 
 REFUSED = [
@@ -78,7 +78,7 @@ REFUSED = [
 def test_refused(folder: Path, name: object) -> None:
     """Ways out of the folder, devices, folders, pipes and things that are no name: one short line each."""
     with pytest.raises(Problem, match="file: ") as told:
-        resolved(name, [folder])
+        find_result(name, [folder])
     assert "\n" not in str(told.value)
     assert str(folder) not in str(told.value), "a browser learns no path of this computer"
     assert len(str(told.value)) < 200
@@ -88,11 +88,11 @@ def test_refused(folder: Path, name: object) -> None:
 def test_never_outside(name: str) -> None:
     """No text whatever leads to a file outside the folders."""
     with pytest.raises(Problem):
-        resolved(name, [Path(__file__).parent])
+        find_result(name, [Path(__file__).parent])
 
 
 def test_huge(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file that would fill the memory is refused by its size, before it is read."""
-    monkeypatch.setattr(access, "LARGEST", 3)
+    monkeypatch.setattr(result_files, "LARGEST", 3)
     with pytest.raises(Problem, match="expected at most"):
-        resolved("run.csv", [folder])
+        find_result("run.csv", [folder])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.base.errors import Problem
-from orchestrator.view.driving.pilot import Bucket, Message, parse
+from orchestrator.view.driving.authority import Message, TokenBucket, parse
 from orchestrator.view.driving.sticks import StickAxes
 
 GOOD = {"n": 3, "sticks": [0, -1, 0.25, 1], "dead_man": True}
@@ -85,7 +85,7 @@ def test_garbage_of_the_right_shape(found: object) -> None:
 
 def test_bucket() -> None:
     """At once as many as it holds, then the steady rate, however long it was quiet before."""
-    bucket = Bucket(rate=10, depth=5, content=5)
+    bucket = TokenBucket(rate=10, depth=5, content=5)
     assert [bucket.take(100.0) for _ in range(7)] == [True] * 5 + [False] * 2
     # a fifth of a second fills two
     assert [bucket.take(100.2) for _ in range(3)] == [True, True, False]

@@ -11,11 +11,11 @@ from typing import Any
 
 import httpx
 import pytest
-from view.standin import ABSENCE, LONG, PATIENCE, Server, serving, wait
+from view.standin import LONG, SILENCE_LIMIT, TIMEOUT, Server, serving, wait
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from orchestrator.view.driving.pilot import Seat
+from orchestrator.view.driving.authority import OperatorStation
 
 
 @pytest.fixture(scope="module")
@@ -29,35 +29,35 @@ def server(running: Server) -> Iterator[Server]:
     """After each test: the machine rests, the server answers, and a new page can drive."""
     yield running
     wait(lambda: not running.machine.moving)
-    wait(lambda: running.pilot.status().role == "free")
+    wait(lambda: running.authority.status().role == "free")
     assert httpx.get(running.http, timeout=LONG).status_code == 200
-    with page(running) as (socket, seat):
-        drive(running, socket, seat)
+    with page(running) as (socket, station):
+        drive(running, socket, station)
 
 
 class page:
     """A page with its socket."""
 
     def __init__(self, server: Server) -> None:
-        self._server, self._seat = server, server.pilot.join()
+        self._server, self._station = server, server.authority.join()
 
-    def __enter__(self) -> tuple[ClientConnection, Seat]:
-        address = self._server.socket(self._seat.key)
+    def __enter__(self) -> tuple[ClientConnection, OperatorStation]:
+        address = self._server.socket(self._station.key)
         self._opened = connect(address, compression=None, open_timeout=LONG, ping_timeout=None)
-        return self._opened.__enter__(), self._seat
+        return self._opened.__enter__(), self._station
 
     def __exit__(self, *error: Any) -> None:
         self._opened.__exit__(*error)
-        self._server.pilot.leave(self._seat)
+        self._server.authority.leave(self._station)
 
 
 def say(socket: ClientConnection, n: int, dead_man: bool = True, sticks: object = (-1, 0, 0, 0)) -> None:
     socket.send(json.dumps({"n": n, "sticks": sticks, "dead_man": dead_man}))
 
 
-def drive(server: Server, socket: ClientConnection, seat: Seat) -> None:
+def drive(server: Server, socket: ClientConnection, station: OperatorStation) -> None:
     """Take the controls and move; the next message is number 2."""
-    wait(lambda: server.pilot.take(seat))
+    wait(lambda: server.authority.take(station))
     say(socket, 0, dead_man=False)
     say(socket, 1)
     wait(lambda: server.machine.moving)
@@ -79,8 +79,8 @@ WRONG = {
 @pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
 def test_wrong_message_of_the_driver(server: Server, raw: str | bytes) -> None:
     """Any wrong message is rest, whether the connection survives it or not."""
-    with page(server) as (socket, seat):
-        drive(server, socket, seat)
+    with page(server) as (socket, station):
+        drive(server, socket, station)
         socket.send(raw)
         wait(lambda: not server.machine.moving)
 
@@ -88,8 +88,8 @@ def test_wrong_message_of_the_driver(server: Server, raw: str | bytes) -> None:
 @pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
 def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
     """A watcher sends what it likes: the driver goes on driving."""
-    with page(server) as (socket, seat), page(server) as (other, _):
-        drive(server, socket, seat)
+    with page(server) as (socket, station), page(server) as (other, _):
+        drive(server, socket, station)
         count = len(server.machine.commands)
         other.send(raw)
         for n in range(2, 8):
@@ -100,38 +100,38 @@ def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
 
 def test_dropped_messages(server: Server) -> None:
     """Numbers that are missing do no harm; when nothing comes any more, it rests, and then is free."""
-    with page(server) as (socket, seat):
-        drive(server, socket, seat)
+    with page(server) as (socket, station):
+        drive(server, socket, station)
         for n in (5, 17, 100):
             say(socket, n, sticks=(-1, -1, 0, 0))
-        wait(lambda: seat.counts["accepted"] == 5)
+        wait(lambda: station.counts["accepted"] == 5)
         assert server.machine.commands[-1]["boom_stick.stick_command"] > 0
-        server.silence(1.1 * PATIENCE)
+        server.silence(1.1 * TIMEOUT)
         wait(lambda: not server.machine.moving)
-        assert server.pilot.status(seat).role == "driving"
-        server.silence(ABSENCE)
-        wait(lambda: server.pilot.status(seat).role == "free")
-        assert seat.counts["accepted"] == 5
+        assert server.authority.status(station).role == "driving"
+        server.silence(SILENCE_LIMIT)
+        wait(lambda: server.authority.status(station).role == "free")
+        assert station.counts["accepted"] == 5
 
 
 def test_old_messages(server: Server) -> None:
     """The same message again and again is silence."""
-    with page(server) as (socket, seat):
-        drive(server, socket, seat)
+    with page(server) as (socket, station):
+        drive(server, socket, station)
         for n in range(1, 5):
-            server.silence(0.3 * PATIENCE)
+            server.silence(0.3 * TIMEOUT)
             say(socket, 1)
-            wait(lambda n=n: seat.counts["old"] == n)
+            wait(lambda n=n: station.counts["old"] == n)
         wait(lambda: not server.machine.moving)
-        assert server.pilot.status(seat).role == "driving"
+        assert server.authority.status(station).role == "driving"
 
 
 def test_second_browser(server: Server) -> None:
     """The second one moves nothing, is told who drives, and can take over when the first is gone."""
     with page(server) as (second, other):
-        with page(server) as (first, seat):
-            drive(server, first, seat)
-            assert not server.pilot.take(other)
+        with page(server) as (first, station):
+            drive(server, first, station)
+            assert not server.authority.take(other)
             say(second, 0, dead_man=False)
             say(second, 1, sticks=(1, 1, 1, 1))
             wait(lambda: other.counts["accepted"] == 2)
@@ -141,21 +141,21 @@ def test_second_browser(server: Server) -> None:
             told = json.loads(second.recv(timeout=LONG))
         assert told["role"] == "free"
         assert not server.machine.moving
-        wait(lambda: server.pilot.take(other))
+        wait(lambda: server.authority.take(other))
 
 
 def test_closed_page(server: Server) -> None:
     """The end of the socket is rest."""
-    with page(server) as (socket, seat):
-        drive(server, socket, seat)
+    with page(server) as (socket, station):
+        drive(server, socket, station)
         socket.close()
         wait(lambda: not server.machine.moving)
 
 
 def test_cut_cable(server: Server) -> None:
     """A connection that breaks off without a word, in the middle of a frame, is rest."""
-    with page(server) as (socket_, seat):
-        drive(server, socket_, seat)
+    with page(server) as (socket_, station):
+        drive(server, socket_, station)
         socket_.socket.sendall(b"\x81\xfe\x00")  # a frame of text that never ends
         socket_.socket.shutdown(socket.SHUT_RDWR)
         wait(lambda: not server.machine.moving)
@@ -163,20 +163,20 @@ def test_cut_cable(server: Server) -> None:
 
 def test_garbage_below_the_websocket(server: Server) -> None:
     """Bytes that are no frame end the connection and nothing else."""
-    with page(server) as (socket_, seat):
-        drive(server, socket_, seat)
+    with page(server) as (socket_, station):
+        drive(server, socket_, station)
         socket_.socket.sendall(os.urandom(1000))
         wait(lambda: not server.machine.moving)
 
 
 def test_flood(server: Server) -> None:
     """A client that sends without end is cut off."""
-    with page(server) as (socket, seat):
+    with page(server) as (socket, station):
         with contextlib.suppress(ConnectionClosed):
             for n in range(100_000):
                 say(socket, n)
-        wait(lambda: not seat.connected)
-        assert seat.counts["flood"] > 0
+        wait(lambda: not station.connected)
+        assert station.counts["flood"] > 0
 
 
 @pytest.mark.parametrize("key", ["", "nobody", "%00", "../../etc/passwd", "x" * 5000, "%ff%fe"])

@@ -19,10 +19,10 @@ from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
-from orchestrator.view.choice import Choice, plan
+from orchestrator.view.choice import MachineChoice, plan
 from orchestrator.view.scene import bodies
 from orchestrator.view.scene.canvas import SCALE, UNKNOWN, colour, rings
-from orchestrator.view.scene.pose import NODES, Angles, Geometry, Place, Pose, geometry, pose
+from orchestrator.view.scene.pose import NODES, Angles, Geometry, Place, ScenePose, geometry, pose
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
@@ -55,7 +55,7 @@ def told(q: Angles) -> dict[str, float]:
     return dict(zip(quantities(PENDULUM.outputs), map(float, outputs), strict=True))
 
 
-def drawn(found: Pose, node: str, point: tuple[float, float, float]) -> np.ndarray:
+def drawn(found: ScenePose, node: str, point: tuple[float, float, float]) -> np.ndarray:
     """A point of a node in space, by rotation matrices: turned as the browser does it."""
     place = found.places[node]
     cos, sin = math.cos(place.roll), math.sin(place.roll)
@@ -122,7 +122,7 @@ def test_geometry_of_a_system(fmu_dir: Path) -> None:
     for name in Geometry.__dataclass_fields__:
         assert getattr(rigid, name) == own.get(name, 1.0)
     assert geometry(load(fmu_dir / "harvester.fmu")) == rigid, "the whole machine as one FMU has the same"
-    swung = plan(Choice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"}))
+    swung = plan(MachineChoice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"}))
     assert swung.geometry == SIZES
     assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.machine.poses
 
@@ -143,7 +143,7 @@ def test_bodies_hang_on_nodes() -> None:
         assert body.kind in ("box", "plate", "round", "tube")
         assert min(body.size) > 0
         assert body.kind in ("box", "round") or len(body.path) >= 3
-    coloured = {body.channel for body in bodies} - {""}
+    coloured = {body.channel for body in everything} - {""}
     assert coloured == {f"{j}_{s}" for j in ("boom", "stick") for s in ("head", "rod")} | {
         "swing_a",
         "swing_b",

@@ -14,8 +14,17 @@ from view.standin import StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.view.task.exercise import Exercise, Progress, Target, advance, follow, of_trace, phase, way
-from orchestrator.view.task.score import score
+from orchestrator.view.task.score import (
+    Exercise,
+    Progress,
+    Target,
+    advance,
+    follow,
+    of_trace,
+    phase,
+    score,
+    way,
+)
 from orchestrator.view.task.training import Training, directions
 
 

@@ -1,4 +1,4 @@
-"""The websocket between the sticks in a browser and the pilot: `/controls?seat=KEY`.
+"""The websocket between the sticks in a browser and the authority: `/controls?station=KEY`.
 
 A socket of its own beside that of the page, because it must forget: the page's own channel keeps what could
 not be sent and delivers it after a reconnection, which is right for a form and wrong for a lever. Here a
@@ -6,10 +6,10 @@ message is sent now or never, and the end of the socket is at once the end of dr
 
 The controls on the page: sticks, lamp, who drives, pattern and mode.
 
-pilot = Pilot(machine)                  # one per server
-endpoint.serve(app, pilot)              # before the server starts
-app.on_startup / lifespan: endpoint.watching(pilot)
-mount(machine, pilot)                   # in each page
+authority = ControlAuthority(machine)                  # one per server
+endpoint.serve(app, authority)              # before the server starts
+app.on_startup / lifespan: endpoint.watching(authority)
+mount(machine, authority)                   # in each page
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nicegui.element import Element
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.driving.pilot import Pilot, Seat
+from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.driving.sticks import PATTERNS, legend, pattern
 
 PATH = "/controls"
@@ -37,32 +37,32 @@ TELL = 0.1  # s between two answers to a page
 PATIENT = 100
 
 
-def serve(app: FastAPI, pilot: Pilot) -> None:
+def serve(app: FastAPI, authority: ControlAuthority) -> None:
     """Add the websocket to a server, before it starts."""
 
     @app.websocket(PATH)
     async def controls(socket: WebSocket) -> None:
-        seat = pilot.seat(socket.query_params.get("seat", ""))
-        if seat is None:
+        station = authority.station(socket.query_params.get("station", ""))
+        if station is None:
             await socket.close(1008, "no such page: load it again")
             return
         await socket.accept()
-        connection = pilot.connect(seat)
-        telling = asyncio.create_task(_tell(socket, pilot, seat, connection))
+        connection = authority.connect(station)
+        telling = asyncio.create_task(_tell(socket, authority, station, connection))
         try:
-            await _listen(socket, pilot, seat, connection)
+            await _listen(socket, authority, station, connection)
         finally:
             telling.cancel()
-            pilot.disconnect(seat, connection)
+            authority.disconnect(station, connection)
 
 
 @contextlib.asynccontextmanager
-async def watching(pilot: Pilot) -> AsyncIterator[None]:
+async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
     """The watchdog runs inside this block; at its end the machine rests."""
 
     async def watch() -> None:
         while True:
-            pilot.check()
+            authority.check()
             await asyncio.sleep(WATCH)
 
     task = asyncio.create_task(watch())
@@ -70,12 +70,14 @@ async def watching(pilot: Pilot) -> AsyncIterator[None]:
         yield
     finally:
         task.cancel()
-        pilot.stop()
+        authority.stop()
 
 
-async def _listen(socket: WebSocket, pilot: Pilot, seat: Seat, connection: int) -> None:
+async def _listen(
+    socket: WebSocket, authority: ControlAuthority, station: OperatorStation, connection: int
+) -> None:
     bad = 0
-    while connection == seat.connection and bad < PATIENT:
+    while connection == station.connection and bad < PATIENT:
         try:
             event = await socket.receive()
         except (WebSocketDisconnect, RuntimeError):
@@ -83,17 +85,19 @@ async def _listen(socket: WebSocket, pilot: Pilot, seat: Seat, connection: int) 
         if event["type"] != "websocket.receive":
             return
         raw = event.get("text")
-        good = pilot.hear(seat, connection, raw if raw is not None else event.get("bytes") or b"")
+        good = authority.hear(station, connection, raw if raw is not None else event.get("bytes") or b"")
         bad = max(0, bad - 1) if good else bad + 1
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
         await socket.close(1008, "too many messages that do not count" if bad else "opened again elsewhere")
 
 
-async def _tell(socket: WebSocket, pilot: Pilot, seat: Seat, connection: int) -> None:
+async def _tell(
+    socket: WebSocket, authority: ControlAuthority, station: OperatorStation, connection: int
+) -> None:
     """What the page shows beside its sticks, ten times a second: also the sign that the server lives."""
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
-        while connection == seat.connection:
-            await socket.send_text(json.dumps({"n": seat.number, **asdict(pilot.status(seat))}))
+        while connection == station.connection:
+            await socket.send_text(json.dumps({"n": station.number, **asdict(authority.status(station))}))
             await asyncio.sleep(TELL)
 
 
@@ -112,11 +116,11 @@ STYLE = Path(__file__).with_name("assets") / "sticks.css"
 
 
 class SticksPanel(Element, component="assets/sticks.js", esm=LIBRARY):
-    """The part in the browser; it speaks to the pilot through its own websocket."""
+    """The part in the browser; it speaks to the authority through its own websocket."""
 
-    def __init__(self, seat: Seat) -> None:
+    def __init__(self, station: OperatorStation) -> None:
         super().__init__()
-        self._props.update({"seat": seat.key, "path": PATH, "legend": {}})
+        self._props.update({"station": station.key, "path": PATH, "legend": {}})
 
     def label(self, words: dict[str, str]) -> None:
         """What each end of each axis does."""
@@ -125,26 +129,28 @@ class SticksPanel(Element, component="assets/sticks.js", esm=LIBRARY):
             self.update()
 
 
-def mount(machine: Machine, pilot: Pilot, slow: Callable[[], object] = lambda: None) -> Seat:
+def mount(
+    machine: Machine, authority: ControlAuthority, slow: Callable[[], object] = lambda: None
+) -> OperatorStation:
     """The controls of one page, at this place of the page; they leave with the page.
 
     slow   called when the page was too busy to say what the hands do
     """
-    seat = pilot.join()
+    station = authority.join()
     ui.add_css(STYLE)
     with ui.column().classes("items-center gap-1").mark("controls"):
-        sticks = SticksPanel(seat)
+        sticks = SticksPanel(station)
         sticks.on("slow", lambda _: slow())
         with ui.row().classes("items-center gap-3"):
-            take = ui.button(TAKE["free"], on_click=lambda: _take(pilot, seat, sticks)).mark("take")
+            take = ui.button(TAKE["free"], on_click=lambda: _take(authority, station, sticks)).mark("take")
             take.classes("take")
-            patterns = ui.toggle(list(PATTERNS), on_change=lambda e: _choose(pilot, seat, e.value))
-            modes = ui.toggle([], on_change=lambda e: _choose(pilot, seat, mode=e.value))
+            patterns = ui.toggle(list(PATTERNS), on_change=lambda e: _choose(authority, station, e.value))
+            modes = ui.toggle([], on_change=lambda e: _choose(authority, station, mode=e.value))
         asked = ui.label().classes("text-caption")
         _key_map()
 
     def show() -> None:
-        status = pilot.status(seat)
+        status = authority.status(station)
         take.text = TAKE[status.role]
         take.set_enabled(machine.drives)
         others = status.asked and status.role == "driving"
@@ -159,8 +165,8 @@ def mount(machine: Machine, pilot: Pilot, slow: Callable[[], object] = lambda: N
 
     show()
     ui.timer(REFRESH, show)
-    ui.context.client.on_delete(lambda: pilot.leave(seat))
-    return seat
+    ui.context.client.on_delete(lambda: authority.leave(station))
+    return station
 
 
 def _key_map() -> None:
@@ -173,20 +179,25 @@ def _key_map() -> None:
             ui.label(meaning)
 
 
-def _take(pilot: Pilot, seat: Seat, sticks: SticksPanel) -> None:
-    if pilot.status(seat).role == "driving":
-        pilot.release(seat)
-    elif pilot.take(seat):
+def _take(authority: ControlAuthority, station: OperatorStation, sticks: SticksPanel) -> None:
+    if authority.status(station).role == "driving":
+        authority.release(station)
+    elif authority.take(station):
         sticks.run_method("focus")
     else:
         ui.notify("asked; who drives has to let go")
 
 
-def _choose(pilot: Pilot, seat: Seat, pattern_name: str | None = None, mode: str | None = None) -> None:
-    status = pilot.status(seat)
+def _choose(
+    authority: ControlAuthority,
+    station: OperatorStation,
+    pattern_name: str | None = None,
+    mode: str | None = None,
+) -> None:
+    status = authority.status(station)
     if (pattern_name or status.pattern, mode or status.mode) == (status.pattern, status.mode):
         return
     try:
-        pilot.choose(seat, pattern_name, mode)
+        authority.choose(station, pattern_name, mode)
     except Problem as error:
         ui.notify(str(error))

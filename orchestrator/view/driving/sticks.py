@@ -1,7 +1,12 @@
-"""Which axis of which stick means which function of the machine.
+"""Sticks: what a message of a browser says about them, what they mean, and which inputs they drive.
 
-Sticks, as the hand moves them: x to the right, y away from the operator. Functions, as the machine counts
-them: swing positive to the left, boom positive up, stick positive folds in, curl positive closes.
+A message, and nothing else:
+
+    {"n": 17, "sticks": [lx, ly, rx, ry], "dead_man": true}
+
+n counts up within one connection; deflections are -1 to 1, x to the right, y away from the operator.
+Functions count as the machine does: swing positive to the left, boom positive up, stick positive folds in,
+curl closes.
 
     pattern   left stick: sideways, fore and aft   right stick: sideways, fore and aft
     ISO       swing, stick away and in             curl, boom down and up
@@ -13,22 +18,27 @@ draws the stick in. Neither standard is about harvesters. Their makers have patt
 like ISO, with a rotator instead of the curl and thumb switches for feeding and cutting; this is not one of
 them. The model has no rotator and no curl, so that axis does nothing here, and it is shown as such.
 
-From the deflection of one axis to the share of full speed that is meant.
+A deflection x means the share s of full speed, odd, never falling, continuous, and 1 at full deflection:
 
     s(x) = sign(x) ((1 - c) u + c u^3),   u = max(0, (|x| - d) / (1 - d))
 
-d  dead zone: a worn stick does not come back to zero exactly
-c  progression: 0 is a straight line, 1 a pure cubic; small movements stay small, full is still full
+with the dead zone d, because a worn stick does not come back to zero exactly, and the progression c: 0 is a
+straight line, 1 a pure cubic. The form is ours; linear plus cubic is what remote controls call "expo".
 
-s is odd, never falls, continuous, and 1 at full deflection. The form is ours; linear plus cubic is what
-remote controls call "expo".
+Two modes drive the machine:
+
+    levers   swing, boom and stick command [V], or the levers of a controller that is not engaged
+    tip      velocity of the tip in cylinder coordinates [m/s, rad/s], for a controller that is engaged:
+             radial = -stick, vertical = boom, swing = swing, so that each hand keeps its direction
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
 
@@ -44,7 +54,7 @@ class StickAxes:
 
 
 @dataclass(frozen=True)
-class Functions:
+class CraneFunctions:
     """Shares of full speed [1], -1 to 1: swing to the left, boom up, stick in, curl closed."""
 
     swing: float = 0.0
@@ -75,11 +85,11 @@ def pattern(name: str) -> Pattern:
     return PATTERNS[name]
 
 
-def functions(sticks: StickAxes, chosen: Pattern, curve: Curve) -> Functions:
+def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> CraneFunctions:
     """What the hands mean. The curve comes first, so that it is the same for each function."""
     left, right = shaped(sticks.left_y, curve), shaped(sticks.right_y, curve)
     boom, stick = (right, left) if chosen.boom == "right" else (left, right)
-    return Functions(  # 0 - x is no -0
+    return CraneFunctions(  # 0 - x is no -0
         swing=0.0 - shaped(sticks.left_x, curve),
         boom=0.0 - boom,
         stick=0.0 - stick,
@@ -103,7 +113,7 @@ def legend(chosen: Pattern, mode: str) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Curve:
+class ResponseCurve:
     """Dead zone and progression [1] of all four axes."""
 
     dead_zone: float = 0.08
@@ -116,9 +126,127 @@ class Curve:
             raise Problem(f"curve: expected a progression from 0 to 1, found {self.progression}")
 
 
-def shaped(deflection: float, curve: Curve) -> float:
+def shaped(deflection: float, curve: ResponseCurve) -> float:
     """Share of full speed [1], -1 to 1, that a deflection means; beyond the stop is the stop."""
     beyond = (min(abs(deflection), 1.0) - curve.dead_zone) / (1 - curve.dead_zone)
     if not beyond > 0:  # also where the deflection is not a number
         return 0.0
     return math.copysign((1 - curve.progression) * beyond + curve.progression * beyond**3, deflection)
+
+
+LONGEST = 256  # bytes; an honest message has about 80
+KEYS = {"n", "sticks", "dead_man"}
+
+
+@dataclass(frozen=True)
+class Message:
+    """One look at the hands of the driver."""
+
+    number: int
+    sticks: StickAxes
+    dead_man: bool
+
+
+def parse(raw: str | bytes) -> Message:
+    """The message; Problem tells in one line what is wrong with it. Never any other exception."""
+    if isinstance(raw, bytes):
+        raise Problem(f"message: expected text, found {len(raw)} bytes of binary data")
+    # characters are counted before they are encoded: a huge message is not copied
+    if len(raw) > LONGEST:
+        raise Problem(f"message: expected at most {LONGEST} characters, found {len(raw)}")
+    try:
+        found = json.loads(raw, parse_constant=_constant)
+    except (ValueError, RecursionError) as error:
+        raise Problem("message: expected JSON, found something else") from error
+    if not isinstance(found, dict) or set(found) != KEYS:
+        raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(found)}")
+    return Message(_number(found["n"]), _sticks(found["sticks"]), _switch(found["dead_man"]))
+
+
+def _constant(word: str) -> float:
+    raise ValueError(f"{word} is no JSON")
+
+
+def _number(found: Any) -> int:
+    if type(found) is not int or not 0 <= found < 2**53:
+        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(found)}")
+    return found
+
+
+def _sticks(found: Any) -> StickAxes:
+    if not isinstance(found, list) or len(found) != 4:
+        raise Problem(f"message: sticks: expected four numbers, found {_short(found)}")
+    for value in found:
+        # a bool is an int in Python; the comparison is false for what is not a number
+        if type(value) not in (int, float) or not -1 <= value <= 1:
+            raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(value)}")
+    return StickAxes(*map(float, found))
+
+
+def _switch(found: Any) -> bool:
+    if not isinstance(found, bool):
+        raise Problem(f"message: dead_man: expected true or false, found {_short(found)}")
+    return found
+
+
+def _short(found: Any) -> str:
+    text = ascii(found)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+LEVERS, TIP = "levers", "tip"
+ENGAGED = "engaged"
+VELOCITIES = ("radial_velocity", "vertical_velocity", "swing_velocity")
+LEVER_NAMES = {name: (f"{name}_lever", f"{name}_command") for name in ("swing", "boom", "stick")}
+
+
+@dataclass(frozen=True)
+class FullDeflection:
+    """What full deflection means: levers [V], tip along the radius and up [m/s], swing [rad/s]. Our choice.
+
+    4 V swing this machine at 0.84 rad/s, as fast as the work cycle does; 6 V would be 1.35 rad/s, and a stop
+    either hard or 50 degrees long.
+    """
+
+    swing_lever: float = 4.0
+    lever: float = 6.0
+    tip: float = 1.0
+    swing: float = 0.4
+
+
+def modes(axes: Sequence[str]) -> tuple[str, ...]:
+    """The modes in which a machine with these axes can be driven."""
+    known = {_tail(name) for name in axes}
+    levers = any(names & known for names in map(set, LEVER_NAMES.values()))
+    tip = {*VELOCITIES, ENGAGED} <= known
+    return (*([LEVERS] if levers else []), *([TIP] if tip else []))
+
+
+def commands(
+    wanted: CraneFunctions, mode: str, axes: Sequence[str], full: FullDeflection
+) -> dict[str, float]:
+    """Values of the driven inputs, by axis. An axis that the mode does not need is left out: it rests."""
+    if mode not in modes(axes):
+        possible = " or ".join(modes(axes)) or "nothing that sticks can drive"
+        raise Problem(f"mode: this machine takes {possible}, found {mode}")
+    values = _tip(wanted, full) if mode == TIP else _levers(wanted, full)
+    return {name: values[_tail(name)] for name in axes if _tail(name) in values}
+
+
+def left_over(named: Collection[str], axes: Sequence[str], values: Iterable[float]) -> bool:
+    """Is an axis still away from rest that a mode does not name? Then another mode has the machine."""
+    return any(value != 0 for name, value in zip(axes, values, strict=True) if name not in named)
+
+
+def _levers(wanted: CraneFunctions, full: FullDeflection) -> Mapping[str, float]:
+    most = {"swing": full.swing_lever, "boom": full.lever, "stick": full.lever}
+    return {alias: most[name] * getattr(wanted, name) for name, both in LEVER_NAMES.items() for alias in both}
+
+
+def _tip(wanted: CraneFunctions, full: FullDeflection) -> Mapping[str, float]:
+    velocity = (0.0 - full.tip * wanted.stick, full.tip * wanted.boom, full.swing * wanted.swing)
+    return {ENGAGED: 1.0, **dict(zip(VELOCITIES, velocity, strict=True))}
+
+
+def _tail(name: str) -> str:
+    return name.rpartition(".")[2]

@@ -15,9 +15,9 @@ from nicegui.element import Element
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Frame
-from orchestrator.view.choice import USUAL, Choice, poses, variants
+from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
+from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.driving.endpoint import KEYS
-from orchestrator.view.driving.pilot import Pilot
 from orchestrator.view.scene.canvas import TIP, VIEWS, Canvas
 from orchestrator.view.session import Session
 
@@ -60,7 +60,7 @@ def machine(session: Session, do: Do) -> None:
             swap = {part: str(chosen.value) for part, chosen in parts.items() if chosen.value != USUAL}
             place = str(pose.value) if pose is not None and pose.value != AS_IS else ""
             file = now.system.with_name(str(system.value))
-            if await do(session.start, Choice(file, place, swap, now.set)):
+            if await do(session.start, MachineChoice(file, place, swap, now.set)):
                 window.close()
 
         _buttons(window, "Start", begin)
@@ -176,9 +176,11 @@ class Shortcuts(Element, component="shortcuts.js"):
 class Bar:
     """The bar of one page."""
 
-    def __init__(self, session: Session, canvas: Canvas, allowed: Allowed, pilot: Pilot) -> None:
-        """allowed: why this page may not decide for all, or nothing; pilot: rests before anything changes."""
-        self._session, self._allowed, self._pilot = session, allowed, pilot
+    def __init__(
+        self, session: Session, canvas: Canvas, allowed: Allowed, authority: ControlAuthority
+    ) -> None:
+        """allowed: why this page may not decide for all, or nothing; authority: told before any change."""
+        self._session, self._allowed, self._authority = session, allowed, authority
         with ui.row().classes("bar") as self._row:
             self._title = ui.label().classes("title")
             self._seek = Seek(session)
@@ -213,11 +215,11 @@ class Bar:
 
     async def do(self, action: Callable[..., Any], *arguments: Any) -> bool:
         """Something that all pages see, after which nobody drives; a mistake is told in one line."""
-        return await self._done(self._pilot.stop, action, *arguments)
+        return await self._done(self._authority.stop, action, *arguments)
 
     async def go_on(self, action: Callable[..., Any], *arguments: Any) -> bool:
         """The same machine goes on: who drives keeps the controls, and needs the dead-man afresh."""
-        return await self._done(self._pilot.halt, action, *arguments)
+        return await self._done(self._authority.halt, action, *arguments)
 
     async def _done(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> bool:
         refused = self._allowed()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.realtime.setup import Machine
 from orchestrator.view.panels.gauges import DEGREES, MEGA
-from orchestrator.view.readings import Reading
+from orchestrator.view.signals import SignalIndex
 
 Array = NDArray[np.float64]
 
@@ -29,10 +29,10 @@ class History:
     number   of the last frame that is in it
     """
 
-    def __init__(self, machine: Machine, reading: Reading, names: Sequence[str]) -> None:
-        self.names = tuple(name for name in names if reading.knows(name))
+    def __init__(self, machine: Machine, index: SignalIndex, names: Sequence[str]) -> None:
+        self.names = tuple(name for name in names if index.knows(name))
         self._machine = machine
-        self._columns = [reading.column(name) for name in self.names]
+        self._columns = [index.column(name) for name in self.names]
         self.number = -1
         self._bins = dict[int, Array]()  # bin -> shape (2, names)
 
@@ -92,7 +92,7 @@ FAINT, TEXT = "#8a958f55", "#7b868a"  # on light and on dark ground
 
 
 @dataclass(frozen=True)
-class Curve:
+class ChartCurve:
     """A signal by its bare name; `dashed` is the second of a pair."""
 
     name: str
@@ -110,7 +110,7 @@ class Chart:
     """
 
     title: str
-    curves: Sequence[Curve]
+    curves: Sequence[ChartCurve]
     ends: Sequence[float]
     both: bool = True
 
@@ -118,31 +118,31 @@ class Chart:
 COMMANDS = Chart(
     "Command [V]",
     (
-        Curve("swing_command", "swing", SWING),
-        Curve("boom_command", "boom", BOOM),
-        Curve("stick_command", "stick", STICK),
+        ChartCurve("swing_command", "swing", SWING),
+        ChartCurve("boom_command", "boom", BOOM),
+        ChartCurve("stick_command", "stick", STICK),
     ),
     (10,),
 )
 SPEEDS = Chart(
     "Speed [°/s]",
     (
-        Curve("swing_speed", "swing", SWING, factor=DEGREES),
-        Curve("boom_speed", "boom", BOOM, factor=DEGREES),
-        Curve("stick_speed", "stick", STICK, factor=DEGREES),
+        ChartCurve("swing_speed", "swing", SWING, factor=DEGREES),
+        ChartCurve("boom_speed", "boom", BOOM, factor=DEGREES),
+        ChartCurve("stick_speed", "stick", STICK, factor=DEGREES),
     ),
     (20, 40, 80, 160),
 )
 PRESSURES = Chart(
     "Pressure [MPa]",
     (
-        Curve("boom_head_pressure", "boom, head", BOOM, factor=MEGA),
-        Curve("boom_rod_pressure", "boom, rod", BOOM, True, MEGA),
-        Curve("stick_head_pressure", "stick, head", STICK, factor=MEGA),
-        Curve("stick_rod_pressure", "stick, rod", STICK, True, MEGA),
-        Curve("swing_pressure_a", "swing, A", SWING, factor=MEGA),
-        Curve("swing_pressure_b", "swing, B", SWING, True, MEGA),
-        Curve("supply_pressure", "supply", OTHER, factor=MEGA),
+        ChartCurve("boom_head_pressure", "boom, head", BOOM, factor=MEGA),
+        ChartCurve("boom_rod_pressure", "boom, rod", BOOM, True, MEGA),
+        ChartCurve("stick_head_pressure", "stick, head", STICK, factor=MEGA),
+        ChartCurve("stick_rod_pressure", "stick, rod", STICK, True, MEGA),
+        ChartCurve("swing_pressure_a", "swing, A", SWING, factor=MEGA),
+        ChartCurve("swing_pressure_b", "swing, B", SWING, True, MEGA),
+        ChartCurve("supply_pressure", "supply", OTHER, factor=MEGA),
     ),
     (25, 50, 100),
     both=False,
@@ -204,7 +204,7 @@ def options(chart: Chart) -> dict[str, Any]:
     }
 
 
-def _series(k: int, curve: Curve) -> dict[str, Any]:
+def _series(k: int, curve: ChartCurve) -> dict[str, Any]:
     line = {"width": 1.4, "color": curve.colour, "type": [4, 3] if curve.dashed else "solid"}
     return {
         "type": "line",

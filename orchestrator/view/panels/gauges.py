@@ -15,9 +15,9 @@ from typing import Any
 from nicegui.element import Element
 
 from orchestrator.realtime.setup import Frame
-from orchestrator.view.readings import FULL as FULL_of_reading
-from orchestrator.view.readings import Reading
 from orchestrator.view.scene.canvas import SCALE, colour
+from orchestrator.view.signals import FULL as FULL_of_reading
+from orchestrator.view.signals import SignalIndex
 
 MEGA, LITRES, DEGREES, TURNS = 1e-6, 6e4, 180 / math.pi, 30 / math.pi  # to MPa, L/min, degrees, rpm
 
@@ -87,9 +87,9 @@ GROUPS: Sequence[tuple[str, Sequence[Gauge]]] = (
 )
 
 
-def known(reading: Reading) -> list[tuple[str, list[Gauge]]]:
+def known(index: SignalIndex) -> list[tuple[str, list[Gauge]]]:
     """The gauges for which the machine has signals, by group."""
-    groups = [(title, [g for g in gauges if reading.knows(g.name)]) for title, gauges in GROUPS]
+    groups = [(title, [g for g in gauges if index.knows(g.name)]) for title, gauges in GROUPS]
     return [(title, gauges) for title, gauges in groups if gauges]
 
 
@@ -101,16 +101,16 @@ class Gauges(Element, component="gauges.js"):
         self._gauges: list[Gauge] = []
         self._props.update({"groups": [], "scale": list(SCALE), "full": FULL_of_reading * MEGA})
 
-    def fit(self, reading: Reading) -> None:
+    def fit(self, index: SignalIndex) -> None:
         """Show what this machine has."""
-        groups = known(reading)
+        groups = known(index)
         self._gauges = [g for _, gauges in groups for g in gauges]
         self._props["groups"] = [{"title": t, "gauges": [_spec(g) for g in gauges]} for t, gauges in groups]
         self.update()
 
-    def show(self, frame: Frame, reading: Reading) -> None:
+    def show(self, frame: Frame, index: SignalIndex) -> None:
         """New numbers."""
-        self.run_method("show", [figure(g, reading.value(frame, g.name)) for g in self._gauges])
+        self.run_method("show", [figure(g, index.value(frame, g.name)) for g in self._gauges])
 
 
 def figure(gauge: Gauge, value: float) -> list[Any]:
@@ -150,7 +150,7 @@ ENGAGED = 0.5  # of `engaged`, 0 to 1: from there on the controller moves the ti
 Cell = tuple[str, str, str]  # name, text, tone
 
 
-class Clock:
+class RealTimeFactor:
     """How fast simulated time goes by, measured over the last two seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -176,13 +176,13 @@ class Clock:
         return (u - t) / (end - begin)
 
 
-def limit(reading: Reading, frame: Frame) -> str:
+def limit(index: SignalIndex, frame: Frame) -> str:
     """Why the controller gives the tip less than the speed wanted; empty where it gives it, or is off.
 
     The use of speed or strokes acts above 1; else only the wait for the machine is left.
     """
     share, engaged, stroke, speed = (
-        reading.value(frame, name) for name in ("reference_share", "engaged", "stroke_use", "speed_use")
+        index.value(frame, name) for name in ("reference_share", "engaged", "stroke_use", "speed_use")
     )
     if not (share < FULL and engaged > ENGAGED):  # what is not known is not a number
         return ""
@@ -193,26 +193,26 @@ def limit(reading: Reading, frame: Frame) -> str:
 
 def cells(frame: Frame, factor: float | None, drives: bool, held: str = "") -> list[Cell]:
     """What the line shows; held: what limits the tip."""
-    pulse = frame.pulse
+    timing = frame.timing
     state = frame.state if drives or frame.state != "running" else "replaying"
     found: list[Cell] = [("", state, TONES.get(frame.state, WATCH))]
     found.append(("t", f"{frame.t:.1f} s" if frame.t == frame.t else "–", ""))  # noqa: RUF001
     found.append(("real time", "–" if factor is None else f"× {factor:.2f}", ""))  # noqa: RUF001
     if held:
         found.append(("tip", held, WATCH))
-    if drives and pulse.frames:
-        share = pulse.missed / pulse.frames
-        middle, high, worst = (MILLI * value for value in pulse.latency)
-        missed = f"{pulse.missed} of {pulse.frames} ({100 * share:.2f} %)"
+    if drives and timing.frames:
+        share = timing.missed / timing.frames
+        middle, high, worst = (MILLI * value for value in timing.latency)
+        missed = f"{timing.missed} of {timing.frames} ({100 * share:.2f} %)"
         found += [
             ("missed", missed, GOOD if share < SHARE else BAD),
             ("latency", f"{middle:.1f} ms, 99 % {high:.1f}, worst {worst:.1f}", ""),
-            ("load", f"{100 * pulse.load:.0f} %", ""),
+            ("load", f"{100 * timing.load:.0f} %", ""),
         ]
     return [*found, ("", frame.message, BAD if frame.state == "failed" else "")] if frame.message else found
 
 
-class Line(Element, component="state.js"):
+class StatusLine(Element, component="state.js"):
     """The line on one page."""
 
     def show(self, frame: Frame, factor: float | None, drives: bool, held: str = "") -> None:

@@ -22,7 +22,7 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from orchestrator.view.scene import bodies
-from orchestrator.view.scene.pose import GROUND, NODES, Geometry, Pose
+from orchestrator.view.scene.pose import GROUND, NODES, Geometry, ScenePose
 
 STEPS = 33  # colours that are told apart: a browser is sent one only when it changes
 UNKNOWN = "#8b9196"
@@ -124,7 +124,7 @@ class Canvas:
         eye = dict(zip(("look_at_x", "look_at_y", "look_at_z"), at, strict=True))
         self.scene.move_camera(x, y, z, **eye, duration=duration)
 
-    def show(self, number: int, pose: Pose, colours: Mapping[str, str], again: bool = False) -> bool:
+    def show(self, number: int, pose: ScenePose, colours: Mapping[str, str], again: bool = False) -> bool:
         """Move to a pose; False if it looks as before. Of the colours only those that changed are sent."""
         fresh = {name: c for name, c in colours.items() if self._colours.get(name) != c}
         numbers = pose.flat()

@@ -133,7 +133,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Pose:
+class ScenePose:
     """All nodes at one instant.
 
     swing    angle of the column [rad]
@@ -158,7 +158,7 @@ class Pose:
         return point[0] * math.cos(self.swing), point[0] * math.sin(self.swing), point[1]
 
 
-def pose(q: Angles, g: Geometry) -> Pose:
+def pose(q: Angles, g: Geometry) -> ScenePose:
     """Where everything is at these angles."""
     boom = Place(g.boom_pivot_x, g.boom_pivot_z, q.boom)
     elbow = boom.to(g.stick_pivot_x, g.stick_pivot_z)
@@ -171,7 +171,7 @@ def pose(q: Angles, g: Geometry) -> Pose:
     pin = stick.to(g.stick_pin_x, g.stick_pin_z)
     places |= _cylinder("stick", folding.to(g.stick_base_x, g.stick_base_z), pin)
     x, y = tip[0] * math.cos(q.swing), tip[0] * math.sin(q.swing)
-    return Pose(q.swing, places, (x, y, tip[1]))
+    return ScenePose(q.swing, places, (x, y, tip[1]))
 
 
 def _cylinder(name: str, base: Point, pin: Point) -> dict[str, Place]:

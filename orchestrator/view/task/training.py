@@ -1,12 +1,7 @@
-"""A session of attempts: it follows a machine frame by frame and keeps what each attempt was worth.
+"""The training task on the page: attempts of one machine, followed frame by frame, and their table.
 
 The page asks `update` a few times a second, shows `status` and `table`, both plain data, and calls `again`
 for the next attempt. The same samples give the same score here and by `score.score` afterwards.
-
-The training task on the page: what to do next, how far it is, and the table of attempts.
-
-training = Training(session.machine)     # one per server
-mount(training, path)                    # in each page
 """
 
 from __future__ import annotations
@@ -23,20 +18,22 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.task.exercise import (
+from orchestrator.view.task.score import (
+    DEFAULT,
     EXERCISES,
     Exercise,
     Progress,
     Samples,
+    Score,
     clock,
     distance,
     follow,
+    judge,
     of_values,
     phase,
     wanted,
     way,
 )
-from orchestrator.view.task.score import DEFAULT, Score, judge
 
 LONGEST = 600.0  # s; an attempt that takes longer is given up, so that memory has an end
 

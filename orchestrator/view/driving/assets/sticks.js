@@ -33,13 +33,13 @@ export default {
       </div>
       ${stick("right", 2)}
     </div>`,
-  props: { seat: String, path: String, legend: Object },
+  props: { station: String, path: String, legend: Object },
   data: () => ({ refused: -Infinity, shown: [0, 0, 0, 0], held: false, live: false, state: "connecting", note: "" }),
   mounted() {
     this.screen = { left: null, right: null };
     this.status = null;
     this.keyboard = new Keyboard(() => this.driving(), () => this.refuse());
-    this.link = new Link(this.path, this.seat, (status) => this.told(status), () => this.slow());
+    this.link = new Link(this.path, this.station, (status) => this.told(status), () => this.slow());
     this.letGo = this.letGo.bind(this);
     this.clicked = this.clicked.bind(this);
     this.escape = this.escape.bind(this);

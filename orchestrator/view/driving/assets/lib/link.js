@@ -5,9 +5,9 @@ const SILENT = 1000; // ms after which a server that says nothing counts as gone
 
 export class Link {
   // told: what the server says, or null; slow: the page let a quarter of a second pass with the dead-man held
-  constructor(path, seat, told, slow) {
+  constructor(path, station, told, slow) {
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
-    const address = `${scheme}//${location.host}${path}?seat=${encodeURIComponent(seat)}`;
+    const address = `${scheme}//${location.host}${path}?station=${encodeURIComponent(station)}`;
     this.opened = this.late = false;
     this.heard = performance.now();
     this.worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });

@@ -15,7 +15,7 @@ import pytest
 
 from orchestrator import Problem
 from orchestrator.realtime import machine
-from orchestrator.realtime.machine import Station
+from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis
 
 from .conftest import gone, posix, until
@@ -44,18 +44,18 @@ def test_a_failed_fmu_is_told_and_a_restart_works(opened, failing, drift):
 def test_a_wrong_setup_is_told_at_the_start(drift):
     """And nothing is left running."""
     with pytest.raises(Problem, match=r"^unknown variable 'drift\.z'; did you mean drift\.y"):
-        Station(replace(drift, signals=("drift.z",)))
+        RealTimeMachine(replace(drift, signals=("drift.z",)))
     with pytest.raises(Problem, match=r"^axis u: expected a positive limit, got -1$"):
-        Station(replace(drift, axes=(Axis("u", -1.0, 1.0),)))
+        RealTimeMachine(replace(drift, axes=(Axis("u", -1.0, 1.0),)))
     with pytest.raises(Problem, match=r"^speed: expected a factor from 0\.1 to 10, got 0$"):
-        Station(drift, speed=0.0)
+        RealTimeMachine(drift, speed=0.0)
 
 
 @posix
 def test_a_process_that_dies_is_told_and_a_restart_works(opened, drift):
     """As when an FMU crashes."""
     station = opened(drift)
-    until(lambda: station.latest().pulse.frames > 3)
+    until(lambda: station.latest().timing.frames > 3)
     os.kill(station.pid, signal.SIGKILL)
     until(lambda: station.latest().state == "failed")
     assert (
@@ -85,8 +85,8 @@ def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
 PARENT = """
 import sys
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.realtime.machine import Station
-station = Station(Setup(sys.argv[1], (Axis("u", 2.0, 10.0),), ("drift.y",), patience=60.0))
+from orchestrator.realtime.machine import RealTimeMachine
+station = RealTimeMachine(Setup(sys.argv[1], (Axis("u", 2.0, 10.0),), ("drift.y",), timeout=60.0))
 station.command({"u": 1.0})
 print(station.pid, flush=True)
 if sys.argv[2] == "wait":
@@ -123,15 +123,15 @@ def test_priority_can_be_declined(opened, drift, monkeypatch):
 
 
 def test_closing(opened, drift):
-    """May be repeated; what was seen can still be read, and is said to be over; no restart after it."""
+    """May be repeated; what was seen can still be read, and is details to be over; no restart after it."""
     station = opened(drift)
-    until(lambda: station.latest().pulse.frames > 3)
+    until(lambda: station.latest().timing.frames > 3)
     station.close()
     station.close()
     assert gone(station.pid)
     frame = station.latest()
     assert (frame.state, frame.message) == ("ended", "")
-    assert len(station.trace().time) == frame.pulse.frames + 1
+    assert len(station.trace().time) == frame.timing.frames + 1
     station.command({"u": 1.0})
     with pytest.raises(Problem, match="the machine is closed"):
         station.restart()
@@ -139,7 +139,7 @@ def test_closing(opened, drift):
 
 def test_one_that_is_forgotten_ends(drift):
     """Without a close, when nobody holds it any more."""
-    station = Station(drift)
+    station = RealTimeMachine(drift)
     pid = station.pid
     with warnings.catch_warnings(action="error"):
         del station

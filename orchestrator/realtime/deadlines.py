@@ -1,9 +1,4 @@
-"""How fast a machine or a replay may go.
-
-Latencies in bins, so that a session of any length takes the same memory.
-
-When each frame is due, what to do about one that is late, and how the process gets the processor.
-"""
+"""Real time: deadlines of frames, latencies in bins of constant memory, priority, and speed factors."""
 
 from __future__ import annotations
 
@@ -18,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.errors import Problem
+
 SLOWEST, FASTEST = 0.1, 10.0  # times real time
 
 
-def factor_of(factor: float) -> float:
+def speed_factor(factor: float) -> float:
     """A speed factor that is possible."""
-    from orchestrator.base.errors import Problem
-
     if not SLOWEST <= factor <= FASTEST:
         raise Problem(f"speed: expected a factor from {SLOWEST:g} to {FASTEST:g}, got {factor:g}")
     return float(factor)
@@ -34,12 +29,12 @@ LEAST, MOST, RATIO = 1e-6, 100.0, 1.02  # [s], [s], from bin to bin
 BINS = int(log(MOST / LEAST) / log(RATIO)) + 2
 
 
-def bin_of(latency: float) -> int:
+def latency_bin(latency: float) -> int:
     """The bin of a latency [s]."""
     return min(max(int(log(max(latency, LEAST) / LEAST) / log(RATIO)), 0), BINS - 1)
 
 
-def quantile(bins: NDArray[np.int64], share: float) -> float:
+def latency_quantile(bins: NDArray[np.int64], share: float) -> float:
     """The latency [s] that a share of them does not exceed, to 1 %; 0 without any."""
     total = np.cumsum(bins)
     if total[-1] == 0:
@@ -49,12 +44,12 @@ def quantile(bins: NDArray[np.int64], share: float) -> float:
 
 
 BEHIND = 0.1  # [s]: what is further behind than that is not caught up with
-BREATH = 0.02  # of a frame, left to others where there is no time to sleep
-WISH = "HARVESTER_PRIORITY"  # set to "ordinary" by who wants no priority
+YIELDED = 0.02  # of a frame, left to others where there is no time to sleep
+PRIORITY_VARIABLE = "HARVESTER_PRIORITY"  # set to "ordinary" by who wants no priority
 PRIORITY = 10  # of SCHED_FIFO: above all that is ordinary, below what the system itself does
 
 
-class Pace:
+class DeadlineClock:
     """Deadlines on the monotonic clock: each is the one before plus a frame, so nothing adds up.
 
     due       when the next frame is due [s]
@@ -71,7 +66,7 @@ class Pace:
     def wait(self) -> None:
         """Sleep until the frame is due; one that is overdue by too much is due now."""
         rest = self.due - time.monotonic()
-        time.sleep(rest if rest > 0 else BREATH * self._length)
+        time.sleep(rest if rest > 0 else YIELDED * self._length)
         if rest < -BEHIND:
             now = time.monotonic()
             self.slipped += now - self.due
@@ -83,12 +78,12 @@ class Pace:
         self.due += length
 
 
-def urgent() -> str:
+def raise_priority() -> str:
     """Ask for the processor before others, and keep the garbage collector out; what was granted."""
     gc.collect()
     gc.freeze()
     gc.disable()
-    if os.environ.get(WISH) == "ordinary":
+    if os.environ.get(PRIORITY_VARIABLE) == "ordinary":
         return "ordinary scheduling, as wished"
     with suppress(AttributeError, OSError):
         # only Linux has these names
@@ -97,12 +92,12 @@ def urgent() -> str:
     if sys.platform != "win32":
         with suppress(OSError):
             nice = os.nice(-10)
-            _favoured()
+            _favour_session()
             return f"ordinary scheduling, nice {nice}"
     return "ordinary scheduling"
 
 
-def _favoured() -> None:
+def _favour_session() -> None:
     """Linux shares out processors among sessions first, where the niceness of a process does not count."""
     with suppress(OSError):
         Path("/proc/self/autogroup").write_text("-10")

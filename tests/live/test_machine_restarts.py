@@ -30,7 +30,7 @@ def test_restart_with_another_setup(opened, drift, fmus):
     if waiting.state == "starting":
         assert waiting.number > old
         assert np.isnan([waiting.t, *waiting.axes, *waiting.values]).all()
-    until(lambda: station.latest().pulse.frames > 3)
+    until(lambda: station.latest().timing.frames > 3)
     frame = station.latest()
     assert (station.axes, station.signals, station.units["gain.u"]) == (("gain.u",), ("gain.y",), "m")
     assert (list(frame.axes), list(frame.values)) == ([-1.0], [-3.0])
@@ -68,7 +68,7 @@ def test_the_machine_in_another_fidelity(opened, fmu_dir):
     first = Setup(str(fmu_dir / "harvester.ssp"), axes, ("manipulator.boom_angle",))
     station = opened(first)
     station.command({"swing_command": 3.0})
-    until(lambda: station.latest().pulse.frames > 5)
+    until(lambda: station.latest().timing.frames > 5)
     other = replace(first, swap={"swing": "detailed"}, set={"manipulator.initial_boom_angle": 0.5})
     station.restart(other)
     frame = station.ready()
@@ -79,10 +79,10 @@ def test_the_machine_in_another_fidelity(opened, fmu_dir):
 
 
 def test_old_frames_make_room(opened, drift, monkeypatch):
-    """Of a long session the newest frames are kept, in order, and it is said what is gone."""
+    """Of a long session the newest frames are kept, in order, and it is details what is gone."""
     monkeypatch.setattr(machine, "KEPT", 0.4)  # 40 frames
     station = opened(drift, speed=10.0)
-    until(lambda: station.latest().pulse.frames > 200)
+    until(lambda: station.latest().timing.frames > 200)
     station.close()
     numbers, times, _, _ = station.since(-1)
     assert 25 <= len(numbers) <= 40

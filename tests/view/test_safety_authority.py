@@ -6,7 +6,7 @@ import pytest
 from view.desk import Desk
 from view.standin import LEVERS, StandIn
 
-from orchestrator.view.driving.pilot import AFRESH, HOLD
+from orchestrator.view.driving.authority import AFRESH, HOLD
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def test_driver_moves(desk: Desk) -> None:
     """With the controls and the dead-man, the stick moves the machine."""
     desk.driver()
     assert desk.machine.commands[-1][LEVERS[0]] > 0
-    assert desk.pilot.status().live
+    assert desk.authority.status().live
 
 
 def test_watcher_does_not_move(desk: Desk) -> None:
@@ -36,34 +36,34 @@ def test_watcher_does_not_move(desk: Desk) -> None:
 
 def test_dead_man(desk: Desk) -> None:
     """The dead-man released is rest at once, with the stick still out."""
-    seat = desk.driver()
-    desk.say(seat, dead_man=False)
+    station = desk.driver()
+    desk.say(station, dead_man=False)
     assert not desk.machine.moving
-    desk.say(seat)
+    desk.say(station)
     assert desk.machine.moving
 
 
 def test_held_before_taking(desk: Desk) -> None:
     """A dead-man that was held already when the controls were taken does not count until it was released."""
-    seat = desk.page()
-    desk.say(seat)
-    desk.pilot.take(seat)
+    station = desk.page()
+    desk.say(station)
+    desk.authority.take(station)
     for _ in range(5):
-        desk.say(seat)
+        desk.say(station)
     assert not desk.machine.moving
 
 
 @pytest.mark.parametrize("raw", ["{", b"\xff\x00", "x" * 10**6, '{"n":9,"sticks":[2,0,0,0],"dead_man":true}'])
 def test_malformed(desk: Desk, raw: str | bytes) -> None:
     """A wrong message of the driver is rest, is counted, and needs the dead-man afresh."""
-    seat = desk.driver()
-    assert not desk.pilot.hear(seat, seat.connection, raw)
+    station = desk.driver()
+    assert not desk.authority.hear(station, station.connection, raw)
     assert not desk.machine.moving
-    assert seat.counts["refused"] == 1
-    desk.say(seat)
+    assert station.counts["refused"] == 1
+    desk.say(station)
     assert not desk.machine.moving
-    desk.say(seat, dead_man=False)
-    desk.say(seat)
+    desk.say(station, dead_man=False)
+    desk.say(station)
     assert desk.machine.moving
 
 
@@ -71,103 +71,103 @@ def test_malformed_of_a_watcher(desk: Desk) -> None:
     """What a watcher sends wrong does not disturb the driver."""
     watcher = desk.page()
     desk.driver()
-    desk.pilot.hear(watcher, watcher.connection, "{")
+    desk.authority.hear(watcher, watcher.connection, "{")
     assert desk.machine.moving
 
 
 def test_old_messages(desk: Desk) -> None:
     """Repeated and overtaken messages count for nothing, and do not keep the machine moving."""
-    seat = desk.driver()
+    station = desk.driver()
     count = len(desk.machine.commands)
     for n in (0, 1, 1):
-        assert not desk.say(seat, n=n, sticks=(1, 0, 0, 0))
+        assert not desk.say(station, n=n, sticks=(1, 0, 0, 0))
     assert len(desk.machine.commands) == count
     for _ in range(10):
-        desk.say(seat, n=1)
-        desk.pilot.check()
+        desk.say(station, n=1)
+        desk.authority.check()
     assert not desk.machine.moving
 
 
 def test_patience_and_absence(desk: Desk) -> None:
-    """Silence is rest after `patience`, and after `absence` the controls are free."""
-    seat = desk.driver()
+    """Silence is rest after `timeout`, and after `silence_limit` the controls are free."""
+    station = desk.driver()
     desk.wait(0.2)
     assert desk.machine.moving
     desk.wait(0.1)
     assert not desk.machine.moving
-    assert desk.pilot.status(seat).role == "driving"
-    desk.say(seat)
+    assert desk.authority.status(station).role == "driving"
+    desk.say(station)
     assert not desk.machine.moving, "the dead-man must be seen released after a silence"
     desk.wait(1.05)
-    assert desk.pilot.status(seat).role == "free"
+    assert desk.authority.status(station).role == "free"
 
 
 def test_lost_in_between(desk: Desk) -> None:
-    """Some messages that get lost do not stop the machine, as long as one comes within `patience`."""
-    seat = desk.driver()
+    """Some messages that get lost do not stop the machine, as long as one comes within `timeout`."""
+    station = desk.driver()
     for n in range(10, 100, 7):
         desk.wait(0.15)
-        desk.say(seat, n=n)
+        desk.say(station, n=n)
         assert desk.machine.moving
 
 
 def test_told_what_to_do(desk: Desk) -> None:
     """A driver who holds the dead-man in vain is told to let go of it; then to hold it."""
-    seat = desk.driver()
+    station = desk.driver()
     desk.wait(0.3)
-    desk.say(seat)
-    assert desk.pilot.status(seat).why == f"no message from this page for a moment: {AFRESH}"
-    desk.say(seat, dead_man=False)
-    assert desk.pilot.status(seat).why == HOLD
+    desk.say(station)
+    assert desk.authority.status(station).why == f"no message from this page for a moment: {AFRESH}"
+    desk.say(station, dead_man=False)
+    assert desk.authority.status(station).why == HOLD
 
 
 def test_goes_on(desk: Desk) -> None:
     """When a machine that stood still is made to go on, its driver keeps the controls but holds afresh."""
-    seat = desk.driver()
+    station = desk.driver()
     desk.machine.state = "paused"
-    desk.say(seat)
-    desk.pilot.halt()
+    desk.say(station)
+    desk.authority.halt()
     desk.machine.state = "running"
-    desk.say(seat)
+    desk.say(station)
     assert not desk.machine.moving
-    assert desk.pilot.status(seat).role == "driving"
-    assert desk.pilot.status(seat).why == AFRESH
-    desk.say(seat, dead_man=False)
-    desk.say(seat)
+    assert desk.authority.status(station).role == "driving"
+    assert desk.authority.status(station).why == AFRESH
+    desk.say(station, dead_man=False)
+    desk.say(station)
     assert desk.machine.moving
 
 
 @pytest.mark.parametrize("halt", ["paused", "failed", "starting", "hanging"])
 def test_machine_that_halts(desk: Desk, halt: str) -> None:
     """It does not move on by itself when it goes on: the dead-man has to be released first."""
-    seat = desk.driver()
+    station = desk.driver()
     if halt == "hanging":
         desk.machine.latest = lambda: frozen
         frozen = StandIn.latest(desk.machine)
     else:
         desk.machine.state = halt
     for _ in range(20):
-        desk.say(seat)
+        desk.say(station)
     assert not desk.machine.moving
-    assert not desk.pilot.status().live
-    told = desk.pilot.status().why
+    assert not desk.authority.status().live
+    told = desk.authority.status().why
     assert told == ("the machine stands still" if halt == "hanging" else f"the machine is {halt}")
     desk.machine.state = "running"
     vars(desk.machine).pop("latest", None)
-    desk.say(seat)
+    desk.say(station)
     assert not desk.machine.moving
-    desk.say(seat, dead_man=False)
-    desk.say(seat)
+    desk.say(station, dead_man=False)
+    desk.say(station)
     assert desk.machine.moving
 
 
 @pytest.mark.parametrize("halt", [0.4, 3.0])
 def test_server_that_halts(desk: Desk, halt: float) -> None:
     """What a page said while the server hung comes late and in a bunch: it moves nothing."""
-    seat = desk.driver()
+    station = desk.driver()
     desk.now += halt
     count = len(desk.machine.commands)
     for _ in range(25):
-        desk.say(seat)
+        desk.say(station)
     assert not any(any(command.values()) for command in desk.machine.commands[count:])
     assert not desk.machine.moving

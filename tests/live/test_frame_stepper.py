@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, Problem, Trace, load, run
-from orchestrator.realtime import frames
-from orchestrator.realtime.frames import Engine
+from orchestrator.realtime import child
+from orchestrator.realtime.child import FrameStepper
 from orchestrator.realtime.setup import Axis, Setup
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
@@ -28,7 +28,7 @@ DETAILED |= {"supply": "engine_pump"}
 
 def played(setup: Setup, frames: int, wanted) -> Trace:
     """A live run; wanted: values of the axes by number of the frame."""
-    live = Engine(setup)
+    live = FrameStepper(setup)
     rows = [(live.t, live.axes.copy(), live.values.copy())]
     try:
         for n in range(frames):
@@ -91,7 +91,7 @@ MASTERS = {
 def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
     """Half a second under each of them, steps of their own choice included."""
     suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
-    monkeypatch.setattr(frames, "load", lambda _: suggested)
+    monkeypatch.setattr(child, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 50, random_walk(2, 3))
     same_as_run(setup, live, suggested)
@@ -123,7 +123,7 @@ def test_without_axes_and_without_signals(fmus):
 
 def test_units_of_axes_and_signals(drift):
     """As the FMUs declare them; what has none is not named."""
-    live = Engine(replace(drift, signals=("drift.y", "drift.u_rate")))
+    live = FrameStepper(replace(drift, signals=("drift.y", "drift.u_rate")))
     live.close()
     assert live.units == {"u": "m", "drift.u_rate": "m/s"}
 
@@ -146,13 +146,13 @@ def test_units_of_axes_and_signals(drift):
 def test_mistakes_are_told_in_one_line(drift, wrong, told):
     """Names and times that do not fit."""
     with pytest.raises(Problem) as caught:
-        Engine(replace(drift, **wrong))
+        FrameStepper(replace(drift, **wrong))
     assert str(caught.value) == told
 
 
 def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
     """The values of the frame before stay, and closing works."""
-    live = Engine(failing)
+    live = FrameStepper(failing)
     for _ in range(19):
         live.advance(np.ones(1))
     before = live.t, live.values.copy()
@@ -168,7 +168,7 @@ def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
 
 def test_a_long_session_needs_no_more_memory(drift):
     """Of Python's memory nothing is left of two thousand frames."""
-    live, wanted = Engine(drift), np.ones(1)
+    live, wanted = FrameStepper(drift), np.ones(1)
     for _ in range(300):  # more points than the recorder holds
         live.advance(wanted)
     gc.collect()

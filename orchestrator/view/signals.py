@@ -1,39 +1,14 @@
-"""What a result file holds, by its header alone: a list of files must not read them all.
-
-Which variables of a system the page shows, by their bare names, and where they stand among the columns.
-
-The values of a frame by bare names, whatever machine it is of.
-"""
+"""Signals by their bare names: which of a system the page shows, and where they stand in its frames."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 
 from orchestrator.realtime.setup import Frame, Machine
 from orchestrator.ssp.system import System
 from orchestrator.view.scene.canvas import colour
-from orchestrator.view.scene.pose import ANGLES, Angles, Geometry, Pose, Start, pose
-
-LONGEST = 2**20  # characters of the first line; a run of all signals has some thousand
-
-
-def names(path: Path) -> list[str]:
-    """The names of the columns; none if it is no such file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        if path.suffix.lower() == ".parquet":
-            return list(pq.read_schema(path).names)
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            first = file.readline(LONGEST)
-    except (OSError, ValueError, pa.ArrowException):
-        return []
-    return [name.strip() for name in next(csv.reader([first]), [])]
-
+from orchestrator.view.scene.pose import ANGLES, Angles, Geometry, ScenePose, Start, pose
 
 PRESSURES = (
     "boom_head_pressure",
@@ -89,7 +64,7 @@ FULL = 25e6  # Pa; of the scale: the usual supply has 20.7 MPa
 CHANNELS = tuple(name.replace("_pressure", "") for name in PRESSURES)  # as the parts of the crane say
 
 
-class Reading:
+class SignalIndex:
     """Where each value stands in the frames of one machine; what is not there is not a number."""
 
     def __init__(self, machine: Machine) -> None:
@@ -113,7 +88,7 @@ class Reading:
             return "axes", self._axes[name]
         return ("values", self._signals[name]) if name in self._signals else None
 
-    def pose(self, frame: Frame, geometry: Geometry, start: Start) -> Pose:
+    def pose(self, frame: Frame, geometry: Geometry, start: Start) -> ScenePose:
         """The machine at this frame; a joint that tells nothing stands where it began."""
         usual = (start.swing, start.boom, start.stick, 0.0, 0.0)
         names = ("swing_angle", "boom_angle", "stick_angle", "head_angle", "head_side_angle")

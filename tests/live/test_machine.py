@@ -15,7 +15,7 @@ import pytest
 
 from orchestrator import Problem, run
 from orchestrator.realtime.setup import Axis
-from orchestrator.realtime.shared_memory import Orders
+from orchestrator.realtime.shared_memory import Command
 
 from .conftest import u, until
 
@@ -67,14 +67,14 @@ def test_no_number_in_the_memory_itself_does_not_move_it(opened, drift):
     """Past the border: NaN is rest, infinity is the limit."""
     station = opened(drift)
     for serial, (written, meant) in enumerate([(1.0, 1.0), (math.nan, 0.0), (math.inf, 2.0)], start=100):
-        station._session.board.order(Orders(True, 1.0, serial, np.array([written])))
+        station._process.shared.write_command(Command(True, 1.0, serial, np.array([written])))
         until(lambda meant=meant: u(station) == meant)
     assert np.isfinite(station.trace()["drift.y"]).all()
 
 
 def test_it_rests_when_nobody_commands(opened, drift):
     """One command, then silence: the axis comes, and goes back at its rate by itself."""
-    station = opened(replace(drift, patience=0.3))
+    station = opened(replace(drift, timeout=0.3))
     station.command({"u": 0.2})
     until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
     moves = np.diff(station.trace()["u"])
@@ -84,8 +84,8 @@ def test_it_rests_when_nobody_commands(opened, drift):
 
 def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
     """The watchdog of the process itself lets it outlast the other one by its 0.3 s."""
-    axes = (Axis("u", 2.0, 1e3, linger=0.3), Axis("u_rate", 2.0, 1e3))
-    station = opened(replace(drift, axes=axes, patience=0.3))
+    axes = (Axis("u", 2.0, 1e3, rest_delay=0.3), Axis("u_rate", 2.0, 1e3))
+    station = opened(replace(drift, axes=axes, timeout=0.3))
     station.command({"u": 1.0, "u_rate": 1.0})
     until(lambda: u(station) == 0.0 and station.trace()["u_rate"].max() > 0)
     trace = station.trace()
@@ -100,9 +100,9 @@ def test_a_pause_keeps_the_state(opened, drift):
     until(lambda: u(station) == 1.0)
     station.pause()
     until(lambda: station.latest().state == "paused")
-    frame, board = station.latest(), station._session.board
-    beat = board.news().beat
-    until(lambda: board.news().beat > beat + 5)
+    frame, shared = station.latest(), station._process.shared
+    beat = shared.status().heartbeat
+    until(lambda: shared.status().heartbeat > beat + 5)
     still = station.latest()
     assert (still.number, still.t, still.state) == (frame.number, frame.t, "paused")
     station.play()
@@ -152,14 +152,14 @@ def test_commands_from_many_threads(opened, drift):
     until(lambda: station.latest().state == "running")  # one that halts for long has failed until it goes on
 
 
-def test_the_pulse_counts_every_frame(opened, drift):
+def test_the_timing_counts_every_frame(opened, drift):
     """Frames, latencies in order, a load; how good they are is a matter of the benchmark."""
     station = opened(drift, speed=10.0)
-    until(lambda: station.latest().pulse.frames > 100)
+    until(lambda: station.latest().timing.frames > 100)
     station.close()
     frame = station.latest()
-    pulse = frame.pulse
-    assert pulse.frames == frame.number - 1
-    assert 0 <= pulse.missed <= pulse.frames
-    assert 0 < pulse.latency[0] <= pulse.latency[1] <= pulse.latency[2]
-    assert pulse.load > 0
+    timing = frame.timing
+    assert timing.frames == frame.number - 1
+    assert 0 <= timing.missed <= timing.frames
+    assert 0 < timing.latency[0] <= timing.latency[1] <= timing.latency[2]
+    assert timing.load > 0

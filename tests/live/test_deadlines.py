@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.realtime import pace
+from orchestrator.realtime import deadlines
 
 
 class Clock:
@@ -26,13 +26,13 @@ class Clock:
 def clock(monkeypatch):
     """In place of the real one."""
     clock = Clock()
-    monkeypatch.setattr(pace, "time", clock)
+    monkeypatch.setattr(deadlines, "time", clock)
     return clock
 
 
 def _frames(clock, works, length=0.01):
-    """Latencies of frames that take so long, and the pace."""
-    kept, latencies = pace.Pace(), []
+    """Latencies of frames that take so long, and the deadlines."""
+    kept, latencies = deadlines.DeadlineClock(), []
     kept.begin(length)
     for work in works:
         kept.wait()
@@ -60,7 +60,7 @@ def test_a_short_halt_is_caught_up_with(clock):
 def test_too_slow_a_machine_slows_down_and_says_so(clock):
     """Each frame takes twice its time: latencies stay bounded, the clock slips by what is missing."""
     latencies, kept = _frames(clock, [0.02] * 1000)
-    assert max(latencies) < pace.BEHIND + 0.05
+    assert max(latencies) < deadlines.BEHIND + 0.05
     assert kept.slipped == pytest.approx(
         1000 * (0.02 - 0.01), rel=0.05
     )  # what is left to others, and the end
