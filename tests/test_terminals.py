@@ -9,7 +9,7 @@ import pytest
 from lxml import etree
 
 from fmus.contract import quantities
-from fmus.export.interface import interface
+from fmus.export.interface import interface_of
 from fmus.export.model_description import terminals
 from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS
 from fmus.parameters import values
@@ -77,4 +77,4 @@ def test_member_that_is_no_port_is_refused():
 
     sub = replace(ALL["swing"], terminals=(lever("grapple"),))
     with pytest.raises(Problem, match="grapple_lever has the variable grapple_command, expected an input"):
-        terminals(sub, interface(sub, values(sub)))
+        terminals(sub, interface_of(sub, values(sub)))

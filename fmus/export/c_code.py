@@ -162,12 +162,16 @@ class _Directions:
     wy: ca.SX
 
 
-def write_out(face: Interface) -> Equations:
+def write_out(interface: Interface) -> Equations:
     """All functions of native/model.h for a model."""
-    sym = face.equations
+    sym = interface.equations
     system = eliminate(ca.jacobian(sym.dx, sym.x))
-    along = _directions(sym, face.y)
-    values = _values(sym, face.y, system, along) | _forward(sym, face.y, along) | _reverse(sym, face.y, along)
+    along = _directions(sym, interface.y)
+    values = (
+        _values(sym, interface.y, system, along)
+        | _forward(sym, interface.y, along)
+        | _reverse(sym, interface.y, along)
+    )
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
     lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
@@ -308,12 +312,12 @@ def native_sources(fmi: int) -> dict[str, str]:
     }
 
 
-def sources(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+def sources(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
     """File name -> text of all C files of an FMU; only that of `main_source` is to be compiled."""
-    code = native_sources(fmi) | generated(face, guid, fmi)
+    code = native_sources(fmi) | generated(interface, guid, fmi)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
-    return code | {main_source(face.name): _all(face, names, fmi)}
+    return code | {main_source(interface.name): _all(interface, names, fmi)}
 
 
 def main_source(model: str) -> str:
@@ -321,11 +325,11 @@ def main_source(model: str) -> str:
     return f"{model}_fmu.c"
 
 
-def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
+def _all(interface: Interface, names: Sequence[str], fmi: int) -> str:
     return "\n".join(
         [
-            f"/* {face.name}: the one file to compile. Generated.",
-            f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={face.name}_ */",
+            f"/* {interface.name}: the one file to compile. Generated.",
+            f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
             "",
             *(f'#include "{name}"' for name in names),
             "",
@@ -333,38 +337,38 @@ def _all(face: Interface, names: Sequence[str], fmi: int) -> str:
     )
 
 
-def generated(face: Interface, guid: str, fmi: int) -> dict[str, str]:
+def generated(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
     """The generated files by name: sizes.h, model.c, and adjoint.c for FMI 3."""
-    equations = write_out(face)
+    equations = write_out(interface)
     names = {
-        "x": [v.name for v in face.states],
-        "u": [v.name for v in face.inputs],
-        "p": [v.name for v in face.parameters],
+        "x": [v.name for v in interface.states],
+        "u": [v.name for v in interface.inputs],
+        "p": [v.name for v in interface.parameters],
     }
     model = "\n".join(routine(r, names) for r in equations.routines)
-    code = {"sizes.h": _sizes(face, equations.lengths, guid), "model.c": f"{_table(face)}\n{model}"}
+    code = {"sizes.h": _sizes(interface, equations.lengths, guid), "model.c": f"{_table(interface)}\n{model}"}
     if fmi == 3:
-        head = f"/* {face.name}: derivatives in reverse. Generated. */"
+        head = f"/* {interface.name}: derivatives in reverse. Generated. */"
         includes = '#include <math.h>\n\n#include "model.h"\n'
         code["adjoint.c"] = "\n".join([head, "", includes, *(routine(r, names) for r in equations.adjoint)])
     return code
 
 
-def _sizes(face: Interface, lengths: Mapping[str, int], guid: str) -> str:
+def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
     sizes = {
-        "NP": (len(face.parameters), "parameters"),
-        "NU": (len(face.inputs), "inputs"),
-        "NX": (len(face.states), "states"),
-        "NY": (len(face.outputs), "outputs that are not states"),
+        "NP": (len(interface.parameters), "parameters"),
+        "NU": (len(interface.inputs), "inputs"),
+        "NX": (len(interface.states), "states"),
+        "NY": (len(interface.outputs), "outputs that are not states"),
         "NC": (lengths["NC"], "quantities that depend on parameters alone"),
         "NJ": (lengths["NJ"], "entries of df/dx that are not constant"),
         "NLU": (lengths["NLU"], "entries of the factors that are not constant"),
-        "NREQUIRE": (len(face.equations.statements), "requirements"),
-        "EXPLICIT_FIRST": (int(not face.stiff), "1: the explicit method is tried first"),
-        "NWATCHED": (len(_watched(face)), "inputs and outputs with a limit that is watched"),
+        "NREQUIRE": (len(interface.equations.statements), "requirements"),
+        "EXPLICIT_FIRST": (int(not interface.stiff), "1: the explicit method is tried first"),
+        "NWATCHED": (len(_watched(interface)), "inputs and outputs with a limit that is watched"),
     }
     lines = [
-        f"/* {face.name}: {_comment(face.text)}. Generated. */",
+        f"/* {interface.name}: {_comment(interface.text)}. Generated. */",
         "",
         "#ifndef SIZES_H",
         "#define SIZES_H",
@@ -378,8 +382,8 @@ def _sizes(face: Interface, lengths: Mapping[str, int], guid: str) -> str:
         "",
         "/* Value references. */",
         "enum {",
-        *(f"    VR_{v.name} = {v.reference}, /* {_meaning(v)} */" for v in face.variables),
-        "};" if face.variables else "    NO_VARIABLES\n};",
+        *(f"    VR_{v.name} = {v.reference}, /* {_meaning(v)} */" for v in interface.variables),
+        "};" if interface.variables else "    NO_VARIABLES\n};",
         "",
         "#endif",
         "",
@@ -395,15 +399,15 @@ def _meaning(v: Variable) -> str:
     return f"[{v.quantity.unit}] {_comment(v.quantity.text)}"
 
 
-def _table(face: Interface) -> str:
+def _table(interface: Interface) -> str:
     """The table of variables and the texts of the requirements."""
-    inputs = [v.name for v in face.inputs]
-    rows = [_row(v, inputs) for v in face.variables] or ["    {0},"]
-    watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(face)] or ["    0,"]
-    statements = [f"    {string(text)}," for text in face.equations.statements] or ["    0,"]
+    inputs = [v.name for v in interface.inputs]
+    rows = [_row(v, inputs) for v in interface.variables] or ["    {0},"]
+    watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(interface)] or ["    0,"]
+    statements = [f"    {string(text)}," for text in interface.equations.statements] or ["    0,"]
     return "\n".join(
         [
-            f"/* {face.name}: {_comment(face.text)}. Generated. */",
+            f"/* {interface.name}: {_comment(interface.text)}. Generated. */",
             "",
             "#include <math.h>",
             "",
@@ -426,8 +430,8 @@ def _table(face: Interface) -> str:
     )
 
 
-def _watched(face: Interface) -> list[Variable]:
-    return [v for v in face.variables if _limit(v) < math.inf]
+def _watched(interface: Interface) -> list[Variable]:
+    return [v for v in interface.variables if _limit(v) < math.inf]
 
 
 def _limit(v: Variable) -> float:

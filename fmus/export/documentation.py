@@ -1,8 +1,7 @@
-"""The written part of an FMU's documentation: the subsystem's README and the sections that it links to.
+"""documentation/index.html of an FMU: what it is, its ports and numbers, its equations, in one file.
 
-What the documentation of an FMU shows of its variables: rows of text, grouped.
-
-documentation/index.html of an FMU: what it is, its ports and numbers, its equations, in one file.
+The text is the subsystem's README with the sections of other documents that it links to; the tables show its
+variables.
 """
 
 from __future__ import annotations
@@ -22,8 +21,9 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.reference_experiment import PAGE, proof
-from fmus.parameters import SOURCES, Number, Tables, numbers
-from orchestrator.base.units import display
+from fmus.parameters import SOURCES, Number, numbers
+from orchestrator.base.text import typeset
+from orchestrator.base.units import display, pretty
 from orchestrator.ssp.common import package_version
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
@@ -37,8 +37,11 @@ def shipped(name: str) -> Path | None:
     return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
 
 
+# ---- text ------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
-class Section:
+class LinkedSection:
     """A section of another document."""
 
     anchor: str
@@ -51,7 +54,7 @@ class Section:
         return re.sub(r"^[\d.]+ ", "", self.title).partition(",")[0]
 
 
-def prose(readme: Path, variant: str = "") -> tuple[Markup, list[Section]]:
+def prose(readme: Path, variant: str = "") -> tuple[Markup, list[LinkedSection]]:
     """A README without its title as HTML, and the sections of other documents that it links to.
 
     Of the sections about variants, whose headings are plain lower-case names, only that of `variant` stays.
@@ -60,28 +63,23 @@ def prose(readme: Path, variant: str = "") -> tuple[Markup, list[Section]]:
         return Markup(), []
     text = re.sub(r"\A# .*\n", "", readme.read_text(encoding="utf-8"))
     text = _VARIANT.sub(lambda section: section[0] if section[1] == variant else "", text)
-    sections: dict[str, str] = {}
+    linked: dict[str, LinkedSection] = {}
     for _, target in _LINK.findall(text):
         file, _, anchor = target.partition("#")
-        found = _section(readme, file, anchor) if file.endswith(".md") and anchor else None
-        if found:
-            sections[anchor] = found
-    text = _LINK.sub(lambda match: _inside(match, sections), text)
-    return _html(text), [_section_shown(anchor, section) for anchor, section in sections.items()]
+        section = _section(readme, file, anchor) if file.endswith(".md") and anchor else None
+        if section:
+            title, body = section.split("\n", 1)
+            linked[anchor] = LinkedSection(anchor, title.lstrip("# "), _html(_LINK.sub(r"\1", body)))
 
+    def inside(match: re.Match[str]) -> str:
+        """A link as it works in the one page: to a section in it, to the web, else only its words."""
+        words, target = match[1], match[2]
+        anchor = target.partition("#")[2]
+        if anchor in linked:
+            return f"[{words}](#{anchor})"
+        return match[0] if target.startswith(("http://", "https://")) else words
 
-def _section_shown(anchor: str, section: str) -> Section:
-    title, body = section.split("\n", 1)
-    return Section(anchor, title.lstrip("# "), _html(_LINK.sub(r"\1", body)))
-
-
-def _inside(match: re.Match[str], sections: dict[str, str]) -> str:
-    """A link as it works in the one page: to a section in it, to the web, else only its words."""
-    words, target = match[1], match[2]
-    anchor = target.partition("#")[2]
-    if anchor in sections:
-        return f"[{words}](#{anchor})"
-    return match[0] if target.startswith(("http://", "https://")) else words
+    return _html(_LINK.sub(inside, text)), list(linked.values())
 
 
 def _section(readme: Path, file: str, anchor: str) -> str | None:
@@ -107,12 +105,12 @@ def _html(text: str) -> Markup:
     return Markup(MarkdownIt("commonmark").enable("table").render(text))
 
 
-_SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+# ---- variables -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Row:
-    """One variable."""
+class VariableRow:
+    """One variable, as text."""
 
     name: str
     direction: str  # in, out or empty
@@ -127,90 +125,36 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Group:
+class VariableGroup:
     """Rows under a heading."""
 
     title: str
-    rows: Sequence[Row]
+    rows: Sequence[VariableRow]
     name: str = ""  # of the terminal
 
 
-def ports(sub: Subsystem, face: Interface) -> list[Group]:
-    """Inputs and outputs by terminal, then the rest."""
-    found = _provenance(sub)
-    table = {v.name: _row(v, found) for v in face.variables if v.kind == "INPUT" or v.output}
-    groups = []
-    for terminal in sub.terminals:
-        members = [table.pop(m.variable) for m in terminal.members if m.variable in table]
-        groups.append(Group(terminal.text, members, terminal.name))
-    rest = list(table.values())
-    for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
-        groups.append(Group(title, [row for row in rest if row.direction == direction]))
-    return [group for group in groups if group.rows]
-
-
-def parameters(sub: Subsystem, face: Interface) -> list[Group]:
-    """The parameters under the headings of their declaration."""
-    found = _provenance(sub)
-    groups: dict[str, list[Row]] = {}
-    for v in face.parameters:
-        groups.setdefault(v.quantity.group, []).append(_row(v, found))
-    return [Group(title, rows) for title, rows in groups.items()]
-
-
-def start_values(sub: Subsystem, face: Interface) -> list[Group]:
-    """States and inputs that start at a number with a source, or may be given one."""
-    found = _provenance(sub)
-    given = [v for v in (*face.states, *face.inputs) if v.start is not None]
-    rows = [_row(v, found) for v in given if v.name in found or v.kind == "STATE"]
-    return [Group("", rows)] if rows else []
-
-
-def hidden(face: Interface) -> list[Row]:
-    """States that are no outputs; of the derivatives nobody wants a table."""
-    return [_row(v, {}) for v in face.states if not v.output]
-
-
-def _provenance(sub: Subsystem) -> dict[str, Number]:
-    if sub.numbers is None and sub.values is not None and not sub.values.is_file():
-        return {}
-    tables: Tables = numbers(sub)
-    return {name: n for table in tables.values() for name, n in table.items()}
-
-
-def _row(v: Variable, found: Mapping[str, Number]) -> Row:
-    q = v.quantity
-    number = found.get(v.name)
-    known = number if number and number.value == v.start else None
-    return Row(
-        v.name,
-        "in" if v.kind == "INPUT" else "out" if v.output else "",
-        q.text,
-        pretty(q.unit),
-        _value(v, known),
-        *_shown(v),
-        _bounds(q.minimum, q.maximum),
-        list(_remarks(v)),
-        known,
+def _row(v: Variable, sources: Mapping[str, Number]) -> VariableRow:
+    q, number = v.quantity, sources.get(v.name)
+    if number is not None and number.value != v.start:
+        number = None  # built with another value than that of the file
+    value = "calculated" if v.kind == "CALCULATED_STATE" else ""
+    if v.start is not None:
+        value = printed(v.start) + (f" ± {printed(number.sd)}" if number and number.sd else "")
+    customary, shown = display(q.unit), ""
+    if customary and v.start is not None:
+        shown = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {pretty(customary[0])}"
+    return VariableRow(
+        name=v.name,
+        direction="in" if v.kind == "INPUT" else "out" if v.output else "",
+        text=q.text,
+        unit=pretty(q.unit),
+        value=value,
+        display=pretty(customary[0]) if customary else "",
+        shown=shown,
+        bounds=_bounds(q.minimum, q.maximum),
+        remarks=list(_remarks(v)),
+        number=number,
     )
-
-
-def _value(v: Variable, number: Number | None) -> str:
-    if v.start is None:
-        return "calculated" if v.kind == "CALCULATED_STATE" else ""
-    return figure(v.start) + (f" ± {figure(number.sd)}" if number and number.sd else "")
-
-
-def _shown(v: Variable) -> tuple[str, str]:
-    """The display unit, and the start value in it."""
-    other = display(v.quantity.unit)
-    if other is None:
-        return "", ""
-    unit = pretty(other[0])
-    if v.start is None:
-        return unit, ""
-    rounded = float(f"{v.start * other[1]:.4g}")
-    return unit, f"{figure(rounded)} {unit}"
 
 
 def _remarks(v: Variable) -> Iterable[str]:
@@ -220,54 +164,77 @@ def _remarks(v: Variable) -> Iterable[str]:
     if v.quantity.rate:
         yield f"moves with {v.quantity.rate} inside a step"
     if v.quantity.warn_above is not None:
-        yield f"warning above {figure(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
+        yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:
     if low is not None and high is not None:
-        return f"{figure(low)} to {figure(high)}"
-    return f"≥ {figure(low)}" if low is not None else f"≤ {figure(high)}" if high is not None else ""
+        return f"{printed(low)} to {printed(high)}"
+    return f"≥ {printed(low)}" if low is not None else f"≤ {printed(high)}" if high is not None else ""
 
 
-def figure(value: float) -> str:
-    """A number as in a data sheet: 1.6e9 for 1600000000.0, with a true minus."""
-    text = re.sub(r"e([+-])0*(\d+)", lambda m: f"e{m[1].strip('+')}{m[2]}", f"{value:.6g}")
-    return text.replace("-", "\N{MINUS SIGN}")
+def printed(value: float) -> str:
+    """A number as in a data sheet: 1.6·10⁹ for 1600000000.0, with a true minus."""
+    return typeset(f"{value:.6g}")
 
 
-def pretty(unit: str) -> str:
-    """A unit as it is printed: N·m·s/rad, m³/s; nothing for 1."""
-    powers = re.sub(r"(?<=[A-Za-z])-?\d+", lambda m: m[0].translate(_SUPERSCRIPTS), unit)
-    return "" if unit == "1" else powers.replace(".", "·")
+def _ports(sub: Subsystem, rows: Mapping[str, VariableRow]) -> list[VariableGroup]:
+    """Inputs and outputs by terminal, then the rest."""
+    rest = {name: row for name, row in rows.items() if row.direction}
+    groups = []
+    for terminal in sub.terminals:
+        members = [rest.pop(m.variable) for m in terminal.members if m.variable in rest]
+        groups.append(VariableGroup(terminal.text, members, terminal.name))
+    for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
+        groups.append(VariableGroup(title, [row for row in rest.values() if row.direction == direction]))
+    return [group for group in groups if group.rows]
 
 
-def page(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
+# ---- page ------------------------------------------------------------------------------------------
+
+
+def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
     """One self-contained HTML page; step and stop are the default experiment [s]."""
-    loader = PackageLoader("fmus.export")
     environment = Environment(
-        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+        loader=PackageLoader("fmus.export"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
     text, sections = prose(sub.folder / "README.md", sub.variant)
-    groups = parameters(sub, face)
-    start = start_values(sub, face)
-    used = {row.number.source for group in (*groups, *start) for row in group.rows if row.number}
+    has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
+    sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
+    rows = {v.name: _row(v, sources) for v in interface.variables}
+    parameters: dict[str, list[VariableRow]] = {}
+    for v in interface.parameters:
+        parameters.setdefault(v.quantity.group, []).append(rows[v.name])
+    start = [  # of states and inputs: what has a source, or may be set
+        rows[v.name]
+        for v in (*interface.states, *interface.inputs)
+        if v.start is not None and (v.name in sources or v.kind == "STATE")
+    ]
+    listed = [rows[v.name] for v in interface.parameters] + start
+    used = {row.number.source for row in listed if row.number}
     return environment.get_template("page.html.j2").render(
         sub=sub,
         fmi=fmi,
         version=package_version(),
-        step=figure(step),
-        stop=figure(stop),
-        tolerance=figure(DEFAULT_TOLERANCE),
-        stiff=face.stiff,
-        rates=any(v.quantity.rate for v in face.inputs),
+        step=printed(step),
+        stop=printed(stop),
+        tolerance=printed(DEFAULT_TOLERANCE),
+        stiff=interface.stiff,
+        rates=any(v.quantity.rate for v in interface.inputs),
         icon=b64encode(icon).decode() if icon else "",
         style=Markup(environment.get_template("page.css").render()),
         text=text,
         sections=sections,
-        ports=ports(sub, face),
-        parameters=groups,
-        start=start,
-        hidden=hidden(face),
+        ports=_ports(sub, rows),
+        parameters=[VariableGroup(title, group) for title, group in parameters.items()],
+        start=[VariableGroup("", start)] if start else [],
+        hidden=[
+            rows[v.name] for v in interface.states if not v.output
+        ],  # of derivatives nobody wants a table
         sources={word: meaning for word, meaning in SOURCES.items() if word in used},
         categories=LOG_CATEGORIES,
         proof=PAGE.rpartition("/")[2] if proof(sub) else "",

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Literal
 
 import casadi as ca
@@ -51,29 +52,28 @@ class Interface:
     stiff: bool = True  # as in the subsystem
 
     @property
+    def groups(self) -> tuple[Sequence[Variable], ...]:
+        """Parameters, inputs, states, derivatives and outputs."""
+        return self.parameters, self.inputs, self.states, self.derivatives, self.outputs
+
+    @property
     def variables(self) -> list[Variable]:
         """All variables in the order of their value references."""
-        return [*self.parameters, *self.inputs, *self.states, *self.derivatives, *self.outputs]
+        return [v for group in self.groups for v in group]
 
 
-def interface(sub: Subsystem, values: Values) -> Interface:
+def interface_of(sub: Subsystem, values: Values) -> Interface:
     """The variables of a subsystem with start values; refuses names and numbers that cannot be in an FMU."""
     sym, parameters = _by_heading(symbolic(sub), quantities(sub.parameters))
     states, outputs = quantities(sub.states), quantities(sub.outputs)
-    merged = [name for name in outputs if name in states]
-    _check_states_as_outputs(sub, sym, merged)
-    groups = [
-        [
-            Variable(name, "TUNABLE" if q.tunable else "FIXED", q, values.p[name])
-            for name, q in parameters.items()
-        ],
-        [Variable(name, "INPUT", q, values.u[name]) for name, q in quantities(sub.inputs).items()],
-        [_state(name, q, outputs.get(name), sym, values) for name, q in states.items()],
-        [Variable(f"der_{name}", "DERIVATIVE", _derivative(name, q), None) for name, q in states.items()],
-        [Variable(name, "OUTPUT", q, None, output=True) for name, q in outputs.items() if name not in states],
-    ]
-    keep = [i for i, name in enumerate(outputs) if name not in states]
-    return replace(assembled(sub.name, sub.text, groups, sym, _pick(sym.y, keep)), stiff=sub.stiff)
+    for i, name in enumerate(outputs):
+        if name in states and not ca.is_equal(sym.y[i], sym.x[list(states).index(name)]):
+            raise Problem(
+                f"{sub.name}: output {name} is also a state, expected observe() to return that state"
+            )
+    groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
+    own = [i for i, name in enumerate(outputs) if name not in states]
+    return replace(assembled(sub.name, sub.text, groups, sym, _pick(sym.y, own)), stiff=sub.stiff)
 
 
 def _by_heading(sym: Symbolic, declared: Mapping[str, Quantity]) -> tuple[Symbolic, dict[str, Quantity]]:
@@ -84,78 +84,83 @@ def _by_heading(sym: Symbolic, declared: Mapping[str, Quantity]) -> tuple[Symbol
     return replace(sym, p=_pick(sym.p, rows)), {name: declared[name] for name in names}
 
 
-def assembled(
-    name: str, text: str, groups: Sequence[Sequence[Variable]], equations: Symbolic, y: ca.SX
-) -> Interface:
-    """An interface of parameters, inputs, states, derivatives and outputs, numbered and checked."""
-    parameters, inputs, x, dx, outputs = _numbered(groups)
-    result = Interface(name, text, parameters, inputs, x, dx, outputs, equations, y)
-    _check_names(result)
-    _check_numbers(result)
-    return result
-
-
 def _pick(column: ca.SX, rows: Sequence[int]) -> ca.SX:
     """Some entries of a column, shape (n, 1); CasADi's own indexing gives (1, 0) for none of one."""
     return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
-def _state(name: str, q: Quantity, shown: Quantity | None, sym: Symbolic, values: Values) -> Variable:
-    calculated = name in sym.calculated
-    start = None if calculated else values.x[name]
-    kind: Kind = "CALCULATED_STATE" if calculated else "STATE"
-    if shown is not None and shown.warn_above is not None:
-        q = replace(q, warn_above=shown.warn_above)
-    return Variable(name, kind, q, start, output=shown is not None)
+def variable_groups(
+    declared: Sequence[Mapping[str, Quantity]],
+    values: Values,
+    calculated: Collection[str],
+    derivatives: bool = True,
+) -> list[list[Variable]]:
+    """The variables, with a group of derivatives where there are any.
+
+    declared     parameters, inputs, states and outputs; an output named like a state is that state
+    calculated   states whose start value the model calculates
+    """
+    parameters, inputs, states, outputs = declared
+
+    def state(name: str, q: Quantity) -> Variable:
+        output = outputs.get(name)
+        if output is not None and output.warn_above is not None:
+            q = replace(q, warn_above=output.warn_above)
+        if name in calculated:
+            return Variable(name, "CALCULATED_STATE", q, None, output=output is not None)
+        return Variable(name, "STATE", q, values.x[name], output=output is not None)
+
+    def derivative(name: str, q: Quantity) -> Variable:
+        rate = Quantity(per_second(q.unit), f"Time derivative of {name}", q.nominal)
+        return Variable(f"der_{name}", "DERIVATIVE", rate, None)
+
+    return [
+        [Variable(n, "TUNABLE" if q.tunable else "FIXED", q, values.p[n]) for n, q in parameters.items()],
+        [Variable(n, "INPUT", q, values.u[n]) for n, q in inputs.items()],
+        [state(n, q) for n, q in states.items()],
+        [derivative(n, q) for n, q in states.items() if derivatives],
+        [Variable(n, "OUTPUT", q, None, output=True) for n, q in outputs.items() if n not in states],
+    ]
 
 
-def _derivative(name: str, q: Quantity) -> Quantity:
-    return Quantity(per_second(q.unit), f"Time derivative of {name}", q.nominal)
-
-
-def _numbered(groups: Sequence[Sequence[Variable]]) -> list[list[Variable]]:
-    result, reference = [], 0
-    for group in groups:
-        result.append([replace(v, reference=reference + i) for i, v in enumerate(group)])
-        reference += len(group)
+def assembled(
+    name: str, text: str, groups: Sequence[Sequence[Variable]], equations: Symbolic, y: ca.SX
+) -> Interface:
+    """An interface of parameters, inputs, states, derivatives and outputs, numbered and checked."""
+    references = count()
+    p, u, x, dx, own = ([replace(v, reference=next(references)) for v in group] for group in groups)
+    result = Interface(name, text, p, u, x, dx, own, equations, y)
+    _check_names(result)
+    _check_numbers(result)
     return result
 
 
-def _check_states_as_outputs(sub: Subsystem, sym: Symbolic, merged: Sequence[str]) -> None:
-    states, outputs = list(quantities(sub.states)), list(quantities(sub.outputs))
-    for name in merged:
-        if not ca.is_equal(sym.y[outputs.index(name)], sym.x[states.index(name)]):
-            raise Problem(
-                f"{sub.name}: output {name} is also a state, expected observe() to return that state"
-            )
-
-
-def _check_names(face: Interface) -> None:
-    seen: set[str] = set()
-    if not re.fullmatch(_IDENTIFIER, face.name):
-        raise Problem(f'"{face.name}" is not an identifier of letters, digits and _, expected of a model')
-    for v in face.variables:
+def _check_names(interface: Interface) -> None:
+    name, seen = interface.name, set[str]()
+    if not re.fullmatch(_IDENTIFIER, name):
+        raise Problem(f'"{name}" is not an identifier of letters, digits and _, expected of a model')
+    for v in interface.variables:
         if not re.fullmatch(_IDENTIFIER, v.name):
-            raise Problem(f'{face.name}: variable "{v.name}" is not an identifier of letters, digits and _')
+            raise Problem(f'{name}: variable "{v.name}" is not an identifier of letters, digits and _')
         if v.name in seen:
-            raise Problem(f"{face.name}: variable {v.name} is declared twice")
+            raise Problem(f"{name}: variable {v.name} is declared twice")
         seen.add(v.name)
-    inputs = {v.name for v in face.inputs}
-    for v in face.inputs:
+    inputs = {v.name for v in interface.inputs}
+    for v in interface.inputs:
         if v.quantity.rate is not None and v.quantity.rate not in inputs:
-            raise Problem(f"{face.name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
+            raise Problem(f"{name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
 
 
-def _check_numbers(face: Interface) -> None:
-    for v in face.variables:
-        low, high = v.quantity.minimum, v.quantity.maximum
+def _check_numbers(interface: Interface) -> None:
+    for v in interface.variables:
         if not 0 < v.quantity.nominal < math.inf:
-            raise Problem(f"{face.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
+            raise Problem(f"{interface.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
         if v.start is None:
             continue
+        low, high = v.quantity.minimum, v.quantity.maximum
         low, high = -math.inf if low is None else low, math.inf if high is None else high
         if not math.isfinite(v.start) or not low <= v.start <= high:
-            raise Problem(f"{face.name}: {v.name} starts at {v.start:g}, expected {low:g} to {high:g}")
+            raise Problem(f"{interface.name}: {v.name} starts at {v.start:g}, expected {low:g} to {high:g}")
 
 
 # ---- dependencies ----------------------------------------------------------------------------------
@@ -167,25 +172,27 @@ _STEPS = {
 Dependencies = Mapping[str, list[tuple[Variable, str]]]
 
 
-def dependencies(face: Interface) -> Dependencies:
+def dependencies(interface: Interface) -> Dependencies:
     """Inputs and states on which derivatives and outputs depend, with FMI's kind of each dependency."""
-    sym = face.equations
+    sym = interface.equations
     known = ca.vertcat(sym.x, sym.u)
-    variables = [*face.states, *face.inputs]
-    unknown = ca.vertcat(sym.dx, face.y)
-    table = _table([*face.derivatives, *face.outputs], unknown, known, variables, face)
-    for v in face.states:
+    variables = [*interface.states, *interface.inputs]
+    unknown = ca.vertcat(sym.dx, interface.y)
+    table = _table([*interface.derivatives, *interface.outputs], unknown, known, variables, interface)
+    for v in interface.states:
         table[v.name] = [(v, "constant")]
     return table
 
 
-def initial_dependencies(face: Interface) -> Dependencies:
+def initial_dependencies(interface: Interface) -> Dependencies:
     """Parameters, inputs and start values on which states, derivatives and outputs depend at the start."""
-    sym = face.equations
+    sym = interface.equations
     known = ca.vertcat(sym.p, sym.u, sym.x)
-    variables = [*face.parameters, *face.inputs, *face.states]
-    at_start = ca.substitute(ca.vertcat(sym.x, sym.dx, face.y), sym.x, sym.start)
-    return _table([*face.states, *face.derivatives, *face.outputs], at_start, known, variables, None)
+    variables = [*interface.parameters, *interface.inputs, *interface.states]
+    at_start = ca.substitute(ca.vertcat(sym.x, sym.dx, interface.y), sym.x, sym.start)
+    return _table(
+        [*interface.states, *interface.derivatives, *interface.outputs], at_start, known, variables, None
+    )
 
 
 def _table(
@@ -193,35 +200,29 @@ def _table(
     unknown: ca.SX,
     known: ca.SX,
     columns: Sequence[Variable],
-    face: Interface | None,
+    interface: Interface | None,
 ) -> dict[str, list[tuple[Variable, str]]]:
     jacobian = ca.jacobian(unknown, known)
-    kinds = _kinds(jacobian, face) if face else ["dependent"] * jacobian.nnz()
+    kinds = _kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
     stepwise = [_has_steps(unknown[i], known) for i in range(unknown.numel())]
     table: dict[str, list[tuple[Variable, str]]] = {v.name: [] for v in rows}
-    for (row, column), kind in zip(_places(jacobian), kinds, strict=True):
+    for row, column, kind in zip(*jacobian.sparsity().get_triplet(), kinds, strict=True):
         table[rows[row].name].append((columns[column], "dependent" if stepwise[row] else kind))
     return table
 
 
 def _has_steps(value: ca.SX, known: ca.SX) -> bool:
-    """Is there a comparison or the like, whose derivative tells nothing of the dependency on it?"""
+    """Is there a comparison or the like, whose derivative says nothing of the dependency on it?"""
     function = ca.Function("f", [known], [value], {"allow_free": True})
     return any(function.instruction_id(k) in _STEPS for k in range(function.n_instructions()))
 
 
-def _places(matrix: ca.SX) -> list[tuple[int, int]]:
-    """Row and column of each structural nonzero, in CasADi's order."""
-    rows, columns = matrix.sparsity().get_triplet()
-    return list(zip(rows, columns, strict=True))
-
-
-def _kinds(jacobian: ca.SX, face: Interface) -> list[str]:
+def _kinds(jacobian: ca.SX, interface: Interface) -> list[str]:
     """constant, fixed, tunable or dependent: what the factor of each dependency itself depends on."""
-    sym = face.equations
+    sym = interface.equations
     entries = ca.SX(jacobian.nz[:])
-    tunable = [i for i, v in enumerate(face.parameters) if v.kind == "TUNABLE"]
-    fixed = [i for i, v in enumerate(face.parameters) if v.kind == "FIXED"]
+    tunable = [i for i, v in enumerate(interface.parameters) if v.kind == "TUNABLE"]
+    fixed = [i for i, v in enumerate(interface.parameters) if v.kind == "FIXED"]
     kinds = ["constant"] * jacobian.nnz()
     for kind, symbols in (
         ("fixed", _pick(sym.p, fixed)),

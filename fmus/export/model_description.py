@@ -1,8 +1,7 @@
-"""modelDescription.xml of FMI 2.0 for an interface.
+"""modelDescription.xml of FMI 2.0 and 3.0, and the files that FMI 3.0 puts beside it.
 
-modelDescription.xml and sources/buildDescription.xml of FMI 3.0 for an interface.
-
-terminalsAndIcons/terminalsAndIcons.xml of FMI 3.0: the ports of a subsystem, and where its icon goes.
+Those are sources/buildDescription.xml and terminalsAndIcons/terminalsAndIcons.xml: the terminals of a
+subsystem, and the size of its icon.
 """
 
 from __future__ import annotations
@@ -11,13 +10,13 @@ from collections.abc import Mapping, Sequence
 
 from lxml import etree
 
-from fmus.contract import Member, Subsystem
+from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import display, parse, spelled
-from orchestrator.base.xml import digits
-from orchestrator.ssp.common import generation_tool, package_version
+from orchestrator.base.xml import Element, digits
+from orchestrator.ssp.common import generation_tool, package_version, xml_text
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations
@@ -28,28 +27,82 @@ LOG_CATEGORIES = {
     "logStatusError": "What went wrong",
     "logAll": "All messages",
 }
-FLAGS = {
-    "needsExecutionTool": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
-    "canNotUseMemoryManagementFunctions": "true",
-    "canGetAndSetFMUstate": "true",
-    "canSerializeFMUstate": "true",
-    "providesDirectionalDerivative": "true",
+_COMMON = {
+    2: {
+        "needsExecutionTool": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "true",
+    },
+    3: {
+        "needsExecutionTool": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "true",
+        "providesAdjointDerivatives": "true",
+    },
 }
-COSIMULATION = {
-    "canHandleVariableCommunicationStepSize": "true",
-    "canInterpolateInputs": "true",
-    "maxOutputDerivativeOrder": "1",
-    "canRunAsynchronuously": "false",
+# version of FMI -> element -> attributes, of FMUs with C code
+CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {
+    2: {
+        "ModelExchange": _COMMON[2],
+        "CoSimulation": {
+            "canHandleVariableCommunicationStepSize": "true",
+            "canInterpolateInputs": "true",
+            "maxOutputDerivativeOrder": "1",
+            "canRunAsynchronuously": "false",
+        }
+        | _COMMON[2],
+    },
+    3: {
+        # after each step of the importer's solver the FMU checks what its model requires
+        "ModelExchange": _COMMON[3] | {"needsCompletedIntegratorStep": "true"},
+        "CoSimulation": _COMMON[3]
+        | {
+            "canHandleVariableCommunicationStepSize": "true",
+            "maxOutputDerivativeOrder": "1",
+            "providesIntermediateUpdate": "true",
+            "canReturnEarlyAfterIntermediateUpdate": "true",
+            "hasEventMode": "true",
+        },
+    },
 }
-Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]  # by element, with knowns
+# group of unknowns, as FMI 2 calls it -> each unknown with what it depends on, and FMI's kind of that
+Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]
+_UNKNOWN_3 = {  # the elements of FMI 3
+    "Outputs": "Output",
+    "Derivatives": "ContinuousStateDerivative",
+    "InitialUnknowns": "InitialUnknown",
+}
 
 
-def identity(face: Interface) -> dict[str, str]:
-    """Attributes of the model description, the same in FMI 2 and 3."""
-    return {
-        "modelName": face.name,
-        "description": face.text,
+def model_description(
+    interface: Interface,
+    fmi: int,
+    token: str,
+    step: float,
+    stop: float,
+    sources: Sequence[str] = (),
+    capabilities: Mapping[str, Mapping[str, str]] | None = None,
+    structure: Unknowns | None = None,
+) -> bytes:
+    """The content of modelDescription.xml, of FMI 2 or 3.
+
+    token          the GUID, or the instantiation token
+    step, stop     default experiment [s]
+    sources        C files to compile; FMI 3 has a buildDescription.xml for them
+    capabilities   ModelExchange and CoSimulation -> attributes; by default those of an FMU with C code
+    structure      the unknowns; by default from the equations
+    """
+    version = {"fmiVersion": "2.0", "guid": token, "numberOfEventIndicators": "0"}
+    if fmi == 3:
+        version = {"fmiVersion": "3.0", "instantiationToken": token}
+    about = {
+        "modelName": interface.name,
+        "description": interface.text,
         "version": package_version(),
         "generationTool": generation_tool(),
         "author": "the harvester-cosim authors",
@@ -57,65 +110,38 @@ def identity(face: Interface) -> dict[str, str]:
         "license": "MIT",
         "variableNamingConvention": "flat",
     }
-
-
-def model_description(face: Interface, guid: str, sources: Sequence[str], step: float, stop: float) -> bytes:
-    """The XML file; `sources` are the C files to compile, step and stop the default experiment [s]."""
-    kinds = {"ModelExchange": FLAGS, "CoSimulation": COSIMULATION | FLAGS}
-    return described(face, guid, kinds, sources, step, stop, unknowns(face))
-
-
-def described(
-    face: Interface,
-    guid: str,
-    kinds: Mapping[str, Mapping[str, str]],
-    sources: Sequence[str],
-    step: float,
-    stop: float,
-    structure: Unknowns,
-) -> bytes:
-    """The XML file of an FMU with these abilities by kind, and with these unknowns."""
-    root = etree.Element(
-        "fmiModelDescription",
-        identity(face) | {"fmiVersion": "2.0", "guid": guid, "numberOfEventIndicators": "0"},
-    )
-    for element, flags in kinds.items():
-        kind = etree.SubElement(root, element, modelIdentifier=face.name, **flags)
-        files = etree.SubElement(kind, "SourceFiles") if sources else kind
-        for name in sources:
-            etree.SubElement(files, "File", name=name)
-    units(root, face)
-    log_categories(root)
-    default_experiment(root, step, stop)
-    _input_derivatives(root, face)
-    _structure(root, structure, _variables(root, face))
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
-
-
-def log_categories(root: etree._Element) -> None:
-    """Writes the element LogCategories, the same in FMI 2 and 3."""
+    root = etree.Element("fmiModelDescription", about | version)
+    for element, flags in (capabilities or CAPABILITIES[fmi]).items():
+        kind = etree.SubElement(root, element, modelIdentifier=interface.name, **flags)
+        if sources and fmi == 2:
+            _files(etree.SubElement(kind, "SourceFiles"), "File", sources)
+    _units(root, interface, fmi)
     categories = etree.SubElement(root, "LogCategories")
     for name, text in LOG_CATEGORIES.items():
         etree.SubElement(categories, "Category", name=name, description=text)
+    times = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
+    etree.SubElement(root, "DefaultExperiment", {name: digits(value) for name, value in times.items()})
+    if fmi == 2:
+        _input_derivatives(root, interface)
+    _variables(root, interface, fmi)
+    _structure(root, unknowns(interface) if structure is None else structure, fmi)
+    return xml_text(root)
 
 
-def default_experiment(root: etree._Element, step: float, stop: float) -> None:
-    """Writes the element DefaultExperiment, the same in FMI 2 and 3; step and stop in s."""
-    numbers = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
-    etree.SubElement(root, "DefaultExperiment", {name: digits(value) for name, value in numbers.items()})
+def _files(parent: Element, element: str, names: Sequence[str]) -> None:
+    for name in names:
+        etree.SubElement(parent, element, name=name)
 
 
-def units(root: etree._Element, face: Interface, *others: str) -> None:
-    """Writes the element UnitDefinitions, the same in FMI 2 and 3, of all variables and some others."""
-    definitions = etree.SubElement(root, "UnitDefinitions")
-    for name in sorted({v.quantity.unit for v in face.variables} | set(others)):
+def _units(root: Element, interface: Interface, fmi: int) -> None:
+    """All units of the variables; in FMI 3 time is a variable, too."""
+    names = {v.quantity.unit for v in interface.variables} | ({"s"} if fmi == 3 else set())
+    definitions = etree.SubElement(root, "UnitDefinitions") if names else root
+    for name in sorted(names):
         unit = etree.SubElement(definitions, "Unit", name=name)
         etree.SubElement(unit, "BaseUnit", base_unit(name))
-        shown = display(name)
-        if shown:
+        if shown := display(name):
             etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=digits(shown[1]))
-    if not len(definitions):
-        root.remove(definitions)
 
 
 def base_unit(unit: str) -> dict[str, str]:
@@ -127,13 +153,13 @@ def base_unit(unit: str) -> dict[str, str]:
     return attributes if parsed.factor == 1.0 else attributes | {"factor": digits(parsed.factor)}
 
 
-def _input_derivatives(root: etree._Element, face: Interface) -> None:
+def _input_derivatives(root: Element, interface: Interface) -> None:
     """Which input is the time derivative of which, as an annotation.
 
     FMI 2.0 has the attribute `derivative` for that, but tools count the variables that carry it as states:
     OMSimulator expects 7 of manipulator.fmu, which has 4.
     """
-    pairs = [(v.name, v.quantity.rate) for v in face.inputs if v.quantity.rate]
+    pairs = [(v.name, v.quantity.rate) for v in interface.inputs if v.quantity.rate]
     if not pairs:
         return
     tool = etree.SubElement(etree.SubElement(root, "VendorAnnotations"), "Tool", name=TOOL)
@@ -142,20 +168,41 @@ def _input_derivatives(root: etree._Element, face: Interface) -> None:
         etree.SubElement(listed, "InputDerivative", input=name, derivative=rate)
 
 
-def _variables(root: etree._Element, face: Interface) -> dict[str, int]:
-    """Writes the variables; returns their index by name, counted from 1."""
+def _variables(root: Element, interface: Interface, fmi: int) -> None:
     parent = etree.SubElement(root, "ModelVariables")
-    index = {v.name: i for i, v in enumerate(face.variables, start=1)}
-    derived = {f"der_{v.name}": index[v.name] for v in face.states}
-    for v in face.variables:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
-        element = etree.SubElement(parent, "ScalarVariable", attributes | causality(v))
-        etree.SubElement(element, "Real", _real(v, derived.get(v.name)))
-    return index
+    derived = {dx.name: x for dx, x in zip(interface.derivatives, interface.states, strict=False)}
+    if fmi == 3:
+        derived |= {v.quantity.rate: v for v in interface.inputs if v.quantity.rate}
+    for v in interface.variables:
+        about = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
+        about |= _causality(v)
+        derivative = {"derivative": _pointer(derived[v.name], fmi)} if v.name in derived else {}
+        if fmi == 2:
+            scalar = etree.SubElement(parent, "ScalarVariable", about)
+            etree.SubElement(scalar, "Real", _numbers(v) | derivative)
+        else:
+            moves = {} if v.kind in ("FIXED", "TUNABLE") else {"intermediateUpdate": "true"}
+            etree.SubElement(parent, "Float64", about | moves | derivative | _numbers(v))
+    if fmi == 3:  # the independent variable follows the last one
+        names = {v.name for v in interface.variables}
+        time = {
+            "name": "independent_time" if "time" in names else "time",
+            "valueReference": str(len(interface.variables)),
+            "description": "Time",
+            "causality": "independent",
+            "variability": "continuous",
+            "unit": "s",
+        }
+        etree.SubElement(parent, "Float64", time)
 
 
-def causality(v: Variable) -> dict[str, str]:
-    """Attributes causality, variability and initial, the same in FMI 2 and 3."""
+def _pointer(v: Variable, fmi: int) -> str:
+    """How others refer to a variable: FMI 2 counts from 1, FMI 3 takes the value reference."""
+    return str(v.reference + 1 if fmi == 2 else v.reference)
+
+
+def _causality(v: Variable) -> dict[str, str]:
+    """Attributes causality, variability and initial."""
     if v.kind in ("FIXED", "TUNABLE"):
         return {"causality": "parameter", "variability": v.kind.lower(), "initial": "exact"}
     if v.kind == "INPUT":
@@ -167,21 +214,12 @@ def causality(v: Variable) -> dict[str, str]:
     }
 
 
-def _real(v: Variable, derived: int | None) -> dict[str, str]:
-    """derived: the index of the state whose time derivative this is."""
-    return numbers(v) | ({"derivative": str(derived)} if derived is not None else {})
-
-
-def numbers(v: Variable) -> dict[str, str]:
-    """Attributes of a real variable, the same in FMI 2 and 3."""
+def _numbers(v: Variable) -> dict[str, str]:
+    """Attributes of a real variable: units, bounds, nominal and start value."""
     q = v.quantity
     shown = display(q.unit)
-    values = {
-        "min": q.minimum,
-        "max": q.maximum,
-        "nominal": None if q.nominal == 1.0 else q.nominal,
-        "start": v.start,
-    }
+    nominal = None if q.nominal == 1.0 else q.nominal
+    values = {"min": q.minimum, "max": q.maximum, "nominal": nominal, "start": v.start}
     return (
         {"unit": q.unit}
         | ({"displayUnit": shown[0]} if shown else {})
@@ -189,162 +227,67 @@ def numbers(v: Variable) -> dict[str, str]:
     )
 
 
-def _structure(root: etree._Element, unknown: Unknowns, index: Mapping[str, int]) -> None:
-    structure = etree.SubElement(root, "ModelStructure")
-    for name, rows in unknown.items():
-        parent = etree.SubElement(structure, name) if rows else structure
-        for v, table in rows:
-            known = sorted((index[k.name], kind) for k, kind in table)
-            etree.SubElement(parent, "Unknown", {"index": str(index[v.name])} | dependency_lists(known))
-
-
-def dependency_lists(known: Sequence[tuple[int, str]]) -> dict[str, str]:
-    """Attributes dependencies and dependenciesKind of an unknown."""
-    return {
-        "dependencies": " ".join(str(i) for i, _ in known),
-        "dependenciesKind": " ".join(kind for _, kind in known),
-    }
-
-
-def unknowns(face: Interface) -> Unknowns:
+def unknowns(interface: Interface) -> Unknowns:
     """Outputs, Derivatives and InitialUnknowns, each with what it depends on."""
-    running, starting = dependencies(face), initial_dependencies(face)
-    calculated = [v for v in face.states if v.kind == "CALCULATED_STATE"]
-    first = sorted([*calculated, *face.derivatives, *face.outputs], key=lambda v: v.reference)
+    running, starting = dependencies(interface), initial_dependencies(interface)
+    calculated = [v for v in interface.states if v.kind == "CALCULATED_STATE"]
+    first = sorted([*calculated, *interface.derivatives, *interface.outputs], key=lambda v: v.reference)
     return {
-        "Outputs": [(v, running[v.name]) for v in face.variables if v.output],
-        "Derivatives": [(v, running[v.name]) for v in face.derivatives],
+        "Outputs": [(v, running[v.name]) for v in interface.variables if v.output],
+        "Derivatives": [(v, running[v.name]) for v in interface.derivatives],
         "InitialUnknowns": [(v, starting[v.name]) for v in first],
     }
 
 
-_FLAGS = {
-    "needsExecutionTool": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
-    "canGetAndSetFMUState": "true",
-    "canSerializeFMUState": "true",
-    "providesDirectionalDerivatives": "true",
-    "providesAdjointDerivatives": "true",
-}
-_EXCHANGE = {"needsCompletedIntegratorStep": "true"}  # where the FMU checks what its model requires
-_COSIMULATION = {
-    "canHandleVariableCommunicationStepSize": "true",
-    "maxOutputDerivativeOrder": "1",
-    "providesIntermediateUpdate": "true",
-    "canReturnEarlyAfterIntermediateUpdate": "true",
-    "hasEventMode": "true",
-}
-_ELEMENTS = {
-    "Outputs": "Output",
-    "Derivatives": "ContinuousStateDerivative",
-    "InitialUnknowns": "InitialUnknown",
-}
-# available inside a step: what moves
-_MOVING = ("INPUT", "STATE", "CALCULATED_STATE", "DERIVATIVE", "OUTPUT")
-
-
-def model_description3(face: Interface, token: str, step: float, stop: float) -> bytes:
-    """The XML file; `token` is the instantiation token, step and stop the default experiment [s]."""
-    root = etree.Element(
-        "fmiModelDescription",
-        identity(face) | {"fmiVersion": "3.0", "instantiationToken": token},
-    )
-    for element, flags in (("ModelExchange", _FLAGS | _EXCHANGE), ("CoSimulation", _FLAGS | _COSIMULATION)):
-        etree.SubElement(root, element, modelIdentifier=face.name, **flags)
-    units(root, face, "s")
-    log_categories(root)
-    default_experiment(root, step, stop)
-    _variables3(root, face)
-    _structure3(root, face)
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
-
-
-def _variables3(root: etree._Element, face: Interface) -> None:
-    parent = etree.SubElement(root, "ModelVariables")
-    derived = {f"der_{v.name}": v.reference for v in face.states}
-    derived |= {v.quantity.rate: v.reference for v in face.inputs if v.quantity.rate}
-    for v in face.variables:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
-        attributes |= causality(v)
-        if v.kind in _MOVING:
-            attributes["intermediateUpdate"] = "true"
-        if v.name in derived:
-            attributes["derivative"] = str(derived[v.name])
-        etree.SubElement(parent, "Float64", attributes | numbers(v))
-    _time(parent, face)
-
-
-def _time(parent: etree._Element, face: Interface) -> None:
-    """The independent variable, which FMI 3 wants; its reference follows the last one."""
-    names = {v.name for v in face.variables}
-    attributes = {
-        "name": next(name for name in ("time", "independent_time") if name not in names),
-        "valueReference": str(len(face.variables)),
-        "description": "Time",
-        "causality": "independent",
-        "variability": "continuous",
-        "unit": "s",
-    }
-    etree.SubElement(parent, "Float64", attributes)
-
-
-def _structure3(root: etree._Element, face: Interface) -> None:
+def _structure(root: Element, unknown: Unknowns, fmi: int) -> None:
     structure = etree.SubElement(root, "ModelStructure")
-    for group, rows in unknowns(face).items():
+    for group, rows in unknown.items():
+        parent = etree.SubElement(structure, group) if fmi == 2 and rows else structure
         for v, table in rows:
-            known = sorted((k.reference, kind) for k, kind in table)
-            attributes = {"valueReference": str(v.reference)} | dependency_lists(known)
-            etree.SubElement(structure, _ELEMENTS[group], attributes)
+            known = sorted(table, key=lambda pair: pair[0].reference)
+            attributes = {
+                "index" if fmi == 2 else "valueReference": _pointer(v, fmi),
+                "dependencies": " ".join(_pointer(k, fmi) for k, _ in known),
+                "dependenciesKind": " ".join(kind for _, kind in known),
+            }
+            etree.SubElement(parent, "Unknown" if fmi == 2 else _UNKNOWN_3[group], attributes)
 
 
 def build_description(name: str, compiled: Sequence[str]) -> bytes:
     """sources/buildDescription.xml: the C files to compile."""
     root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    group = etree.SubElement(configuration, "SourceFileSet", language="C99")
-    for file in compiled:
-        etree.SubElement(group, "SourceFile", name=file)
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
+    _files(etree.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", compiled)
+    return xml_text(root)
 
 
 _SQUARE = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}  # corners of the icon, in its own units
 _MILLIMETRES = "0.1"  # the icon is 20 mm wide
 
 
-def terminals(sub: Subsystem, face: Interface) -> bytes:
+def terminals(sub: Subsystem, interface: Interface) -> bytes:
     """The XML file; Problem for a terminal member that is no input or output."""
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     drawing = etree.SubElement(root, "GraphicalRepresentation")
     etree.SubElement(drawing, "CoordinateSystem", _SQUARE, suggestedScalingFactorTo_mm=_MILLIMETRES)
     etree.SubElement(drawing, "Icon", _SQUARE)
     parent = etree.SubElement(root, "Terminals") if sub.terminals else root
-    inputs = {v.name for v in face.inputs}
-    shown = inputs | {v.name for v in face.variables if v.output}
+    visible = {v.name for v in interface.variables if v.output or v.kind == "INPUT"}
     for terminal in sub.terminals:
-        element = etree.SubElement(
-            parent,
-            "Terminal",
-            name=terminal.name,
-            matchingRule="plug",
-            terminalKind=f"harvester-cosim.{terminal.kind}",
-            description=terminal.text,
-        )
+        kind = f"harvester-cosim.{terminal.kind}"
+        about = {"name": terminal.name, "matchingRule": "plug", "terminalKind": kind}
+        element = etree.SubElement(parent, "Terminal", about | {"description": terminal.text})
         for member in terminal.members:
-            if member.variable not in shown:
+            if member.variable not in visible:
                 raise Problem(
                     f"{sub.name}: terminal {terminal.name} has the variable {member.variable}, "
                     "expected an input or an output"
                 )
-            etree.SubElement(
-                element,
-                "TerminalMemberVariable",
-                variableName=member.variable,
-                memberName=member.name,
-                variableKind=_kind(member),
-            )
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)  # type: ignore[no-any-return]
-
-
-def _kind(member: Member) -> str:
-    """FMI's kind: what is balanced over a connection flows in or out, the rest is a signal."""
-    return f"{member.flow}flow" if member.flow else "signal"
+            # FMI's kind: what is balanced over a connection flows in or out, the rest is a signal
+            attributes = {
+                "variableName": member.variable,
+                "memberName": member.name,
+                "variableKind": f"{member.flow}flow" if member.flow else "signal",
+            }
+            etree.SubElement(element, "TerminalMemberVariable", attributes)
+    return xml_text(root)

@@ -1,4 +1,4 @@
-"""The content of an FMU but its binaries."""
+"""The content of an FMU except its binaries."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, sources
 from fmus.export.documentation import page, shipped
-from fmus.export.interface import Interface, interface
-from fmus.export.model_description import build_description, model_description, model_description3, terminals
+from fmus.export.interface import Interface, interface_of
+from fmus.export.model_description import build_description, model_description, terminals
 from fmus.export.reference_experiment import proof
 from fmus.parameters import Values, document, values
 from fmus.parameters import numbers as numbers_of
@@ -39,26 +39,21 @@ class Package:
 
 def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values | None = None) -> Package:
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
-    face = interface(sub, numbers or values(sub, derive=False))
-    drafts = {version: _drafts(face, version, step, stop) for version in VERSIONS}
+    interface = interface_of(sub, numbers or values(sub, derive=False))
+    compiled = [main_source(sub.name)]
+    drafts = {version: dict[str, str]() for version in VERSIONS}  # the files that the GUID depends on
+    for version, draft in drafts.items():
+        code = sources(interface, PLACEHOLDER, version)
+        about = model_description(interface, version, PLACEHOLDER, step, stop, compiled)
+        draft |= {f"sources/{name}": text for name, text in code.items()}
+        draft["modelDescription.xml"] = about.decode()
     token = fingerprint_of(drafts.values())
     content = {path: text.replace(PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
     if fmi == 3:
-        content["sources/buildDescription.xml"] = build_description(sub.name, [main_source(sub.name)])
-        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, face)
-    return Package(
-        sub.name, fmi, content | shown(sub, face, fmi, step, stop) | proof(sub), [main_source(sub.name)]
-    )
-
-
-def _drafts(face: Interface, fmi: int, step: float, stop: float) -> dict[str, str]:
-    """The files that carry the GUID or instantiation token, or that it stands for, with a placeholder."""
-    files = {f"sources/{name}": text for name, text in sources(face, PLACEHOLDER, fmi).items()}
-    if fmi == 2:
-        description = model_description(face, PLACEHOLDER, [main_source(face.name)], step, stop)
-    else:
-        description = model_description3(face, PLACEHOLDER, step, stop)
-    return files | {"modelDescription.xml": description.decode()}
+        content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
+        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)
+    content |= readable_files(sub, interface, fmi, step, stop)
+    return Package(sub.name, fmi, content, compiled)
 
 
 def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
@@ -67,11 +62,13 @@ def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
     return f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
 
 
-def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -> dict[str, bytes]:
-    """What a person reads: icon, documentation, licence, numbers with their sources."""
+def readable_files(
+    sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float
+) -> dict[str, bytes]:
+    """Icon, documentation, licence, numbers with their sources, reference experiment."""
     picture, licence = sub.folder / "icon.png", shipped("LICENSE")
     icon = picture.read_bytes() if picture.is_file() else None
-    content = {"documentation/index.html": page(sub, face, fmi, step, stop, icon).encode()}
+    content = {"documentation/index.html": page(sub, interface, fmi, step, stop, icon).encode()}
     if icon is not None:
         content["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
     if licence is not None:
@@ -80,4 +77,4 @@ def shown(sub: Subsystem, face: Interface, fmi: int, step: float, stop: float) -
         content["resources/parameters.toml"] = document(sub.numbers).encode()
     elif sub.values is None or sub.values.is_file():
         content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
-    return content
+    return content | proof(sub)

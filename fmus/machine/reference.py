@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
 from fmus.controller.paths import spells
-from fmus.export.interface import interface
+from fmus.export.interface import interface_of
 from fmus.export.reference_experiment import STEP, data_file, reference_parameters
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER
@@ -201,7 +201,7 @@ def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
     shown = signals(sub, moving, found)
     rows = np.column_stack([time, *(found[n] for n in shown)])[::EXPERIMENT_EVERY]
     write_columns(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
-    face = interface(sub, v)
+    face = interface_of(sub, v)
     settable = {
         x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
     }

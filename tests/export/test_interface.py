@@ -4,7 +4,7 @@ import casadi as ca
 import pytest
 
 from fmus.contract import Quantity
-from fmus.export.interface import dependencies, interface
+from fmus.export.interface import dependencies, interface_of
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
@@ -30,7 +30,7 @@ def test_stepwise_dependency_has_no_factor(make_toy):
         return {n: f(u.u) for n, f in STEPWISE.items()} | {"straight": 3 * u.u, "scaled": p.k * u.u}
 
     sub = make_toy("steps", {"k": one}, {}, {"u": one}, y, lambda *_: {}, observe)
-    table = dependencies(interface(sub, Values({"k": 1.0}, {"u": 0.0}, {})))
+    table = dependencies(interface_of(sub, Values({"k": 1.0}, {"u": 0.0}, {})))
     kinds = {name: [(v.name, kind) for v, kind in table[name]] for name in y}
     assert {n: kinds[n] for n in STEPWISE} == {n: [("u", "dependent")] for n in STEPWISE}
     assert (kinds["straight"], kinds["scaled"]) == ([("u", "constant")], [("u", "fixed")])
@@ -49,7 +49,7 @@ def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, wor
     u = q(**more)
     sub = make_toy("odd", {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     with pytest.raises(Problem, match=words):
-        interface(sub, Values({}, {"u": start}, {}))
+        interface_of(sub, Values({}, {"u": start}, {}))
 
 
 def test_name_of_the_model_must_be_an_identifier(make_toy):
@@ -57,4 +57,4 @@ def test_name_of_the_model_must_be_an_identifier(make_toy):
     one = q()
     sub = make_toy("two words", {}, {}, {"u": one}, {"y": one}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     with pytest.raises(Problem, match='"two words" is not an identifier'):
-        interface(sub, Values({}, {"u": 0.0}, {}))
+        interface_of(sub, Values({}, {"u": 0.0}, {}))

@@ -1,8 +1,7 @@
-"""The script in an FMU: a slave class for PythonFMU, and why there is none where the package is missing.
+"""Builds FMUs whose code is Python: a script and its numbers, a library that calls it, and what people read.
 
-Builds FMUs whose code is Python: a script and its numbers, a library that calls it, and what people read.
-
-The library is ours, not PythonFMU's: see docs/design.md, "The Python back end".
+The script holds a slave class for PythonFMU, and says what is missing where the package is. The library is
+ours, not PythonFMU's: see docs/design.md, "The Python back end".
 """
 
 from __future__ import annotations
@@ -17,21 +16,13 @@ from tempfile import TemporaryDirectory
 from fmus.contract import Subsystem
 from fmus.export.c_code import string
 from fmus.export.compile import binaries, host, shared_library
-from fmus.export.interface import Interface, interface
-from fmus.export.model_description import COSIMULATION, FLAGS, Unknowns, described, unknowns
-from fmus.export.package import PLACEHOLDER, fingerprint_of, shown
-from fmus.export.python.slave import CARD
-from fmus.export.python.user_file import (
-    declared_files,
-    fingerprint,
-    origin,
-    refuse_neighbours,
-    structure,
-    subsystem,
-    tried,
-)
-from fmus.export.python.user_model import Model
-from fmus.export.reference_experiment import proof
+from fmus.export.interface import Interface, interface_of
+from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
+from fmus.export.package import PLACEHOLDER, fingerprint_of, readable_files
+from fmus.export.python.slave import MODEL_FILE
+from fmus.export.python.subsystem_model import fingerprint, origin, subsystem
+from fmus.export.python.user_file import checked, declared_files, refuse_neighbours, structure
+from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import pack
@@ -46,8 +37,7 @@ import sys
 from functools import partial
 
 try:
-    from fmus.export.python.calls import connect as open_door
-    from fmus.export.python.slave import {slave}
+    from fmus.export.python.slave import {slave}, connect
 except ImportError as problem:
     raise ImportError(
         "{name} needs the package harvester-cosim {version} in the Python of " + sys.prefix + f": {{problem}}"
@@ -58,7 +48,7 @@ class {title}({slave}):
     """One instance."""
 
 
-connect = partial(open_door, {title})
+connect = partial(connect, {title})
 '''
 
 
@@ -70,8 +60,8 @@ def script(name: str, text: str, slave: str, version: str) -> str:
 
 
 MAIN = "python_fmu.c"
-PYTHON = "python"  # folder of FMUs in Python, beside the native ones
-RESERVED = (CARD, "slavemodule.txt", "parameters.toml")
+PYTHON = "python"  # folder of FMUs in Python, next to the native ones
+RESERVED = (MODEL_FILE, "slavemodule.txt", "parameters.toml")
 
 
 def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
@@ -101,12 +91,15 @@ def build_python(
     platforms    names of `platforms.PLATFORMS`; by default the one this runs on
     where        "module:NAME" by which the FMU finds the subsystem; by default what `origin` finds
     """
-    given, found = numbers or values(sub, derive=False), where or origin(sub)
-    face = interface(sub, given)
-    card = {"origin": found, "fingerprint": fingerprint(face), "numbers": asdict(given)}
-    flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"}
-    more = shown(sub, face, 2, step, stop) | proof(sub)
-    return write(folder, face, card, "SubsystemSlave", flags, unknowns(face), step, stop, more, platforms)
+    given = numbers or values(sub, derive=False)
+    interface = interface_of(sub, given)
+    about = {
+        "origin": where or origin(sub),
+        "fingerprint": fingerprint(interface),
+        "numbers": asdict(given),
+    }
+    more = readable_files(sub, interface, 2, step, stop)
+    return _write(folder, interface, about, "SubsystemSlave", {}, None, step, stop, more, platforms)
 
 
 def build_user(
@@ -118,40 +111,38 @@ def build_user(
 ) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder` and return its path; arguments as above."""
     refuse_neighbours(path)
-    with TemporaryDirectory() as room:  # with what will be in the FMU, and nothing else
-        copy = Path(room).resolve() / path.name
+    with TemporaryDirectory() as folder_of_copy:  # with what will be in the FMU, and nothing else
+        copy = Path(folder_of_copy).resolve() / path.name
         copy.write_bytes(path.read_bytes())
         more = {f"resources/{path.name}": path.read_bytes()} | _files(path, copy.parent)
-        model, face = tried(copy, step)
-    if [*model.files] != declared_files(path):
+        user = checked(copy, step)
+    if [*user.model.files] != declared_files(path):
         raise Problem(f'{path.name}: files is no plain list, expected one such as files = ("map.csv",)')
-    more |= shown(_surrogate(model, face, path), face, 2, step, stop)
-    flags = FLAGS | COSIMULATION | {"needsExecutionTool": "true"} | _NO_DERIVATIVES
-    card = {"file": path.name}
-    return write(folder, face, card, "UserSlave", flags, structure(model, face), step, stop, more, platforms)
+    more |= readable_files(_documented(user, path), user.interface, 2, step, stop)
+    flags = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
+    about, unknowns = {"file": path.name}, structure(user)
+    return _write(folder, user.interface, about, "UserSlave", flags, unknowns, step, stop, more, platforms)
 
 
-_NO_DERIVATIVES = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
-
-
-def _files(path: Path, room: Path) -> dict[str, bytes]:
-    """What else the model reads, by path in the FMU; copied to `room`, where it is tried."""
-    found = {}
+def _files(path: Path, copies: Path) -> dict[str, bytes]:
+    """What else the model reads, by path in the FMU; copied to the folder where it is checked."""
+    content = {}
     for name in declared_files(path):
         if Path(name).name != name or name in RESERVED or name == path.name:
             raise Problem(f"{path.name}: files names {name!r}, expected the name of a file beside it")
         if not (path.parent / name).is_file():
             raise Problem(f"{path.name}: files names {name!r}, which is not beside it")
-        found[f"resources/{name}"] = (path.parent / name).read_bytes()
-        (room / name).write_bytes(found[f"resources/{name}"])
-    return found
+        content[f"resources/{name}"] = (path.parent / name).read_bytes()
+        (copies / name).write_bytes(content[f"resources/{name}"])
+    return content
 
 
-def _surrogate(model: Model, face: Interface, path: Path) -> Subsystem:
+def _documented(user: UserModel, path: Path) -> Subsystem:
     """What the documentation wants to know of a model: its variables and where its README may be."""
+    model = user.model
     return Subsystem(
-        name=face.name,
-        text=face.text,
+        name=user.interface.name,
+        text=user.interface.text,
         parameters=model.Parameters,
         states=model.State,
         inputs=model.Inputs,
@@ -162,13 +153,13 @@ def _surrogate(model: Model, face: Interface, path: Path) -> Subsystem:
     )
 
 
-def write(
+def _write(
     folder: Path,
-    face: Interface,
-    card: Mapping[str, object],
+    interface: Interface,
+    about: Mapping[str, object],
     slave: str,
     flags: Mapping[str, str],
-    structure: Unknowns,
+    structure: Unknowns | None,
     step: float,
     stop: float,
     more: Mapping[str, bytes],
@@ -176,33 +167,37 @@ def write(
 ) -> Path:
     """Put an FMU together.
 
-    card         what the slave has to know
+    about        what the slave has to know
     slave        the class in `slave` that runs it
-    flags        of the co-simulation
-    structure    unknowns and what they depend on
+    flags        attributes of CoSimulation that differ from those of an FMU with C code
+    structure    the unknowns; by default from the equations
     more         further files by path
     """
-    about = {"name": face.name, "version": package_version(), "guid": PLACEHOLDER, **card}
-    drafts = {
-        "modelDescription.xml": described(
-            face, PLACEHOLDER, {"CoSimulation": flags}, [], step, stop, structure
-        ).decode(),
-        f"resources/{CARD}": json.dumps(about, indent=1),
-        "resources/script": script(face.name, face.text, slave, ""),
-        **{f"library/{name}": text.decode() for name, text in library_code().items()},
-        **{path: text.decode() for path, text in more.items() if path.endswith(".py")},
+    name = interface.name
+    about = {"name": name, "version": package_version(), "guid": PLACEHOLDER, **about}
+    kinds = {"CoSimulation": {**CAPABILITIES[2]["CoSimulation"], "needsExecutionTool": "true", **flags}}
+    description = model_description(interface, 2, PLACEHOLDER, step, stop, (), kinds, structure).decode()
+    with_guid = {
+        "modelDescription.xml": description,
+        f"resources/{MODEL_FILE}": json.dumps(about, indent=1),
     }
-    guid = fingerprint_of([drafts])
-    stem = f"slave_{face.name}_{guid[1:9]}"
+    guid = fingerprint_of(
+        [
+            with_guid,
+            {"resources/script": script(name, interface.text, slave, "")},
+            {f"library/{file}": text.decode() for file, text in library_code().items()},
+            {path: text.decode() for path, text in more.items() if path.endswith(".py")},
+        ]
+    )
+    stem = f"slave_{name}_{guid[1:9]}"
     content = {
-        "modelDescription.xml": drafts["modelDescription.xml"].replace(PLACEHOLDER, guid).encode(),
-        f"resources/{CARD}": drafts[f"resources/{CARD}"].replace(PLACEHOLDER, guid).encode(),
+        **{path: text.replace(PLACEHOLDER, guid).encode() for path, text in with_guid.items()},
         "resources/slavemodule.txt": stem.encode(),
-        f"resources/{stem}.py": script(face.name, face.text, slave, package_version()).encode(),
+        f"resources/{stem}.py": script(name, interface.text, slave, package_version()).encode(),
         **more,
-        **binaries(face.name, 2, {name: library(name) for name in platforms or (host(),)}),
+        **binaries(name, 2, {platform: library(platform) for platform in platforms or (host(),)}),
     }
-    path = Path(folder) / f"{face.name}.fmu"
+    path = Path(folder) / f"{name}.fmu"
     pack(path, content)
     return path
 

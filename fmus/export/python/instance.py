@@ -1,16 +1,4 @@
-"""Everything that the future of an instance depends on, and its bytes: what a saved state holds.
-
-The bytes are a header that names the model, a check sum, and one double per number, so that a restored
-state is the same to the last bit, in another instance, process or on another machine.
-
-What went wrong, in one line, with the place in the user's file.
-
-Inputs inside a step: Taylor polynomials from the values that were set and what carries their derivatives.
-
-Derivatives come from `fmi2SetRealInputDerivatives` if it was called for the step, else from the inputs that
-are rates (docs/design.md, "Inputs inside a step").
-
-One instance of a model in plain Python: values, inputs over a step, integration, checks.
+"""One instance of a model in plain Python: values, inputs over a step, integration, checks.
 
 It does what native/core.c, instance.c and step.c do, with the same numbers and the same words. It needs no
 FMU:
@@ -23,148 +11,22 @@ FMU:
 
 from __future__ import annotations
 
-import hashlib
 import math
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
-from fmus.export.interface import Variable, interface
-from fmus.export.python.behaviour import Behaviour, Continuous, Functions
+from fmus.export.interface import Variable, interface_of
+from fmus.export.python import state
+from fmus.export.python.state import InstanceState
+from fmus.export.python.subsystem_model import RunnableModel, SubsystemFunctions, SubsystemModel
 from fmus.parameters import Values, values
-from fmus.solver import Array, Motion, Unsolved
+from fmus.solver import Array, Unsolved
 from orchestrator.base.errors import Problem
-
-_MAGIC = b"FMUstate python 1 "
-
-
-@dataclass
-class State:
-    """Numbers only, as in native/core.h.
-
-    memory      of the solver, see `solver.Pace`
-    x, p, u     states, parameters, inputs at the current time
-    set         inputs as last set: where the next step starts
-    slope       time derivatives of the inputs at the end of the last step
-    given       input derivatives of order 1 to 3 set for the next step, shape (n, 3), and for which inputs
-    was_given   which inputs followed such derivatives in the last step
-    warned      which watched variables are above their limit, by value reference
-    initial     1 until the initialisation is over: states follow from their start values
-    phase       of the state machine, see `instance`
-    """
-
-    x: Array
-    p: Array
-    u: Array
-    set: Array
-    slope: Array
-    given: Array
-    is_given: NDArray[np.bool_]
-    was_given: NDArray[np.bool_]
-    warned: NDArray[np.bool_]
-    time: float = 0.0
-    start_time: float = 0.0
-    stop_time: float = np.inf
-    tolerance: float = 0.0
-    memory: Array = field(default_factory=lambda: np.zeros(3))
-    initial: float = 1.0
-    phase: float = 1.0
-
-    def to_bytes(self, guid: str) -> bytes:
-        """The state of the model with this GUID."""
-        content = b"".join(np.asarray(v, dtype="<f8").tobytes() for v in vars(self).values())
-        return _header(guid) + hashlib.sha256(content).digest() + content
-
-    def from_bytes(self, guid: str, data: bytes) -> State:
-        """The state that `to_bytes` was called with; this one tells how many numbers there are of each."""
-        header, expected = _header(guid), len(self.to_bytes(guid))
-        if not data.startswith(header):
-            raise Problem(f'the saved state is of another model, expected GUID "{guid}"')
-        if len(data) != expected:
-            raise Problem(f"the saved state has {len(data)} bytes, expected {expected}")
-        seal, content = data[len(header) : len(header) + 32], data[len(header) + 32 :]
-        if hashlib.sha256(content).digest() != seal:
-            raise Problem("the saved state is damaged: its check sum differs")
-        return self._filled(np.frombuffer(content, dtype="<f8"))
-
-    def _filled(self, numbers: Array) -> State:
-        found: dict[str, Any] = {}
-        for f in fields(self):
-            like = np.asarray(getattr(self, f.name))
-            part, numbers = numbers[: like.size], numbers[like.size :]
-            found[f.name] = part.reshape(like.shape).astype(like.dtype) if like.shape else float(part[0])
-        return State(**found)
-
-
-def _header(guid: str) -> bytes:
-    return _MAGIC + guid.encode() + b"\0"
-
-
-def told(problem: BaseException, folder: Path) -> str:
-    """The text of a Problem; of another exception also its kind, file and line.
-
-    The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
-    """
-    text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
-    if isinstance(problem, Problem):
-        return text
-    kind = type(problem).__name__
-    return f"{place(problem, folder)}{kind}: {text}" if text else f"{place(problem, folder)}{kind}"
-
-
-def place(problem: BaseException, folder: Path) -> str:
-    """File and line of an exception, as "file.py:12: "; empty when it has none."""
-    if isinstance(problem, SyntaxError) and problem.filename:
-        return f"{Path(problem.filename).name}:{problem.lineno}: "
-    frames = traceback.extract_tb(problem.__traceback__)
-    own = [f for f in frames if Path(f.filename).parent == folder]
-    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (own or frames)[-1:])
-
-
-def rates(inputs: Sequence[Variable]) -> list[int]:
-    """Index of the input with the time derivative of each one, or -1."""
-    index = {v.name: i for i, v in enumerate(inputs)}
-    return [index[v.quantity.rate] if v.quantity.rate else -1 for v in inputs]
-
-
-def derivative(s: State, rates: Sequence[int], at: Array, i: int, order: int) -> float:
-    """Derivative of an input where the values `at` hold."""
-    if s.is_given[i]:
-        return float(s.given[i, order - 1])
-    if rates[i] < 0:
-        return 0.0
-    return float(at[rates[i]]) if order == 1 else derivative(s, rates, at, rates[i], order - 1)
-
-
-def motion(s: State, rates: Sequence[int]) -> Motion:
-    """Over the next step."""
-    numbers = range(s.set.size)
-    terms = (
-        [derivative(s, rates, s.set, i, k) / scale for i in numbers] for k, scale in ((1, 1), (2, 2), (3, 6))
-    )
-    return Motion(np.array([s.set, *terms]))
-
-
-def slope(s: State, rates: Sequence[int], i: int) -> float:
-    """Time derivative of an input at the current time."""
-    if s.is_given[i]:
-        return float(s.given[i, 0])
-    return float(s.slope[i] if rates[i] < 0 or s.was_given[i] else s.u[rates[i]])
-
-
-def give(s: State, i: int, order: int, value: float) -> None:
-    """A derivative of an input for the next step; those of other orders are zero unless given, too."""
-    s.given[i] = s.given[i] if s.is_given[i] else 0.0
-    s.is_given[i], s.given[i, order - 1] = True, value
-
 
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
@@ -186,7 +48,7 @@ REASONS = {
 
 
 class Refused(Problem):
-    """A call that failed, told in one line."""
+    """A call that failed; the message is one line."""
 
 
 def refuse(text: str) -> NoReturn:
@@ -196,22 +58,19 @@ def refuse(text: str) -> NoReturn:
 
 def of_subsystem(sub: Subsystem, numbers: Values | None = None) -> Instance:
     """An instance of a subsystem, with the numbers of its parameters.toml or others."""
-    face = interface(sub, numbers or values(sub, derive=False))
-    return Instance(Continuous(Functions(face), face.variables))
-
-
-def _unheard(_: str) -> None:
-    """Where warnings go that nobody asked for."""
+    return Instance(
+        SubsystemModel(SubsystemFunctions(interface_of(sub, numbers or values(sub, derive=False))))
+    )
 
 
 class Instance:
     """Variables go by value reference in `get` and `set`, else by name."""
 
-    def __init__(self, model: Behaviour, guid: str = "", warn: Callable[[str], None] = _unheard) -> None:
-        self.model, self.guid, self.warn, self.variables = model, guid, warn, model.variables
+    def __init__(self, model: RunnableModel, guid: str = "", warn: Callable[[str], object] = str) -> None:
+        self.model, self.guid, self.warn, self.variables = model, guid, warn, model.interface.variables
         self.references = {v.name: v.reference for v in self.variables}
-        self.ends = np.cumsum(model.sizes).tolist()
-        self.rates = rates(self.variables[self.ends[0] : self.ends[1]])
+        self.ends = np.cumsum([len(group) for group in model.interface.groups]).tolist()
+        self.rates = state.rates(model.interface.inputs)
         self._watched = [
             v
             for v in self.variables[self.ends[0] :]
@@ -226,7 +85,7 @@ class Instance:
         start = np.array([v.start or 0.0 for v in self.variables[: self.ends[2]]])
         p, u, x = np.split(start, self.ends[:2])
         none = np.zeros(u.size, dtype=bool)
-        self.state = State(
+        self.state = InstanceState(
             *(x, p, u, u.copy(), np.zeros(u.size), np.zeros((u.size, 3)), none, none.copy()),
             warned=np.zeros(len(self.variables), dtype=bool),
             tolerance=DEFAULT_TOLERANCE,
@@ -292,11 +151,11 @@ class Instance:
 
     def get(self, references: Sequence[int]) -> list[float]:
         """Values of variables."""
-        found = [self._value(r) for r in references]
-        for r, value in zip(references, found, strict=True):
+        values = [self._value(r) for r in references]
+        for r, value in zip(references, values, strict=True):
             if not math.isfinite(value):
                 self._not_finite(self.variables[r], value)
-        return found
+        return values
 
     def _requirements(self) -> Iterator[tuple[str, float]]:
         self._outputs()
@@ -307,9 +166,9 @@ class Instance:
         refuse(f'requirement "{statement}" is violated {when}: {value:.6g}, expected > 0')
 
     def _not_finite(self, v: Variable, value: float) -> NoReturn:
-        for statement, found in self._requirements():  # perhaps the reason is known
-            if found <= 0:
-                self._violated(statement, found)
+        for statement, margin in self._requirements():  # perhaps the reason is known
+            if margin <= 0:
+                self._violated(statement, margin)
         refuse(f"{v.name} is {value:g} at t = {self.state.time:.9g} s, expected a finite number")
 
     def known(self, r: int) -> Variable:
@@ -435,7 +294,7 @@ class Instance:
 
     def _advance(self, length: float) -> None:
         s, begin = self.state, self.state.time
-        inputs = motion(s, self.rates)
+        inputs = state.motion(s, self.rates)
         self._forget()
         try:
             s.x, s.memory = self.model.advance(s.x, s.p, inputs, begin, length, s.tolerance, s.memory)
@@ -464,13 +323,76 @@ class Instance:
             f"worst is {where}"
         )
 
+    # ---- FMI's functions for derivatives
+
+    def set_input_derivatives(
+        self, references: Sequence[int], orders: Sequence[int], given: Sequence[float]
+    ) -> None:
+        """Derivatives of order 1 to 3 of inputs, valid for the next step."""
+        self.allowed(INSTANTIATED | INITIALIZATION | STEP_MODE)
+        for r, order, value in zip(references, orders, given, strict=True):
+            v = self.known(r)
+            if v.kind != "INPUT":
+                refuse(f"{v.name} is not an input")
+            if not 1 <= order <= 3:
+                refuse(f"{v.name} has derivatives of order 1, 2 and 3 only")
+            if not math.isfinite(value):
+                refuse(f"the derivative of {v.name} is not a finite number")
+        for r, order, value in zip(references, orders, given, strict=True):
+            state.set_input_derivative(self.state, r - self.ends[0], order, value)
+
+    def directional_derivative(
+        self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]
+    ) -> list[float]:
+        """Derivatives of unknowns along a direction of knowns."""
+        self.allowed(INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED)
+        direction = np.zeros(len(self.variables))
+        more = ("FIXED", "TUNABLE") if self.state.initial else ("CALCULATED_STATE",)
+        for r, value in zip(known, seed, strict=True):
+            v = self.known(r)
+            if v.kind not in ("INPUT", "STATE", *more):
+                refuse(f"{v.name} is not a known, expected an input or a state")
+            direction[r] += value
+        for r in unknown:
+            if self.known(r).kind in ("FIXED", "TUNABLE", "INPUT"):
+                refuse(f"{self.variables[r].name} is not an unknown, expected an output or a derivative")
+        return self._finite_derivatives(unknown, self._along(direction))
+
+    def output_derivatives(self, references: Sequence[int], orders: Sequence[int]) -> list[float]:
+        """Time derivatives of outputs; orders beyond the first are zero: they are not provided."""
+        self.allowed(STEP_MODE | STEP_FAILED | TERMINATED)
+        direction, (first, last, end, *_) = np.zeros(len(self.variables)), self.ends
+        direction[first:last] = [state.slope(self.state, self.rates, i) for i in range(last - first)]
+        direction[last:end] = self.derivatives()
+        for r, order in zip(references, orders, strict=True):
+            v = self.known(r)
+            if v.kind not in ("OUTPUT", "STATE", "CALCULATED_STATE"):
+                refuse(f"{v.name} is not an output")
+            if order < 1:
+                refuse(f"the order of the derivative of {v.name} is less than 1")
+        first_order = self._finite_derivatives(references, self._along(direction))
+        return [0.0 if order > 1 else value for order, value in zip(orders, first_order, strict=True)]
+
+    def _along(self, direction: Array) -> Array:
+        """From the directions of parameters, inputs and states those of all variables."""
+        self.start()
+        s, parts = self.state, np.split(direction, self.ends[:3])
+        x, dx, y = self.model.forward(s.x, s.u, s.p, (parts[0], parts[1], parts[2]), bool(s.initial))
+        return np.concatenate([parts[0], parts[1], x, dx, y])
+
+    def _finite_derivatives(self, references: Sequence[int], values: Array) -> list[float]:
+        for r in references:
+            if not math.isfinite(values[r]):
+                refuse(f"the derivative of {self.variables[r].name} is not finite")
+        return [float(values[r]) for r in references]
+
     # ---- saved states
 
     def save(self) -> bytes:
         """Everything that the future depends on."""
         return self.state.to_bytes(self.guid)
 
-    def readable(self, data: bytes) -> State:
+    def readable(self, data: bytes) -> InstanceState:
         """The state in these bytes, refused if it is none of this model."""
         return self.state.from_bytes(self.guid, data)
 

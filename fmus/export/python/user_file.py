@@ -1,100 +1,45 @@
-"""Where a `Subsystem` is found again on another machine, and whether it is still the same.
-
-An origin is "module:name", or "module:name.key" for an entry of a mapping such as VARIANTS.
-
-The file of a user: read, and refused if it would not work elsewhere.
-
-Trials of a user's model before an FMU is made of it: it runs, hides no state, depends on what it says.
-"""
+"""The file of a user with a `Model`: loaded, refused if it cannot work elsewhere, checked by a few steps."""
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import importlib
 import importlib.util
-import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from fmus.contract import Subsystem
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
-from fmus.export.python.instance import Instance, told
-from fmus.export.python.user_model import Model, Stepwise, sealed
-from fmus.export.python.user_model import face as face_of
+from fmus.export.python.instance import Instance
+from fmus.export.python.user_model import Model, UserModel, sealed
 from fmus.solver import Array
 from orchestrator.base.errors import Problem
 
 
-def origin(sub: Subsystem) -> str:
-    """Under which name a loaded module has the subsystem: its own package if possible."""
-    own = str(getattr(sub.dynamics, "__module__", "")) + "."
-    found = [
-        (not own.startswith(f"{module}."), module.split(".")[0] != own.split(".")[0], len(place), place)
-        for module in list(sys.modules)
-        if module != "__main__"
-        for place, value in _named(module)
-        if value is sub
-    ]
-    if not found:
-        raise Problem(
-            f"{sub.name}: no module has this subsystem under a name, expected one such as "
-            '"package.module:NAME" to find it again where the FMU runs'
-        )
-    return min(found)[-1]
+def message(problem: BaseException, folder: Path) -> str:
+    """The text of a Problem; of another exception also its kind, file and line.
 
-
-def _named(module: str) -> Iterator[tuple[str, Any]]:
-    """The subsystems of a module, also those in its mappings, each with its origin."""
-    for name, value in list(getattr(sys.modules[module], "__dict__", {}).items()):
-        if isinstance(value, Subsystem):
-            yield f"{module}:{name}", value
-        elif isinstance(value, Mapping) and all(isinstance(v, Subsystem) for v in value.values()):
-            yield from ((f"{module}:{name}.{key}", v) for key, v in value.items())
-
-
-def subsystem(where: str) -> Subsystem:
-    """The subsystem with this origin."""
-    module, _, path = where.partition(":")
-    name, _, key = path.partition(".")
-    if not name:
-        raise Problem(f'"{where}" is no name of a subsystem, expected one such as "package.module:NAME"')
-    try:
-        found = getattr(importlib.import_module(module), name)
-        found = found[key] if key else found
-    except (ImportError, AttributeError, KeyError, TypeError) as problem:
-        raise Problem(
-            f"{where} is not in the Python of {sys.prefix}: {type(problem).__name__}: {problem}"
-        ) from None
-    if not isinstance(found, Subsystem):
-        raise Problem(f"{where} is {type(found).__name__}, expected a Subsystem")
-    return found
-
-
-def fingerprint(face: Interface) -> str:
-    """Another one for other variables or equations, whatever the numbers are.
-
-    Constants count to twelve digits: a mathematical library may differ in the last ones.
+    The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
     """
-    digest = hashlib.sha256()
-    for v in face.variables:
-        digest.update(repr((v.name, v.kind, v.output, sorted(asdict(v.quantity).items()))).encode())
-    sym = face.equations
-    f = ca.Function("f", [sym.x, sym.u, sym.p], [sym.dx, face.y, sym.start, sym.require])
-    for k in range(f.n_instructions()):
-        step: tuple[Any, ...] = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if step[0] == ca.OP_CONST:
-            step = (*step, f"{f.instruction_constant(k):.12g}")
-        digest.update(repr(step).encode())
-    digest.update(repr((sym.statements, face.stiff)).encode())
-    return digest.hexdigest()
+    text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
+    if isinstance(problem, Problem):
+        return text
+    kind, place = type(problem).__name__, _place(problem, folder)
+    return f"{place}{kind}: {text}" if text else f"{place}{kind}"
+
+
+def _place(problem: BaseException, folder: Path) -> str:
+    """File and line of an exception, as "file.py:12: "; empty when it has none."""
+    if isinstance(problem, SyntaxError) and problem.filename:
+        return f"{Path(problem.filename).name}:{problem.lineno}: "
+    frames = traceback.extract_tb(problem.__traceback__)
+    own = [f for f in frames if Path(f.filename).parent == folder]
+    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (own or frames)[-1:])
 
 
 PACKAGE = __name__.partition(".")[0]
@@ -115,17 +60,17 @@ def load(path: Path) -> Model:
         except BaseException:
             del sys.modules[name]
             raise
-    found = [
+    models = [
         value
         for value in vars(sys.modules[name]).values()
         if isinstance(value, type) and issubclass(value, Model) and value.__module__ == name
     ]
-    if len(found) != 1:
-        names = ", ".join(c.__name__ for c in found) or "none"
+    if len(models) != 1:
+        names = ", ".join(c.__name__ for c in models) or "none"
         raise Problem(f"{path.name} defines {names}, expected one class of Model")
-    if not found[0].name:
-        found[0].name = path.stem
-    return sealed(found[0]())
+    if not models[0].name:
+        models[0].name = path.stem
+    return sealed(models[0]())
 
 
 def _read(path: Path) -> ast.Module:
@@ -134,7 +79,7 @@ def _read(path: Path) -> ast.Module:
     try:
         return ast.parse(path.read_text(encoding="utf-8"), path.name)
     except (OSError, ValueError, SyntaxError) as problem:
-        raise Problem(told(problem, path.parent)) from None
+        raise Problem(message(problem, path.parent)) from None
 
 
 def refuse_neighbours(path: Path) -> None:
@@ -147,8 +92,8 @@ def refuse_neighbours(path: Path) -> None:
             top = name.partition(".")[0]
             if top == PACKAGE:
                 continue  # a file in the root of a checkout has the package itself beside it
-            beside = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
-            if name.startswith(".") or any(p.is_file() for p in beside):
+            neighbours = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
+            if name.startswith(".") or any(p.is_file() for p in neighbours):
                 raise Problem(
                     f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module beside the file, "
                     "which would collide with that of another FMU: put it into the file or into a package"
@@ -158,7 +103,7 @@ def refuse_neighbours(path: Path) -> None:
 def declared_files(path: Path) -> list[str]:
     """What `files` of the class says, before the file can be run: it may read them when it is imported."""
     classes = (node for node in ast.walk(_read(path)) if isinstance(node, ast.ClassDef))
-    for node in (statement for found in classes for statement in found.body):
+    for node in (statement for definition in classes for statement in definition.body):
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         value = getattr(node, "value", None)
         if isinstance(target, ast.Name) and target.id == "files" and isinstance(value, ast.Tuple | ast.List):
@@ -172,10 +117,13 @@ def declared_files(path: Path) -> list[str]:
 # ---- dependencies ----------------------------------------------------------------------------------
 
 
-def structure(model: Model, face: Interface) -> Unknowns:
+def structure(user: UserModel) -> Unknowns:
     """Outputs and what is calculated at the start, each with what it depends on, as declared."""
-    inputs = {v.name: v for v in face.inputs}
-    known = {v.name for v in (*face.states, *face.outputs) if v.output or v.kind == "CALCULATED_STATE"}
+    model, interface = user.model, user.interface
+    inputs = {v.name: v for v in interface.inputs}
+    known = {
+        v.name for v in (*interface.states, *interface.outputs) if v.output or v.kind == "CALCULATED_STATE"
+    }
     for name, on in model.depends.items():
         if name not in known:
             raise Problem(f"{model.name}: depends names {name}, expected an output or a computed state")
@@ -189,10 +137,10 @@ def structure(model: Model, face: Interface) -> Unknowns:
     def listed(names: Sequence[str], *more: Variable) -> list[tuple[Variable, str]]:
         return [(v, "dependent") for v in (*(inputs[n] for n in sorted(set(names))), *more)]
 
-    calculated = [v for v in face.states if v.kind == "CALCULATED_STATE"]
+    calculated = [v for v in interface.states if v.kind == "CALCULATED_STATE"]
     through = [n for v in calculated for n in declared(v.name)]
-    start = [*face.parameters, *(v for v in face.states if v.kind == "STATE")]
-    shown = [v for v in face.variables if v.output]
+    start = [*interface.parameters, *(v for v in interface.states if v.kind == "STATE")]
+    shown = [v for v in interface.variables if v.output]
     return {
         "Outputs": [(v, [] if v.kind != "OUTPUT" else listed(declared(v.name))) for v in shown],
         "InitialUnknowns": [
@@ -203,26 +151,26 @@ def structure(model: Model, face: Interface) -> Unknowns:
     }
 
 
+# ---- checks ----------------------------------------------------------------------------------------
+
 SHARE = 0.01  # of the nominal value, by which inputs are moved
 POINTS, STEPS = 8, 3
 
 
-def tried(path: Path, step: float) -> tuple[Model, Interface]:
-    """The model and its variables, after a few steps and all checks."""
+def checked(path: Path, step: float) -> UserModel:
+    """The model in a file, after a few steps: it runs, hides no state, depends on what it declares."""
     try:
-        model = load(path)
-        face = face_of(model)
-        structure(model, face)
-        behaviour = Stepwise(model, face)
-        run = Instance(behaviour).initialise()
-        _check_dependencies(behaviour, run)
+        model = UserModel(load(path))
+        structure(model)
+        run = Instance(model).initialise()
+        _check_dependencies(model, run)
         for _ in range(STEPS):
             run.advance(step)
-        _check_replay(behaviour.model.name, run, step)
-        _check_dependencies(behaviour, run)
+        _check_replay(model.model.name, run, step)
+        _check_dependencies(model, run)
     except (Exception, SystemExit) as problem:
-        raise Problem(told(problem, path.parent)) from None
-    return model, face
+        raise Problem(message(problem, path.parent)) from None
+    return model
 
 
 def _check_replay(name: str, instance: Instance, step: float) -> None:
@@ -241,51 +189,38 @@ def _check_replay(name: str, instance: Instance, step: float) -> None:
         )
 
 
-def _check_dependencies(behaviour: Stepwise, run: Instance) -> None:
-    """No output moves with an input that it is declared not to depend on."""
-    model, face = behaviour.model, behaviour.face
-    index = {v.name: i for i, v in enumerate(face.inputs)}
-    scale = np.array([SHARE * v.quantity.nominal for v in face.inputs])
-    for x, u in _points(run, face):
-        for what, row in _rows(behaviour):
-            for name, i in index.items():
-                moved = u.copy()
-                moved[i] += scale[i]
-                try:
-                    pairs = zip(what, row(x, u), row(x, moved), strict=True)
-                except Exception:  # a point where the model does not work tells nothing
-                    continue
-                wrong = [n for n, a, b in pairs if a != b and math.isfinite(a) and math.isfinite(b)]
-                wrong = [n for n in wrong if name not in model.depends.get(n, index)]
-                if wrong:
-                    raise Problem(
-                        f"{model.name}: {wrong[0]} changes with {name}, "
-                        f"which depends[{wrong[0]!r}] does not name"
-                    )
+def _check_dependencies(user: UserModel, run: Instance) -> None:
+    """No output and no computed state moves with an input that it is declared not to depend on."""
+    model, interface = user.model, user.interface
+    p = np.array([v.start or 0.0 for v in interface.parameters])
+    states = [i for i, v in enumerate(interface.states) if v.kind == "CALCULATED_STATE"]
+    functions: list[tuple[list[str], Callable[[Array, Array], Array]]] = [
+        ([v.name for v in interface.outputs], lambda x, u: user.observe(x, u, p, 0.0)[0]),
+        ([interface.states[i].name for i in states], lambda x, u: user.start(x, u, p)[states]),
+    ]
+    inputs = [v.name for v in interface.inputs]
+    for (x, u), (names, function), (i, v) in product(
+        list(_points(run, interface)), functions, list(enumerate(interface.inputs))
+    ):
+        moved = u.copy()
+        moved[i] += SHARE * v.quantity.nominal
+        try:
+            before, after = function(x, u), function(x, moved)
+        except Exception:  # a point where the model does not work says nothing
+            continue
+        changed = (before != after) & np.isfinite(before) & np.isfinite(after)
+        for name in (n for n, c in zip(names, changed, strict=True) if c):
+            if v.name not in model.depends.get(name, inputs):
+                raise Problem(
+                    f"{model.name}: {name} changes with {v.name}, which depends[{name!r}] does not name"
+                )
 
 
-def _points(run: Instance, face: Interface) -> Iterator[tuple[Array, Array]]:
+def _points(run: Instance, interface: Interface) -> Iterator[tuple[Array, Array]]:
     """States and inputs around where the model starts."""
     rng, s = np.random.default_rng(0), run.state
-    nominal = [np.array([v.quantity.nominal for v in g]) for g in (face.states, face.inputs)]
+    nominal = [np.array([v.quantity.nominal for v in g]) for g in (interface.states, interface.inputs)]
     yield s.x, s.u
     for _ in range(POINTS):
         x, u = (v + 0.1 * n * rng.uniform(-1, 1, v.size) for v, n in zip((s.x, s.u), nominal, strict=True))
         yield x, u
-
-
-def _rows(behaviour: Stepwise) -> list[tuple[list[str], Callable[[Array, Array], list[float]]]]:
-    """What is computed from inputs: names and values, of outputs and of states at the start."""
-    face, p = behaviour.face, np.array([v.start or 0.0 for v in behaviour.face.parameters])
-    states = [i for i, v in enumerate(face.states) if v.kind == "CALCULATED_STATE"]
-
-    def outputs(x: Array, u: Array) -> list[float]:
-        return behaviour.observe(x, u, p, 0.0)[0].tolist()  # type: ignore[no-any-return]
-
-    def start(x: Array, u: Array) -> list[float]:
-        return behaviour.start(x, u, p)[states].tolist()  # type: ignore[no-any-return]
-
-    return [
-        ([v.name for v in face.outputs], outputs),
-        ([face.states[i].name for i in states], start),
-    ]

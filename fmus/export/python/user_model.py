@@ -12,16 +12,14 @@
 
 The groups are frozen dataclasses of `Annotated[float, Quantity(unit, text)]`, as of any subsystem; a default
 of a field is its start value. `some` takes them from another group. `examples/my_subsystem` is one to start
-from.
-
-A user's `Model` as the rest of the back end sees it: its variables, and its behaviour.
+from. `UserModel` is what an instance runs: the model with its variables, and every answer checked.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -31,8 +29,8 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import Quantity, Symbolic, quantities
-from fmus.export.interface import Interface, Variable, assembled
-from fmus.export.python.behaviour import sizes
+from fmus.export.interface import Interface, assembled, variable_groups
+from fmus.parameters import Values
 from fmus.solver import Array, Motion
 from orchestrator.base.errors import Problem
 
@@ -117,55 +115,32 @@ def sealed(model: Model) -> Model:
     return model
 
 
-GROUPS = ("Parameters", "Inputs", "State", "Outputs")
-
-
-def face(model: Model) -> Interface:
-    """The variables with their start values; refuses what cannot be in an FMU."""
-    p, u, x, y = (_declared(model, name) for name in GROUPS)
-    unknown = set(model.start) - set(u)
-    if unknown:
-        raise Problem(f"{model.name}: start names {min(unknown)}, expected inputs")
-    start = {name: _defaults(getattr(model, name)) for name in GROUPS}
-    first = _group(model.State, [start["State"].get(n, 0.0) for n in x])
-    computed = model.initial(
-        first,
-        _group(model.Inputs, [model.start.get(n, start["Inputs"].get(n, 0.0)) for n in u]),
-        _group(model.Parameters, [start["Parameters"].get(n, 0.0) for n in p]),
-    )
-    calculated = _names(model, "initial", computed, x)
-    return assembled(
-        model.name,
-        (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip("."),
-        [
-            [
-                Variable(n, "TUNABLE" if q.tunable else "FIXED", q, start["Parameters"].get(n, 0.0))
-                for n, q in p.items()
-            ],
-            [
-                Variable(n, "INPUT", q, float(model.start.get(n, start["Inputs"].get(n, 0.0))))
-                for n, q in u.items()
-            ],
-            [
-                Variable(n, "CALCULATED_STATE", q, None, output=n in y)
-                if n in calculated
-                else Variable(n, "STATE", q, start["State"].get(n, 0.0), output=n in y)
-                for n, q in x.items()
-            ],
-            [],
-            [Variable(n, "OUTPUT", q, None, output=True) for n, q in y.items() if n not in x],
-        ],
-        _NO_EQUATIONS,
-        ca.SX(0, 1),
-    )
-
-
 _NONE = ca.SX(0, 1)
 _NO_EQUATIONS = Symbolic(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, (), _NONE, (), ca.SX(math.inf))
 
 
-def _declared(model: Model, name: str) -> Mapping[str, Quantity]:
-    group = getattr(model, name)
+def _interface(model: Model) -> Interface:
+    """The variables with their start values; refuses what cannot be in an FMU."""
+    groups = {name: getattr(model, name) for name in ("Parameters", "Inputs", "State", "Outputs")}
+    declared = {name: _declared(model, name, group) for name, group in groups.items()}
+    unknown = set(model.start) - set(declared["Inputs"])
+    if unknown:
+        raise Problem(f"{model.name}: start names {min(unknown)}, expected inputs")
+    start = {
+        name: dict.fromkeys(declared[name], 0.0)
+        | {f.name: float(f.default) for f in fields(group) if f.default is not MISSING}
+        for name, group in groups.items()
+    }
+    start["Inputs"] |= {name: float(value) for name, value in model.start.items()}
+    values = Values(p=start["Parameters"], u=start["Inputs"], x=start["State"])
+    x, u, p = (groups[name](**start[name]) for name in ("State", "Inputs", "Parameters"))
+    calculated = _computed(model, model.initial(x, u, p), declared["State"])
+    text = (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip(".")
+    variables = variable_groups([*declared.values()], values, calculated, derivatives=False)
+    return assembled(model.name, text, variables, _NO_EQUATIONS, _NONE)
+
+
+def _declared(model: Model, name: str, group: object) -> Mapping[str, Quantity]:
     if not (isinstance(group, type) and is_dataclass(group)):
         raise Problem(f"{model.name}: {name} is {group!r}, expected a dataclass")
     try:
@@ -177,34 +152,33 @@ def _declared(model: Model, name: str) -> Mapping[str, Quantity]:
         ) from None
 
 
-def _defaults(group: type[Any]) -> dict[str, float]:
-    return {f.name: float(f.default) for f in fields(group) if f.default is not MISSING}
+def _computed(model: Model, values: object, allowed: Collection[str]) -> Mapping[str, float]:
+    """What `initial` returned, if that names states."""
+    if not isinstance(values, Mapping):
+        raise Problem(f"{model.name}: initial() gave {type(values).__name__}, expected a dictionary")
+    unknown = set(values) - set(allowed)
+    if unknown:
+        raise Problem(f"{model.name}: initial() gave {min(unknown)}, expected names of states")
+    return values
 
 
 def _group(group: type[Any], values: Sequence[float]) -> Any:
     return group(**{f.name: value for f, value in zip(fields(group), values, strict=True)})
 
 
-def _names(model: Model, method: str, found: object, allowed: Mapping[str, Quantity]) -> set[str]:
-    if not isinstance(found, Mapping):
-        raise Problem(f"{model.name}: {method}() gave {type(found).__name__}, expected a dictionary")
-    unknown = set(found) - set(allowed)
-    if unknown:
-        raise Problem(f"{model.name}: {method}() gave {min(unknown)}, expected names of states")
-    return set(found)
+class UserModel:
+    """A model by hand as an instance runs it, see `subsystem_model.RunnableModel`."""
 
-
-class Stepwise:
-    """See `behaviour.Behaviour`."""
-
-    def __init__(self, model: Model, face: Interface) -> None:
-        self.model, self.face, self.variables, self.sizes = model, face, face.variables, sizes(face)
+    def __init__(self, model: Model) -> None:
+        self.model, self.interface = model, _interface(model)
         self._outputs = [f.name for f in fields(model.Outputs)]
-        states = [v.name for v in face.states]
+        states = [v.name for v in self.interface.states]
+        self._calculated = [v.name for v in self.interface.states if v.kind == "CALCULATED_STATE"]
         self._own = [i for i, n in enumerate(self._outputs) if n not in states]
         self._merged = [(i, states.index(n)) for i, n in enumerate(self._outputs) if n in states]
-        start = [np.array([v.start or 0.0 for v in g]) for g in (face.states, face.inputs, face.parameters)]
-        self.statements = tuple(self._require(self.start(*start), start[1], start[2]))
+        groups = (self.interface.states, self.interface.inputs, self.interface.parameters)
+        x, u, p = (np.array([v.start or 0.0 for v in group]) for group in groups)
+        self.statements = tuple(self._require(self.start(x, u, p), u, p))
 
     def _groups(self, x: Array, u: Array, p: Array) -> tuple[Any, Any, Any]:
         m = self.model
@@ -215,22 +189,19 @@ class Stepwise:
         )
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
-        """See `Behaviour`."""
-        computed = self.model.initial(*self._groups(x, u, p))
-        allowed = {v.name: v.quantity for v in self.face.states if v.kind == "CALCULATED_STATE"}
-        if _names(self.model, "initial", computed, allowed) != set(allowed):
+        """See `RunnableModel`."""
+        computed = _computed(self.model, self.model.initial(*self._groups(x, u, p)), self._calculated)
+        if set(computed) != set(self._calculated):
             raise Problem(f"{self.model.name}: initial() gave other states than at the build")
-        found = [computed.get(v.name, x[i]) for i, v in enumerate(self.face.states)]
-        return np.array(
-            [self._number("initial", v.name, n) for v, n in zip(self.face.states, found, strict=True)]
-        )
+        given = zip(self.interface.states, x, strict=True)
+        return np.array([self._number("initial", v.name, computed.get(v.name, old)) for v, old in given])
 
     def rate(self, x: Array, u: Array, p: Array) -> Array:
         """There are no derivatives."""
         return np.zeros(0)
 
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
-        """See `Behaviour`."""
+        """See `RunnableModel`."""
         y = self._values("observe", self.model.observe(*self._groups(x, u, p), t), self.model.Outputs)
         for i, state in self._merged:
             if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
@@ -242,23 +213,24 @@ class Stepwise:
         return y[self._own], np.array([require[statement] for statement in self.statements])
 
     def _require(self, x: Array, u: Array, p: Array) -> dict[str, float]:
-        found = self.model.require(*self._groups(x, u, p))
-        if not isinstance(found, Mapping) or (
-            "statements" in vars(self) and set(found) != set(self.statements)
-        ):
-            raise Problem(f"{self.model.name}: require() gave {found!r}, expected always the same statements")
-        return {statement: self._number("require", statement, n) for statement, n in found.items()}
+        values = self.model.require(*self._groups(x, u, p))
+        first = "statements" not in vars(self)
+        if not isinstance(values, Mapping) or not (first or set(values) == set(self.statements)):
+            raise Problem(
+                f"{self.model.name}: require() gave {values!r}, expected always the same statements"
+            )
+        return {statement: self._number("require", statement, n) for statement, n in values.items()}
 
     def advance(
         self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
     ) -> tuple[Array, Array]:
-        """See `Behaviour`: equal steps, none longer than `inner_step`."""
+        """See `RunnableModel`: equal steps, none longer than `inner_step`."""
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count
         for k in range(count):
             u = motion.value((k + 0.5) * h)
-            found = self.model.step(*self._groups(x, u, p), t + k * h, h)
-            x = self._values("step", found, self.model.State)
+            after = self.model.step(*self._groups(x, u, p), t + k * h, h)
+            x = self._values("step", after, self.model.State)
         return x, memory
 
     def forward(
@@ -267,19 +239,18 @@ class Stepwise:
         """A model by hand has no derivatives."""
         raise Problem("a model written by hand offers no derivatives")
 
-    def _values(self, method: str, found: object, group: type[Any]) -> Array:
-        if not isinstance(found, group):
+    def _values(self, method: str, result: object, group: type[Any]) -> Array:
+        if not isinstance(result, group):
             raise Problem(
-                f"{self.model.name}: {method}() gave {type(found).__name__}, expected {group.__name__}"
+                f"{self.model.name}: {method}() gave {type(result).__name__}, expected {group.__name__}"
             )
-        return np.array([self._number(method, f.name, getattr(found, f.name)) for f in fields(group)])
+        return np.array([self._number(method, f.name, getattr(result, f.name)) for f in fields(group)])
 
     def _number(self, method: str, name: str, value: Any) -> float:
+        problem = Problem(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
         if isinstance(value, str | bytes | bool) or np.ndim(value) != 0:
-            raise Problem(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
+            raise problem
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise Problem(
-                f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number"
-            ) from None
+            raise problem from None

@@ -1,7 +1,7 @@
 /* FMI 2.0 for co-simulation: hands each call to Python and brings back its status, messages and value.
 
    All that crosses the border is bytes: arrays as they are in memory. What the calls do is in the package fmus
-   (fmus/export/python/calls.py); start.h holds the lines that find it. */
+   (fmus/export/python/slave.py); start.h holds the lines that find it. */
 
 #include "interpreter.c"
 
@@ -13,7 +13,7 @@
 #include "start.h"
 
 typedef struct {
-    PyObject *door; /* (name of the function, arguments ...) -> (status, messages, value); may be interrupted */
+    PyObject *dispatch; /* (name of the function, arguments ...) -> (status, messages, value); may be interrupted */
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     char name[];
@@ -112,7 +112,7 @@ static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, 
             return fmi2Error;
         }
     const int lock = py.PyGILState_Ensure();
-    const fmi2Status status = locked_call(self->door, arguments, n, &messages, value, NULL);
+    const fmi2Status status = locked_call(self->dispatch, arguments, n, &messages, value, NULL);
     finish(self, messages, unlock(lock), "Python is out of memory");
     return status;
 }
@@ -153,15 +153,15 @@ static PyObject *start_function(void) {
     return done ? py.PyDict_GetItemString(names, "start") : NULL;
 }
 
-static void open_door(Instance *self, const Bytes arguments[], size_t n) {
+static void start_slave(Instance *self, const Bytes arguments[], size_t n) {
     Blob *messages = NULL;
     const int lock = py.PyGILState_Ensure();
     PyObject *start = start_function();
     fmi2Status status = fmi2Error;
-    if (start) status = locked_call(start, arguments, n, &messages, NULL, &self->door);
-    if (status >= fmi2Error && self->door) {
-        py.Py_DecRef(self->door); /* None */
-        self->door = NULL;
+    if (start) status = locked_call(start, arguments, n, &messages, NULL, &self->dispatch);
+    if (status >= fmi2Error && self->dispatch) {
+        py.Py_DecRef(self->dispatch); /* None */
+        self->dispatch = NULL;
     }
     finish(self, messages, unlock(lock), "this Python cannot run the start of an FMU");
 }
@@ -181,8 +181,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     if (fmuType != fmi2CoSimulation) problem = "the FMU is for co-simulation only";
     const Bytes arguments[] = {WORDS(name), WORDS(guid), WORDS(where), WORDS(loggingOn ? "1" : "0")};
     if (problem) complain(self, problem);
-    else open_door(self, arguments, COUNT(arguments));
-    if (self->door) return self;
+    else start_slave(self, arguments, COUNT(arguments));
+    if (self->dispatch) return self;
     free(self);
     return NULL;
 }
@@ -191,7 +191,7 @@ void fmi2FreeInstance(fmi2Component c) {
     Instance *self = c;
     if (!self) return;
     const int lock = py.PyGILState_Ensure();
-    py.Py_DecRef(self->door);
+    py.Py_DecRef(self->dispatch);
     py.PyGILState_Release(lock);
     free(self);
 }
