@@ -16,7 +16,7 @@ from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.poses import POSES
 from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
-from orchestrator.results import validate
+from orchestrator.results import validate_system
 
 REFERENCE = data("reference/work_cycle.csv")
 
@@ -25,7 +25,9 @@ REFERENCE = data("reference/work_cycle.csv")
 def here(tmp_path, monkeypatch, fmu_dir):
     """A working directory with build/harvester.ssp; no ISO rating, whose library takes seconds to start."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(validate, "validate", partial(validate.validate, rate=False))
+    monkeypatch.setattr(
+        validate_system, "validate_system", partial(validate_system.validate_system, rate=False)
+    )
     (tmp_path / "build").mkdir()
     shutil.copy(fmu_dir / "harvester.ssp", "build")
     return tmp_path

@@ -13,8 +13,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 DOCS = "docs/"
-ROOMS = ("fmus/README.md", "fmus/*/README.md", "orchestrator/README.md", "orchestrator/*/README.md")
-ROOMS += ("examples/*/README.md", "benchmarks/README.md")
+ROOMS = ("fmus/README.md", "fmus/*/README.md", "fmus/machine/*/README.md", "orchestrator/README.md")
+ROOMS += ("examples/*/README.md",)
 TOP = {"README.md": "overview.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 SHOWN = {".py": "python", ".toml": "toml", ".m": "matlab", ".mo": "modelica", ".mos": "modelica", ".c": "c"}
 LINK = re.compile(r"(?<=\]\()[^)\s#]+(?=[)#\s])")

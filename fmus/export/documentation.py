@@ -86,7 +86,7 @@ def _section(readme: Path, file: str, anchor: str) -> str | None:
     """The section of a Markdown file with this anchor, from its heading to the next of the same rank."""
     path = readme.parent / file
     if not path.is_file():  # installed without the folder of the documents
-        path = shipped(file.removeprefix("../../")) or path
+        path = shipped(file.lstrip("./")) or path
     text = path.read_text(encoding="utf-8") if path.is_file() else ""
     headings = list(_HEADING.finditer(text))
     for i, heading in enumerate(headings):

@@ -13,7 +13,7 @@ import pytest
 
 from orchestrator import Trace, read, write
 from orchestrator.__main__ import main
-from orchestrator.results import validate
+from orchestrator.results import validate_system
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
@@ -172,7 +172,9 @@ def test_an_adaptive_run_is_validated_every_5_ms(monkeypatch):
     """The report tells its tolerance and the range of its steps."""
     Path("m.csv").write_text("time,a.x\n0,0\n0.1,1\n", encoding="utf-8")
     Path("m.toml").write_text('[signals."a.x"]\nunit = "m"\n', encoding="utf-8")
-    monkeypatch.setattr(validate, "validate", partial(validate.validate, rate=False))
+    monkeypatch.setattr(
+        validate_system, "validate_system", partial(validate_system.validate_system, rate=False)
+    )
     options = ["--master", "hermite", "--adaptive", "0.01", "--stop", "0.1", "--out", "."]
     assert main(["validate", "pair.ssp", "--reference", "m.csv", *options]) in (0, 1)
     # 9 digits in the file
