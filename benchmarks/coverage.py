@@ -24,8 +24,8 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Numbers, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.rig.experiments import PLANS, experiment
-from fmus.rig.writing import write
+from fmus.rig.experiments import EXPERIMENTS, experiment
+from fmus.rig.recordings import write
 
 VOLTS = (1.5, 2.0, 3.0, 5.0, 8.0, 10.0)
 ERROR, CURVE = 0.02, 0.03  # bars: of a parameter, of C_R(V) from 1.5 V up
@@ -48,7 +48,7 @@ def trial(task: tuple[int, str]) -> list[tuple[str, float, float, float]]:
     """One seed: (name, value, low, high) of everything that has a truth."""
     seed, machine = task
     with TemporaryDirectory() as folder:
-        for name in PLANS:
+        for name in EXPERIMENTS:
             if not name.startswith("machine"):
                 write(Path(folder), experiment(name, machine), seed)
         found = identify(read_folder(folder), joint=False)
@@ -68,7 +68,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--machine", default="lumped")
     chosen = parser.parse_args()
-    for name in PLANS:  # simulated before the processes divide
+    for name in EXPERIMENTS:  # simulated before the processes divide
         if not name.startswith("machine"):
             experiment(name, chosen.machine)
     tasks = [(seed, chosen.machine) for seed in range(chosen.seeds)]

@@ -30,7 +30,7 @@ from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import Refined, compiled, refine
 from fmus.identification.refinement.simulation import BlackBox, SimulationFailed
 from fmus.rig.experiments import experiment
-from fmus.rig.writing import write
+from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
 
 AWAY = 0.3  # standard deviation of a start, relative

@@ -22,7 +22,7 @@ from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.finding_figures import draw_finding
 from fmus.identification.report.recording_comparison import Compared, picture
 from fmus.identification.report.report_texts import caption
-from fmus.rig.command import rig
+from fmus.rig import write_all
 from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
 
@@ -71,7 +71,7 @@ def everything(folder: Path) -> None:
 def recorded(folder: Path, machine: str) -> Identified:
     """What is identified from the recordings of a machine."""
     if not folder.is_dir():
-        rig(folder, machine, 0)
+        write_all(folder, machine, 0)
     return identify(read_folder(folder), report=print)
 
 

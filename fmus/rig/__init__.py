@@ -9,7 +9,7 @@ The command is `harvester rig`.
 """
 
 from fmus.rig.experiments import MACHINES, Machine, experiments
-from fmus.rig.recording import Experiment, record
-from fmus.rig.writing import write
+from fmus.rig.instruments import Experiment, record
+from fmus.rig.recordings import write, write_all
 
-__all__ = ["MACHINES", "Experiment", "Machine", "experiments", "record", "write"]
+__all__ = ["MACHINES", "Experiment", "Machine", "experiments", "record", "write", "write_all"]

@@ -1,18 +1,25 @@
-"""What the benches share: supply, return line, throttle, and a small ODE solved like the machine.
+"""Benches: one part of the machine between a supply, a throttle and the instruments.
 
 All benches have a supply of constant pressure and a return line whose filter keeps `RETURN` [Pa], so that no
-pressure comes near zero. Throttles obey eq. (1).
+pressure comes near zero. Throttles obey eq. (1). Each bench is a small ODE, solved like the machine.
 
-The valve of a bench, as it is in the machine: a spool that is where it is told, or one that moves.
+Valve bench: one metering edge at a time, its other port shut.
+
+    supply --P-A-- port --line-- block --throttle-- return line        the edges from the supply
+    supply --throttle-- block --line-- port --B-T-- return line        the edges to the tank
+
+The spool is that of the machine: one that is where the command wants it, or one that moves. The oil block of
+0.5 L and the line, 0.5 m of the stick's hose, are of the bench, not of the machine. The throttle lets
+271 L/min through at 10 V, inside the meter's range, and leaves 16 MPa to the edge; at smaller openings the
+edge takes nearly the whole 20 MPa, so its drop is well measured everywhere.
 
 Hose bench: a valve feeds the 4 m hose of 3/4 in, the stick's, whose end is a throttle to the return line.
+Nothing but the hose lies between the two pairs of instruments.
 
     supply --valve-- (P_in, Q_in) ==hose== (P_out, Q_out) --throttle-- return line
 
 lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.boom_stick.drive`
 detailed   the line of lumps of `fmus.components.hose`, with elastic wall, air and both kinds of friction
-
-Nothing but the hose lies between the two pairs of instruments.
 
 Motor bench: the swing motor with its shaft locked; pressure reducing valves set both port pressures.
 
@@ -22,17 +29,6 @@ Motor bench: the swing motor with its shaft locked; pressure reducing valves set
 
 The meter in line A stands between throttle and motor side in the detailed machine, whose motor has a
 volume of its own; in the lumped machine, whose volume is that of the line, between the line and the motor.
-
-Valve bench: one metering edge at a time, its other port shut.
-
-    supply --P-A-- port --line-- block --throttle-- return line        the edges from the supply
-    supply --throttle-- block --line-- port --B-T-- return line        the edges to the tank
-
-The oil block of 0.5 L and the line, 0.5 m of the stick's hose, are of the bench, not of the machine. The
-throttle lets 271 L/min through at 10 V, inside the meter's range, and leaves 16 MPa to the edge; at smaller
-openings the edge takes nearly the whole 20 MPa, so its drop is well measured everywhere.
-
-Benches: one part of the machine between a supply, a throttle and the instruments.
 """
 
 from __future__ import annotations
@@ -65,8 +61,8 @@ from fmus.parameters import values
 from fmus.swing.variables import DetailedSwingParameters, SwingParameters
 
 Array = NDArray[np.float64]
-Named: TypeAlias = dict[str, Scalar]
-Equations: TypeAlias = Callable[[Named, Named], tuple[Named, Named]]
+ByName: TypeAlias = dict[str, Scalar]
+Equations: TypeAlias = Callable[[ByName, ByName], tuple[ByName, ByName]]
 
 SUPPLY = 20.684e6  # Pa, the machine's
 RETURN = 0.5e6  # Pa
@@ -136,8 +132,8 @@ def run(
         p=np.zeros(0),
         nominal=np.array([nominal for _, nominal in states.values()]),
     )
-    _, found = simulate(model, time, np.column_stack(list(inputs.values())), tolerance=TOLERANCE)
-    return dict(zip(outputs, found.T, strict=True))
+    _, results = simulate(model, time, np.column_stack(list(inputs.values())), tolerance=TOLERANCE)
+    return dict(zip(outputs, results.T, strict=True))
 
 
 Flows: TypeAlias = tuple[Scalar, Scalar]  # out of A and B [m3/s]
@@ -149,33 +145,33 @@ class BenchValve:
     """States of the spool, (start, nominal); rates (x, command); ports (x, command, flows, tank)."""
 
     states: dict[str, tuple[Scalar, float]]
-    rates: Callable[[Named, Scalar], Named]
-    ports: Callable[[Named, Scalar, Flows, float], Ports]
+    rates: Callable[[ByName, Scalar], ByName]
+    ports: Callable[[ByName, Scalar, Flows, float], Ports]
 
 
 def bench_valve(machine: str) -> BenchValve:
     """The valve of the lumped or of the detailed machine between bench supply and return line."""
-    return _moving() if machine == "detailed" else _still()
+    return _valve_with_spool() if machine == "detailed" else _ideal_valve()
 
 
-def _still() -> BenchValve:
+def _ideal_valve() -> BenchValve:
     p = lumped()
 
-    def ports(_: Named, command: Scalar, flows: Flows, tank: float) -> Ports:
+    def ports(_: ByName, command: Scalar, flows: Flows, tank: float) -> Ports:
         return spool_valve.ports(Valve.of(p, "valve"), command, *flows, SUPPLY, tank, p.density)
 
     return BenchValve({}, lambda _, __: {}, ports)
 
 
-def _moving() -> BenchValve:
+def _valve_with_spool() -> BenchValve:
     p = detailed()
 
-    def rates(x: Named, command: Scalar) -> Named:
+    def rates(x: ByName, command: Scalar) -> ByName:
         wanted = spool_valve.wanted_position(command, p.valve_full_command)
         rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), wanted)
         return {"position": rate.position, "speed": rate.speed}
 
-    def ports(x: Named, _: Scalar, flows: Flows, tank: float) -> Ports:
+    def ports(x: ByName, _: Scalar, flows: Flows, tank: float) -> Ports:
         parts = (Edges.of(p, "valve"), Spool.of(p, "spool"))
         return spool_valve.spool_ports(*parts, x["position"], *flows, SUPPLY, tank, p.density)
 
@@ -195,7 +191,7 @@ def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Ar
     # a valve without a spool to move would make pressures jump within a sample, which no logger can record
     spool, p = bench_valve("detailed"), lumped()
 
-    def equations(x: Named, u: Named) -> tuple[Named, Named]:
+    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         inlet = spool.ports(x, u["command"], (x["flow"], 0.0), RETURN)[0].pressure
         out = throttle(x["outlet"] - RETURN, resistance, p.valve_transition_flow)
         own = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
@@ -204,11 +200,11 @@ def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Ar
             "outlet": chamber.pressure_rate(x["outlet"], x["flow"] - out, p.stick_hose_capacitance),
             **spool.rates(x, u["command"]),
         }
-        seen = {"pressure_in": inlet, "pressure_out": x["outlet"], "flow_in": x["flow"], "flow_out": out}
-        return rates, seen
+        outputs = {"pressure_in": inlet, "pressure_out": x["outlet"], "flow_in": x["flow"], "flow_out": out}
+        return rates, outputs
 
-    still = {"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}
-    return run(still | spool.states, equations, time, {"command": command})
+    start = {"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}
+    return run(start | spool.states, equations, time, {"command": command})
 
 
 def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
@@ -217,18 +213,18 @@ def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, 
     lumps = boom_stick_detailed.advised_lumps()["stick"]
     names = hose.names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
 
-    def equations(x: Named, u: Named) -> tuple[Named, Named]:
+    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         state = names.each(lambda name: x[name])
         inlet = spool.ports(x, u["command"], (state.flows[0], 0.0), RETURN)[0].pressure
         outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
         along = hose.rates(of, state, inlet, outlet)
         rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])
-        seen = {"pressure_in": inlet, "pressure_out": outlet}
-        return rates, seen | {"flow_in": state.flows[0], "flow_out": state.flows[-1]}
+        outputs = {"pressure_in": inlet, "pressure_out": outlet}
+        return rates, outputs | {"flow_in": state.flows[0], "flow_out": state.flows[-1]}
 
-    still = dict.fromkeys(names.flows, (start_flow(p.valve_leakage), 1e-3))
-    still |= dict.fromkeys(names.pressures, (RETURN, 1e7))
-    return run(still | spool.states, equations, time, {"command": command})
+    start = dict.fromkeys(names.flows, (start_flow(p.valve_leakage), 1e-3))
+    start |= dict.fromkeys(names.pressures, (RETURN, 1e7))
+    return run(start | spool.states, equations, time, {"command": command})
 
 
 MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]: a side fills in 10 ms, the leakage takes 0.3 MPa
@@ -241,7 +237,7 @@ def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[
     return run(states, equations, time, {"set_a": set_a, "set_b": set_b})
 
 
-def _lumped_motor(x: Named, u: Named) -> tuple[Named, Named]:
+def _lumped_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
     p = lumped_swing()
     lines, leaks = (p.line_resistance,) * 2, (p.internal_leakage_resistance, p.external_leakage_resistance)
     nodes = motor.nodes(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *lines, *leaks)
@@ -254,7 +250,7 @@ def _lumped_motor(x: Named, u: Named) -> tuple[Named, Named]:
     return rates, at_ports | {"flow_a": nodes.flow_1, "drain_flow": nodes.drain}
 
 
-def _detailed_motor(x: Named, u: Named) -> tuple[Named, Named]:
+def _detailed_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
     p = detailed_swing()
     of = Fluid.of(p)
     leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
@@ -282,7 +278,7 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
     share = LINE / detailed().stick_hose_length
     friction = (hose.scaled_resistance(p.stick_hose_resistance, share, 1.0), p.valve_transition_flow)
 
-    def equations(x: Named, u: Named) -> tuple[Named, Named]:
+    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         flow, block = x["flow"], x["block"]  # out of the port
         at_ports = (flow if at_a else 0.0, 0.0 if at_a else flow)
         ports = spool.ports(x, u["command"], at_ports, RETURN)
@@ -292,9 +288,9 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
             "flow": hose.flow_rate(port, block, flow, share * p.stick_hose_inertance, *friction),
             "block": chamber.pressure_rate(block, flow - through, BLOCK / p.bulk_modulus),
         }
-        seen = (SUPPLY, port, flow) if feeds else (port, RETURN, -flow)
+        measured = (SUPPLY, port, flow) if feeds else (port, RETURN, -flow)
         names = ("pressure_in", "pressure_out", "flow")
-        return rates | spool.rates(x, u["command"]), dict(zip(names, seen, strict=True))
+        return rates | spool.rates(x, u["command"]), dict(zip(names, measured, strict=True))
 
     leaks = start_flow(p.valve_leakage) * (1 if feeds else -1)
     states = {"flow": (leaks, 1e-3), "block": (far, 1e7)}

@@ -1,15 +1,9 @@
-"""Commands over time: levels that are held, straight lines between them, all corners on the 200 Hz grid.
+"""Which experiments there are: section 4 of the paper, each with its commands and instruments.
 
-What the levers do in the experiments on the whole machine. All corners lie on the 200 Hz grid.
-
-Training covers the work space, small and large commands and all pairs of axes together; the test is the
-project's own work cycle, which no part of the training repeats.
-
-The experiments on the benches: what is stepped, how far, how long.
-
-The experiments on the whole machine: one joint at a time, training, and the work cycle held out.
-
-Which experiments there are: the paper's section 4, each with its commands and instruments.
+On the benches, levels are stepped: held, with straight lines between them. On the whole machine an operator
+moves one joint at a time, then all of them for training, and drives the work cycle that is held out. Training
+covers the work space, small and large commands and all pairs of axes together; no part of it repeats the work
+cycle. All corners of commands lie on the 200 Hz grid.
 """
 
 from __future__ import annotations
@@ -21,12 +15,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.machine.poses import NOMINAL, POSES, Pose
-from fmus.machine.work_cycle import RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move
-from fmus.rig.benches import EDGES, detailed, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Instrument
-from fmus.rig.recording import Array as Array_of_recording
-from fmus.rig.recording import Condition, Experiment, at_work
+from fmus.machine.parts import Wires, parts, wiring
+from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
+from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
+from fmus.monolith import Monolith, join, simulate
+from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
+from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Condition, Experiment, Instrument
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
@@ -49,6 +43,8 @@ def up_and_down(steps: Sequence[float]) -> list[float]:
     up = [0.0, *steps]
     return up + up[-2::-1]
 
+
+# ---- commands on the whole machine -----------------------------------------------------------------
 
 # strokes there and back, slow and fast; (command [V], hold [s]) of each
 _STROKES: Mapping[str, Sequence[tuple[float, float]]] = {
@@ -140,6 +136,8 @@ TRAIN_2: tuple[Move, ...] = (  # far and high, then near and low
 TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
 TRAINING_STOP = 30.0  # s each
 
+# ---- experiments on the benches --------------------------------------------------------------------
+
 HOLD = 2.0  # s: 0.5 s to settle and 300 samples
 RAMP = 0.05  # s, from level to level
 
@@ -165,7 +163,7 @@ MOTOR_OTHER = (2.0, 8.0)
 MOTOR_HOLD, MOTOR_RAMP = 3.0, 0.2  # s
 
 
-def _meters(signals: Mapping[str, Array_of_recording], flow: Instrument = FLOW) -> dict[str, Instrument]:
+def _meters(signals: Mapping[str, Array], flow: Instrument = FLOW) -> dict[str, Instrument]:
     """The instrument of each signal, by its name."""
     kinds = {"command": COMMAND, "pressure": PRESSURE}
     return {name: kinds.get(name.split("_")[0], flow) for name in signals}
@@ -193,8 +191,8 @@ def _hose(
     name: str,
     title: str,
     procedure: str,
-    signals: dict[str, Array_of_recording],
-    time: Array_of_recording,
+    signals: dict[str, Array],
+    time: Array,
 ) -> Experiment:
     p = detailed()
     conditions: dict[str, Condition] = {
@@ -208,8 +206,8 @@ def _hose(
 
 def _hose_resistance(machine: str) -> Experiment:
     time, command = levels((0.0, *HOSE_STEPS), HOLD, RAMP)
-    found = stick_hose(machine, HOSE_THROTTLE, time, command)
-    signals = {n: found[n] for n in ("pressure_in", "pressure_out")} | {"flow": found["flow_out"]}
+    outputs = stick_hose(machine, HOSE_THROTTLE, time, command)
+    signals = {n: outputs[n] for n in ("pressure_in", "pressure_out")} | {"flow": outputs["flow_out"]}
     title = "Hose of 4 m and 3/4 in, stepped flow"
     return _hose(machine, "hose_resistance", title, "hose_resistance", signals, time)
 
@@ -243,12 +241,48 @@ def _motor(driven: str, machine: str) -> Experiment:
     )
 
 
-BENCH_PLANS: Mapping[str, Callable[[str], Experiment]] = {
+BENCH_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
     **{f"valve_{edge.replace('-', '').lower()}": partial(_edge, edge) for edge in EDGES},
     "hose_resistance": _hose_resistance,
     **{f"hose_dynamics_{n}": partial(_hose_dynamics, n) for n in range(1, len(GROUPS) + 1)},
     **{f"motor_leakage_{n}": partial(_motor, port) for n, port in enumerate("AB", 1)},
 }
+
+# ---- experiments on the whole machine --------------------------------------------------------------
+
+_VARIANTS: Mapping[str, Mapping[str, str]] = {
+    "lumped": {},
+    "detailed": {
+        "swing": "detailed",
+        "boom_stick": "detailed",
+        "manipulator": "pendulum_friction",
+        "supply": "engine_pump",
+    },
+}
+
+
+@cache
+def _joined(machine: str) -> tuple[Monolith, Wires, Mapping[str, tuple[str, ...]]]:
+    chosen = parts(**_VARIANTS[machine])
+    wires, inputs = wiring(chosen)
+    return join(chosen, wires, inputs), wires, inputs
+
+
+def at_work(machine: str, moves: Sequence[Move], stop: float, pose: Pose) -> tuple[Array, dict[str, Array]]:
+    """Time (n,) [s] at 200 Hz and all outputs and inputs (n,), as `component.variable`, SI."""
+    model, wires, ends = _joined(machine)
+    time, commands = sample(moves, stop)
+    inputs = np.tile(model.u, (time.size, 1))
+    inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
+    p, angles = model.p.copy(), {joint: getattr(pose, joint) for joint in (*JOINTS, "swing")}
+    for joint, angle in angles.items():
+        p[model.parameters.index(f"manipulator.{parameter(joint)}")] = angle
+    _, outputs = simulate(model, time, inputs, p, TOLERANCE)
+    known = dict(zip(model.output_names, outputs.T, strict=True))
+    for column, name in zip(inputs.T, model.inputs, strict=True):
+        known |= dict.fromkeys(ends[name], column)
+    return time, known | {target: known[source] for source, target in wires}
+
 
 INSTRUMENTS: Mapping[str, Instrument] = {
     **dict.fromkeys(("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"), COMMAND),
@@ -307,7 +341,7 @@ def _test(machine: str) -> Experiment:
     return _at_work("machine_test", title, WORK_CYCLE, WORK_CYCLE_STOP, POSES[NOMINAL], {}, "test", machine)
 
 
-MACHINE_PLANS: Mapping[str, Callable[[str], Experiment]] = {
+MACHINE_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
     **{
         f"damping_{joint}_{n}": partial(_damping, joint, n)
         for joint, runs in DAMPING.items()
@@ -322,7 +356,7 @@ MACHINES: Mapping[str, str] = {
     "lumped": "lumped drives, rigid head, ideal supply: the set of the paper",
     "detailed": "detailed drives, friction with stiction, swinging head, supply of engine and pumps",
 }
-PLANS: Mapping[str, Callable[[str], Experiment]] = {**BENCH_PLANS, **MACHINE_PLANS}
+EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {**BENCH_EXPERIMENTS, **MACHINE_EXPERIMENTS}
 
 
 @cache
@@ -330,14 +364,9 @@ def experiment(name: str, machine: str) -> Experiment:
     """One experiment by the name of its files, simulated the first time it is asked for."""
     if machine not in MACHINES:
         raise Problem(f"machine is {machine!r}, expected {' or '.join(MACHINES)}")
-    return PLANS[name](machine)
+    return EXPERIMENTS[name](machine)
 
 
-def each(machine: str) -> Iterator[Experiment]:
-    """The experiments, simulated one after the other."""
-    return (experiment(name, machine) for name in PLANS)
-
-
-def experiments(machine: str) -> list[Experiment]:
-    """All experiments on a machine."""
-    return list(each(machine))
+def experiments(machine: str) -> Iterator[Experiment]:
+    """All experiments on a machine, simulated one after the other."""
+    return (experiment(name, machine) for name in EXPERIMENTS)

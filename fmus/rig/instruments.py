@@ -1,4 +1,4 @@
-"""Instruments: what a logger stores of a true signal. A pure function of signal, instrument and seed.
+"""Experiments, and what a logger stores of a true signal: a function of signal, instrument and seed.
 
     reading = clip(step round((true + noise) / step))      0 where |true| is below the dead zone
 
@@ -10,7 +10,8 @@ for zero, so the highest value is one step below the end of its range. No filter
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from hashlib import sha256
 
 import numpy as np
@@ -71,3 +72,42 @@ def read(instrument: Instrument, true: Array, random: np.random.Generator) -> Ar
         value = instrument.step * np.round(value / instrument.step)
     value = np.clip(value, instrument.low, instrument.high)  # both are whole steps
     return np.where(still, 0.0, value)
+
+
+# ---- experiments -----------------------------------------------------------------------------------
+
+Condition = str | tuple[float, str]  # a word, or a number with its unit
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment on one machine: the true signals.
+
+    name         of its files
+    use          "train", or "test": held out
+    machine      "lumped" or "detailed"
+    conditions   what holds during the experiment; goes into the file
+    time         shape (n,) [s], 200 Hz
+    signals      true signals that are recorded, SI, each of shape (n,)
+    instruments  of each signal
+    unseen       what no instrument sees, SI: for tests and judges, never written
+    """
+
+    name: str
+    title: str
+    procedure: str
+    use: str
+    machine: str
+    conditions: Mapping[str, Condition]
+    time: Array
+    signals: Mapping[str, Array]
+    instruments: Mapping[str, Instrument]
+    unseen: Mapping[str, Array] = field(default_factory=dict)
+
+
+def record(experiment: Experiment, seed: int) -> dict[str, Array]:
+    """Readings of each signal, shape (n,), in the unit of its instrument."""
+    return {
+        name: read(experiment.instruments[name], true, generator(seed, experiment.name, name))
+        for name, true in experiment.signals.items()
+    }

@@ -22,6 +22,6 @@ def rig(
 
     CSV files as of a real one, but simulated.
     """
-    from fmus.rig import command
+    from fmus.rig import write_all
 
-    command.rig(out, machine, seed)
+    write_all(out, machine, seed)

@@ -9,14 +9,14 @@ from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.machine.build import numbered_parts
 from fmus.parameters import values, write
-from fmus.rig.command import rig
+from fmus.rig import write_all
 
 pytestmark = pytest.mark.long  # the detailed machine at work takes half a minute
 
 
 def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     """With what was identified it meets the bars on a cycle held out, and the head is named as the cause."""
-    rig(tmp_path / "recordings", "detailed", 0, lambda _: None)
+    write_all(tmp_path / "recordings", "detailed", 0, lambda _: None)
     found = identify(read_folder(tmp_path / "recordings"))
     assert not found.skipped
     assert found.refined is not None

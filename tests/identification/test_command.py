@@ -13,7 +13,7 @@ from fmus.identification.machine import FREE, lookup, nominal, short_name, targe
 from fmus.identification.pipeline import PROCEDURES
 from fmus.machine.build import numbered_parts
 from fmus.parameters import values
-from fmus.rig.command import rig
+from fmus.rig import write_all
 from orchestrator.__main__ import main
 
 
@@ -21,7 +21,7 @@ from orchestrator.__main__ import main
 def recordings(tmp_path_factory):
     """All recordings of the lumped machine, seed 0."""
     folder = tmp_path_factory.mktemp("rig") / "recordings"
-    rig(folder, "lumped", 0, lambda _: None)
+    write_all(folder, "lumped", 0, lambda _: None)
     return folder
 
 

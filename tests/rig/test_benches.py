@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fmus.machine.work_cycle import RATE
-from fmus.rig.experiments import GROUPS, HOLD, MOTOR_HOLD, PLANS, experiment
-from fmus.rig.recording import Experiment, record
+from fmus.rig.experiments import EXPERIMENTS, GROUPS, HOLD, MOTOR_HOLD, experiment
+from fmus.rig.instruments import Experiment, record
 
 BOTH = pytest.mark.parametrize("machine", ["lumped", "detailed"])
 EDGES = pytest.mark.parametrize("edge", ["pa", "bt", "pb", "at"])
@@ -99,7 +99,9 @@ def test_a_locked_motor_obeys_eq_11_and_12(machine, number):
 
 
 @BOTH
-@pytest.mark.parametrize("name", [name for name in PLANS if name.startswith(("valve", "hose", "motor"))])
+@pytest.mark.parametrize(
+    "name", [name for name in EXPERIMENTS if name.startswith(("valve", "hose", "motor"))]
+)
 def test_bench_signals_stay_in_range(machine, name):
     """Pressures above the return line's and at most the supply's, flows in the meters' range."""
     e = experiment(name, machine)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fmus.rig import command
+from fmus.rig import recordings
 from fmus.rig.experiments import experiment
 from orchestrator.__main__ import main
 
@@ -14,7 +14,9 @@ SHORT = ("motor_leakage_1", "hose_dynamics_1")
 @pytest.fixture(autouse=True)
 def _few(monkeypatch):
     """Only some experiments: all of them take seconds."""
-    monkeypatch.setattr(command, "each", lambda machine: (experiment(name, machine) for name in SHORT))
+    monkeypatch.setattr(
+        recordings, "experiments", lambda machine: (experiment(name, machine) for name in SHORT)
+    )
 
 
 def test_writes_recordings_and_a_readme(tmp_path, capsys):

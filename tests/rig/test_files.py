@@ -11,9 +11,9 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
-from fmus.rig.experiments import PLANS, experiment
-from fmus.rig.recording import record
-from fmus.rig.writing import SHARED, readme, write
+from fmus.rig.experiments import EXPERIMENTS, experiment
+from fmus.rig.instruments import record
+from fmus.rig.recordings import SHARED, readme, write
 from orchestrator.data.recording import read_recording
 
 # one of each procedure; those on the machine are the short ones
@@ -87,7 +87,7 @@ def test_the_reader_of_recordings_and_references_reads_it(name, tmp_path):
 def test_the_files_of_all_experiments_are_told():
     """Names and kinds of experiment are those of the shared format."""
     kinds = {"valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine"}
-    assert {name.rsplit("_", 1)[0] for name in PLANS if name[-1].isdigit()} == {
+    assert {name.rsplit("_", 1)[0] for name in EXPERIMENTS if name[-1].isdigit()} == {
         *("hose_dynamics", "motor_leakage", "machine_train"),
         *(f"damping_{joint}" for joint in ("swing", "boom", "stick")),
     }
