@@ -10,7 +10,6 @@ from any_fmu.outcome import in_python
 
 from fmus.machine.build import data
 from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
-from fmus.machine.reference import kept_set
 from orchestrator import RunFailed, System, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
@@ -36,14 +35,13 @@ def without_rates(system: System) -> System:
 
 
 # of the machine whose trace is kept: orders of convergence show differences of 1e-6 of range
-KEPT = kept_set()
 
 
 def outcome(
     system: System, master: str | Coupling, step: float | None, stop: float | None = None, **more: float
 ) -> Validation:
     scenario = data("scenarios/work_cycle.csv")
-    result = run(system, scenario, master=master, step=step, stop=stop, set=KEPT, **more)
+    result = run(system, scenario, master=master, step=step, stop=stop, **more)
     return validate(result.trace, REFERENCE, rate=False)
 
 

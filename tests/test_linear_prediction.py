@@ -12,7 +12,6 @@ import pytest
 from any_fmu.outcome import OPENERS
 
 from fmus.machine.build import data
-from fmus.machine.reference import kept_set
 from orchestrator import RunFailed, System, Trace, load, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
@@ -26,7 +25,6 @@ from machine import build, solve
 
 MASTER = "interface-jacobian"
 REFERENCE = read_recording(data("reference/work_cycle.csv"))
-KEPT = kept_set()  # numbers of the machine whose trace is kept
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +44,7 @@ def worst(result, group: str) -> float:
 )
 def test_work_cycle(system, step, lag, speed, pressure):
     """The whole work cycle in one pass, led by the levers, within a hundredth of the bar of 1e-3 at 10 ms."""
-    result = run(system, master=Coupling(MASTER, lag=lag), step=step, set=KEPT)
+    result = run(system, master=Coupling(MASTER, lag=lag), step=step)
     assert worst(result, "speed") < speed
     assert worst(result, "pressure") < pressure
     assert result.card.notes == ()  # every component tells how it changes
@@ -63,9 +61,7 @@ def test_where_others_diverge(system):
 
 def test_order_four(system):
     """Halving the step divides the error by up to sixteen."""
-    errors = [
-        worst(run(system, master=MASTER, step=h, stop=5.0, set=KEPT), "speed") for h in (2e-2, 1e-2, 5e-3)
-    ]
+    errors = [worst(run(system, master=MASTER, step=h, stop=5.0), "speed") for h in (2e-2, 1e-2, 5e-3)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # measured 4.1 and 3.6: corners of the commands inside the first steps after them
     assert np.all((orders > 3.4) & (orders < 4.4))

@@ -35,15 +35,12 @@ NOMINAL = np.array(3 * [1e7, 1e7, 1e-3, 1e-3] + 6 * [1.0])
 def numbers(section: str = "parameters") -> dict[str, float]:
     """All `parameters` or all `start` values of the machine, by `component.name`.
 
-    Among the parameters are those of the project's other variants, which nothing here uses. Hoses have the
-    numbers of the machine whose traces are kept.
+    Among the parameters are those of the project's other variants, which nothing here uses.
     """
     found, root = {}, Path(__file__).parents[1]
-    kept = tomllib.loads((root / "data/reference/hoses.toml").read_text(encoding="utf-8"))
     for component in ("swing", "boom_stick", "manipulator"):
         path = root / "fmus" / component / "parameters.toml"
         table = tomllib.loads(path.read_text(encoding="utf-8"))[section]
-        table |= {name: entry for name, entry in kept.get(section, {}).items() if name in table}
         found |= {f"{component}.{name}": float(entry["value"]) for name, entry in table.items()}
     return found
 
@@ -54,12 +51,34 @@ def group(table: Mapping[str, float], component: str, prefix: str = "") -> Group
     return Group(**{n.removeprefix(prefix): table[f"{c}.{n}"] for c, n in names if c == component})
 
 
+def sized(p: Group, of: str, length: float, bore: float, volume: float, resistance: float) -> Group:
+    """A hose or line whose numbers of 0 follow from its size, section 2: rho l/A, volume/beta, and R."""
+    area = pi / 4 * bore**2
+    derived = {"inertance": p.density * length / area, "resistance": resistance}
+    derived["capacitance"] = (area * length + volume) / p.bulk_modulus
+    for name, value in derived.items():
+        setattr(p, f"{of}_{name}", getattr(p, f"{of}_{name}") or value)
+    return p
+
+
+def hose(p: Group) -> Group:
+    """The hose of a cylinder; eq. (10) from 4 m of 3/4 in."""
+    ratio = p.hose_length / 4.0 * (0.01905 / p.hose_bore) ** 4.75
+    return sized(p, "hose", p.hose_length, p.hose_bore, 0.0, p.hose_reference_resistance * ratio)
+
+
+def line(p: Group) -> Group:
+    """The lines of the swing motor; laminar flow in a round pipe."""
+    resistance = 128 * p.viscosity * p.line_length / (pi * p.line_bore**4)
+    return sized(p, "line", p.line_length, p.line_bore, p.motor_volume, resistance)
+
+
 class Machine:
     """The parameters in groups, and the arm as particles."""
 
     def __init__(self, table: Mapping[str, float]) -> None:
-        self.swing = group(table, "swing")
-        self.hydraulic = [group(table, "boom_stick", prefix) for prefix in ("boom_", "stick_")]
+        self.swing = line(group(table, "swing"))
+        self.hydraulic = [hose(group(table, "boom_stick", prefix)) for prefix in ("boom_", "stick_")]
         self.linkage = [group(table, "manipulator", prefix) for prefix in ("boom_", "stick_")]
         a = self.arm = group(table, "manipulator")
         radius, g, elbow = a.boom_pivot_x, a.gravity, (a.stick_pivot_x, a.stick_pivot_z)

@@ -36,7 +36,6 @@ from fmus.controller import CONTROLLER
 from fmus.controller.paths import spells
 from fmus.export.interface import interface_of
 from fmus.export.reference_experiment import STEP, data_file, reference_parameters
-from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
     COMMAND_WIRES,
@@ -50,7 +49,7 @@ from fmus.machine.parts import (
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
 from fmus.monolith import join, simulate
 from fmus.operator.model import AXES, OPERATOR
-from fmus.parameters import Values, read, values, with_numbers, write
+from fmus.parameters import Values, values, write
 from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
@@ -59,18 +58,6 @@ EXPERIMENT_EVERY = 4  # steps between two rows of the result
 EXPERIMENT_TOLERANCE = 1e-11  # relative, and absolute times the nominal value
 INPUT_DIGITS, RESULT_DIGITS = 10, 9
 REST = 1e-6  # of the nominal value: a signal that moves less is at rest
-
-
-def kept_values(sub: Subsystem) -> Values:
-    """Numbers of the machine that the kept traces are of: those of its hoses as printed, rounded."""
-    return values(with_numbers(sub, read(data("reference/hoses.toml"))["parameters"]))
-
-
-def kept_set() -> dict[str, float]:
-    """The same numbers of swing and boom_stick as start values of a system, by `component.variable`."""
-    names = read(data("reference/hoses.toml"))["parameters"]
-    parts = {part: kept_values(SUBSYSTEMS[part]).p for part in ("swing", "boom_stick")}
-    return {f"{part}.{name}": p[name] for part, p in parts.items() for name in names if name in p}
 
 
 def machine() -> dict[str, Array]:
@@ -82,7 +69,7 @@ def machine() -> dict[str, Array]:
     commands = np.asarray(commanded(time[None, :], ca.DM(0, time.size), p)[1])
     known = {f"operator.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)}
     known["operator.clock"] = time
-    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS, {n: kept_values(sub) for n, sub in SUBSYSTEMS.items()})
+    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     sources = {end: known[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))
     driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in INPUTS.items()}
@@ -111,7 +98,7 @@ def stimuli(sub: Subsystem, known: Mapping[str, Array]) -> dict[str, Array]:
 
 def start_values(sub: Subsystem, moving: Mapping[str, Array]) -> Values:
     """The numbers of the experiment: those of the subsystem, inputs as the machine starts."""
-    v = kept_values(sub)
+    v = values(sub)
     return Values(v.p, {n: float(moving[n][0]) if n in moving else u for n, u in v.u.items()}, v.x)
 
 
@@ -242,7 +229,7 @@ def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time (n,) and SIGNALS (n, m) of the monolithic model over the work cycle, at 200 Hz."""
     time, commands = work_cycle()
-    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS, {n: kept_values(sub) for n, sub in SUBSYSTEMS.items()})
+    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
     _, outputs = simulate(model, time, inputs, tolerance=TOLERANCE)
