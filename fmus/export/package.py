@@ -65,7 +65,7 @@ def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
 def readable_files(
     sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float
 ) -> dict[str, bytes]:
-    """Icon, documentation, licence, numbers with their sources, reference experiment."""
+    """Icon, documentation, licence, numbers with their sources, what the view shows, reference experiment."""
     picture, licence = sub.folder / "icon.png", shipped("LICENSE")
     icon = picture.read_bytes() if picture.is_file() else None
     content = {"documentation/index.html": page(sub, interface, fmi, step, stop, icon).encode()}
@@ -73,6 +73,9 @@ def readable_files(
         content["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
     if licence is not None:
         content["documentation/licenses/license.txt"] = licence.read_bytes()
+    seen = sub.folder / "view.toml"
+    if seen.is_file():
+        content["resources/view.toml"] = seen.read_bytes()
     if sub.numbers is not None:
         content["resources/parameters.toml"] = document(sub.numbers).encode()
     elif sub.values is None or sub.values.is_file():

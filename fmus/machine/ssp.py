@@ -20,6 +20,7 @@ from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.write import write_ssp
 
 NAME, CONTROL = "harvester", "harvester_control"
+VIEW = Path(__file__).parent / NAME / "view.toml"  # what `harvester view` shows and drives
 CONTROL_STOP = 20.0  # s
 # some tools initialise in the order of the file: holding forces and supply pressure come first
 ORDER = ("manipulator", "supply", "boom_stick", "swing")
@@ -40,6 +41,7 @@ def write_system(
         Path(folder) / f"{NAME}.ssp",
         sets=parameter_sets(manipulator),
         bound=(NOMINAL, DEFAULT),
+        resources={VIEW.name: VIEW.read_bytes()},
         columns=((OPERATOR.name, "supply"), ("boom_stick", "swing"), ("manipulator",)),
     )
 
@@ -59,6 +61,7 @@ def write_control(
         Path(folder) / f"{CONTROL}.ssp",
         sets={name: controller_set(pose, manipulator, boom_stick) for name, pose in poses},
         bound=(NOMINAL,),
+        resources={VIEW.name: VIEW.read_bytes()},
         columns=(("controller", "supply"), ("boom_stick", "swing"), ("manipulator",)),
     )
 

@@ -7,25 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.realtime.setup import Setup
 from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.ssp.system import System
 from orchestrator.view.scene.pose import Geometry, Start, geometry, start
 from orchestrator.view.signals import watched
+from orchestrator.view.view_description import ViewDescription, view_description
 
 USUAL = "usual"  # the FMU that the system brings
 VARIANTS = "variants"  # folder beside the system's file
-VOLTS = 10.0  # V
-# V/s, ramps of the amplifier: a lever that is let go stops even the arm that is stretched out with less than
-# the supply's pressure (docs/controls.md); the swing takes longest, as its valve brakes the whole arm
-VOLTS_RATES = {"swing": 3.0, "boom": 10.0, "stick": 10.0}
-TIP, TIP_RATE = 1.2, 2.5  # m/s, m/s2: wanted velocity of the tip
-TURN, TURN_RATE = 0.6, 0.6  # rad/s, rad/s2
-SWITCH_RATE = 1e3  # 1/s: from off to on within a frame
-BRAKING = 3.0  # s: the controller brakes what it moves, by ramps of 1 s at most, and what swings after that
-VELOCITIES = (("radial_velocity", TIP, TIP_RATE), ("vertical_velocity", TIP, TIP_RATE))
 
 
 @dataclass(frozen=True)
@@ -45,11 +36,15 @@ class MachineChoice:
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """A choice, worked out: what runs, how large it is, where it begins."""
+    """A choice, worked out: what runs, how it is shown, how large it is, where it begins.
+
+    geometry   None where the system does not describe a drawing
+    """
 
     choice: MachineChoice
     setup: Setup
-    geometry: Geometry
+    description: ViewDescription
+    geometry: Geometry | None
     start: Start
 
 
@@ -62,44 +57,27 @@ def plan(choice: MachineChoice) -> ViewPlan:
         raise Problem(f"{choice.system}: no pose {choice.pose!r}{near}")
     system = with_swaps(loaded, choice.swap)
     posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
-    driven = axes(system)
+    description = view_description(loaded)
+    driven, scene = description.driven(system), description.scene
     setup = Setup(
         system=str(choice.system),
         axes=driven,
-        signals=watched(system, [axis.name for axis in driven]),
+        signals=watched(system, description.shown, [axis.name for axis in driven]),
         swap=dict(choice.swap),
         parameters=(choice.pose,) if choice.pose else (),
         set=dict(choice.set),
     )
-    return ViewPlan(choice, setup, geometry(posed), start(posed))
-
-
-def axes(system: System) -> tuple[Axis, ...]:
-    """What a hand may drive: the valves, or a controller in front of them."""
-    inputs = {port.variable for port in system.ports("input")}
-    lever = "lever" if "engaged" in inputs else "command"
-    found = [Axis(f"{joint}_{lever}", VOLTS, rate) for joint, rate in VOLTS_RATES.items()]
-    if "engaged" in inputs:
-        found += [Axis(*values) for values in (*VELOCITIES, ("swing_velocity", TURN, TURN_RATE))]
-        found += [Axis("engaged", 1.0, SWITCH_RATE, rest_delay=BRAKING)]
-    there = tuple(axis for axis in found if axis.name in inputs)
-    if not there:
-        raise Problem(
-            f"{system.source or system.name}: expected an input to drive, such as"
-            f" {found[0].name}, found {', '.join(sorted(inputs)[:6]) or 'none'}"
-        )
-    return there
+    sizes = geometry(posed) if scene else None
+    return ViewPlan(choice, setup, description, sizes, start(posed, scene.initial if scene else ()))
 
 
 def poses(system: Path) -> tuple[str, ...]:
     """The parameter sets of a system that tell where its joints begin."""
     loaded = load(system)
-    found = []
-    for name, file in parameter_sets.names(loaded).items():
-        text = file.read()
-        if b"initial_boom_angle" in text and b"_command" not in text:
-            found.append(name)
-    return tuple(found)
+    scene = view_description(loaded).scene
+    angles = [name.encode() for name in scene.initial] if scene else []
+    texts = {name: file.read() for name, file in parameter_sets.names(loaded).items()}
+    return tuple(name for name, text in texts.items() if angles and all(angle in text for angle in angles))
 
 
 def variants(system: Path) -> Mapping[str, Mapping[str, str]]:

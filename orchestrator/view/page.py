@@ -20,7 +20,7 @@ from orchestrator.realtime.setup import Frame
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.driving.endpoint import mount
 from orchestrator.view.panels.bar import Bar
-from orchestrator.view.panels.charts import NAMES, Charts, History
+from orchestrator.view.panels.charts import Charts, History
 from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, limit
 from orchestrator.view.scene.canvas import Canvas, rings
 from orchestrator.view.session import Session
@@ -51,7 +51,7 @@ class SharedFigures:
 
     def _begin(self) -> None:
         self.index = self._session.index
-        self.history = History(self._session.machine, self.index, NAMES)
+        self.history = History(self._session.machine, self.index, self._session.plan.description.curves)
         self.clock = RealTimeFactor()
 
 
@@ -187,7 +187,7 @@ class Page:
         self, session: Session, stream: Stream, authority: ControlAuthority, training: Training
     ) -> None:
         self._session, self._training = session, training
-        self._geometry = session.plan.geometry
+        self._built = session.plan.description, session.plan.geometry
         self._exchange, self._slow = -1, False
         self._fitted: SignalIndex | None = None
         ui.add_css(STYLE)
@@ -196,7 +196,8 @@ class Page:
         credit = stream.join(self)
         with ui.element("main").classes("view"):
             with ui.element("div").classes("stage"):
-                self._canvas = Canvas(session.plan.geometry, credit.shown, stream.refresh)
+                sizes = session.plan.geometry
+                self._canvas = Canvas(sizes, credit.shown, stream.refresh) if sizes else None
                 with ui.element("section").classes("task") as self._task:
                     self._task.set_visibility(False)
                     table = session.folders[0] / TABLE if session.folders else None
@@ -206,7 +207,7 @@ class Page:
                 station = mount(session.machine, authority, self._save_work)
                 _hint()
             with ui.element("aside"):
-                self._gauges, self._charts = Gauges(), Charts()
+                self._gauges, self._charts = Gauges(), Charts(session.plan.description.charts)
             with ui.element("header"):
                 self._bar = Bar(session, self._canvas, partial(_refusal, authority, station), authority)
                 self._bar.extra("sports_score", "Training task", self._toggle, "Task")
@@ -218,27 +219,35 @@ class Page:
     @property
     def ready(self) -> bool:
         """The browser has built its scene and listens."""
-        return self._canvas.ready and bool(self._client.has_socket_connection)
+        drawn = self._canvas is None or self._canvas.ready
+        return drawn and bool(self._client.has_socket_connection)
 
     def picture(self, number: int, frame: Frame) -> bool:
-        """The machine; False if it looks as before, so that nothing was sent."""
+        """The machine; False if it looks as before or has no drawing, so that nothing was sent."""
         session, again = self._session, self._exchange != self._session.machine.exchanges
         self._exchange = session.machine.exchanges
-        pose = session.index.pose(frame, session.plan.geometry, session.plan.start)
-        return self._canvas.show(number, pose, session.index.colours(frame), again)
+        plan, index = session.plan, session.index
+        scene = plan.description.scene
+        if self._canvas is None or scene is None or plan.geometry is None:
+            return False
+        colours = index.colours(frame, scene.pressures, plan.description.full_pressure)
+        pose = index.pose(frame, scene.joints, plan.geometry, plan.start)
+        return self._canvas.show(number, pose, colours, again)
 
     def figures(self, frame: Frame, shared: SharedFigures) -> None:
         """Everything else; a machine of other sizes is built anew."""
-        if self._geometry != self._session.plan.geometry:
-            self._geometry = self._session.plan.geometry
+        plan = self._session.plan
+        if self._built != (plan.description, plan.geometry):
+            self._built = plan.description, plan.geometry
             self._client.run_javascript("window.location.reload()")
         if self._fitted is not shared.index:
             self._fitted = shared.index
-            self._gauges.fit(shared.index)
+            self._gauges.fit(shared.index, plan.description)
         self._gauges.show(frame, shared.index)
         self._bar.show(frame)
         self._tell(frame)
-        self._canvas.marks(self._rings() if self._task.visible else [])
+        if self._canvas is not None:
+            self._canvas.marks(self._rings() if self._task.visible else [])
         if shared.looks % 2 == 0:
             held = limit(shared.index, frame)
             self._line.show(frame, shared.clock.factor, self._session.machine.drives, held)

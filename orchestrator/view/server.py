@@ -49,7 +49,10 @@ class Server:
         """port 0: a free one. A host other than the loopback needs a token; none given: a fresh one."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, self.authority = session, ControlAuthority(session.machine)
+        self.session, self.authority = (
+            session,
+            ControlAuthority(session.machine, lambda: session.plan.description.modes),
+        )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
         found = rules(host, names=(_shown(host),), port=self.port)

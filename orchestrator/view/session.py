@@ -85,9 +85,6 @@ class ExchangeableMachine:
         self.machine.close()
 
 
-JOINTS = ("swing_angle", "boom_angle", "stick_angle")
-
-
 class SeekableMachine(Machine, Protocol):
     """A machine that can go to any time of its file."""
 
@@ -149,10 +146,22 @@ class Session:
         self.machine.restart()
         self.machine.play()
 
+    @property
+    def _telling(self) -> set[str]:
+        """Signals of which a result file has to have one: joint angles, or any without a drawing."""
+        description = self.plan.description
+        return set(description.scene.joints if description.scene else description.shown)
+
+    @property
+    def _example(self) -> str:
+        """The full name of one of them."""
+        full = by_bare_name(self.plan.setup.signals)
+        return next((full[name] for name in full if name in self._telling), "component.output")
+
     def files(self) -> list[str]:
         """The result files of the allowed folders that can be replayed."""
         found = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
-        return [name for name, path in found if set(JOINTS) & set(by_bare_name(columns_of(path)))]
+        return [name for name, path in found if self._telling & set(by_bare_name(columns_of(path)))]
 
     def replay(self, name: str) -> None:
         """A result file of the allowed folders in place of the machine, which stands still meanwhile."""
@@ -165,9 +174,9 @@ class Session:
             raise Problem(f"{path}: expected samples, found none")
         recording = self._replay(trace)
         found = SignalIndex(recording)
-        if not any(found.knows(joint) for joint in JOINTS):
+        if not any(found.knows(name) for name in self._telling):
             raise Problem(
-                f"{path}: expected signals such as manipulator.boom_angle, found"
+                f"{path}: expected signals such as {self._example}, found"
                 f" {', '.join(list(trace.signals)[:4]) or 'none'}"
             )
         self._show(recording, name or path.name)

@@ -8,39 +8,16 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from orchestrator.realtime.setup import Frame, Machine
 from orchestrator.ssp.system import System
 from orchestrator.view.scene.canvas import colour
-from orchestrator.view.scene.pose import ANGLES, Angles, Geometry, ScenePose, Start, pose
-
-PRESSURES = (
-    "boom_head_pressure",
-    "boom_rod_pressure",
-    "stick_head_pressure",
-    "stick_rod_pressure",
-    "swing_pressure_a",
-    "swing_pressure_b",
-)
-SHOWN = (
-    *ANGLES,
-    *PRESSURES,
-    *("supply_pressure", "pump_1_pressure", "pump_2_pressure", "tank_pressure"),
-    *("swing_speed", "boom_speed", "stick_speed", "boom_velocity", "stick_velocity"),
-    *("boom_position", "stick_position", "boom_stop_force", "stick_stop_force"),
-    *("tip_x", "tip_y", "tip_height", "tip_radius", "tip_radial_velocity", "tip_vertical_velocity"),
-    *("head_x", "head_y", "head_height", "head_side_speed", "head_speed"),
-    *("supply_flow", "hydraulic_power", "engine_power", "engine_speed", "engine_torque"),
-    *("pump_1_stroke", "pump_2_stroke", "pump_1_flow", "pump_2_flow", "relief_flow"),
-    *("swing_command", "boom_command", "stick_command"),
-    *("reference_radius", "reference_height", "reference_angle", "tip_error"),
-    *("speed_use", "stroke_use", "reference_share"),
-)
+from orchestrator.view.scene.pose import Angles, Geometry, ScenePose, Start, pose
 
 
-def watched(system: System, driven: Collection[str] = ()) -> tuple[str, ...]:
-    """`component.variable` of the outputs that are shown, as far as the system has them.
+def watched(system: System, shown: Sequence[str], driven: Collection[str] = ()) -> tuple[str, ...]:
+    """`component.variable` of the outputs with these bare names, as far as the system has them.
 
     driven   inputs that a hand drives: what else would drive them, such as a program of levers, is not shown
     """
     found = by_bare_name(str(port) for port in system.ports("output"))
-    return tuple(dict.fromkeys(found[name] for name in SHOWN if name in found and name not in driven))
+    return tuple(dict.fromkeys(found[name] for name in shown if name in found and name not in driven))
 
 
 def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:
@@ -58,10 +35,6 @@ def columns(names: Sequence[str]) -> Mapping[str, int]:
     """Bare name -> place among the names."""
     place = {name: k for k, name in enumerate(names)}
     return {bare: place[full] for bare, full in by_bare_name(names).items()}
-
-
-FULL = 25e6  # Pa; of the scale: the usual supply has 20.7 MPa
-CHANNELS = tuple(name.replace("_pressure", "") for name in PRESSURES)  # as the parts of the crane say
 
 
 class SignalIndex:
@@ -88,15 +61,13 @@ class SignalIndex:
             return "axes", self._axes[name]
         return ("values", self._signals[name]) if name in self._signals else None
 
-    def pose(self, frame: Frame, geometry: Geometry, start: Start) -> ScenePose:
-        """The machine at this frame; a joint that tells nothing stands where it began."""
+    def pose(self, frame: Frame, joints: Sequence[str], geometry: Geometry, start: Start) -> ScenePose:
+        """The machine at this frame; a joint whose angle is not known stays as at the start."""
         usual = (start.swing, start.boom, start.stick, 0.0, 0.0)
-        names = ("swing_angle", "boom_angle", "stick_angle", "head_angle", "head_side_angle")
-        told = [self.value(frame, name) for name in names]
-        angles = [t if math.isfinite(t) else u for t, u in zip(told, usual, strict=True)]
+        values = [self.value(frame, name) for name in joints]
+        angles = [v if math.isfinite(v) else u for v, u in zip(values, usual, strict=True)]
         return pose(Angles(*angles), geometry)
 
-    def colours(self, frame: Frame) -> dict[str, str]:
-        """Channel -> the colour of its pressure."""
-        values = (self.value(frame, name) for name in PRESSURES)
-        return {channel: colour(value, FULL) for channel, value in zip(CHANNELS, values, strict=True)}
+    def colours(self, frame: Frame, pressures: Mapping[str, str], full: float) -> dict[str, str]:
+        """Part of the drawing -> the colour of its pressure, on a scale to `full` [Pa]."""
+        return {part: colour(self.value(frame, name), full) for part, name in pressures.items()}

@@ -10,7 +10,7 @@ import pytest
 from orchestrator.realtime.child import FrameStepper, RateLimiter, RestDelay
 from orchestrator.realtime.setup import Array
 from orchestrator.view.choice import MachineChoice, plan
-from orchestrator.view.driving.sticks import CraneFunctions, FullDeflection, commands
+from orchestrator.view.driving.sticks import CraneFunctions, commands
 
 HELD, WATCHED = 400, 400  # frames of 10 ms
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
@@ -19,9 +19,10 @@ DETAILED |= {"supply": "engine_pump"}
 
 def released(system: Path, mode: str, pose: str, swap: dict[str, str]) -> dict[str, Array]:
     """Full swing, then nothing, as the process of a machine does it; the signals by bare names."""
-    setup = plan(MachineChoice(system, pose, swap)).setup
+    chosen = plan(MachineChoice(system, pose, swap))
+    setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
-    full = commands(CraneFunctions(swing=1), mode, names, FullDeflection())
+    full = commands(CraneFunctions(swing=1), modes[mode], names)
     live, limits, rest_delay = (
         FrameStepper(setup),
         RateLimiter(setup.axes, setup.frame),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from view.modes import MODES
 from view.standin import StandIn
 
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
@@ -18,7 +19,7 @@ class Desk:
         self.now = 100.0
         self.machine = StandIn()
         self.authority = ControlAuthority(
-            self.machine, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
+            self.machine, lambda: MODES, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
         )
         self.numbers: dict[str, int] = {}
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import uvicorn
 from fastapi import FastAPI
+from view.modes import MODES
 
 from orchestrator.view.access import Guard, Rules, rules
 from orchestrator.view.driving import endpoint
@@ -92,7 +93,11 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     """
     machine, passed = StandIn(), [0.0]
     authority = ControlAuthority(
-        machine, timeout=TIMEOUT, silence_limit=SILENCE_LIMIT, clock=lambda: time.monotonic() + sum(passed)
+        machine,
+        lambda: MODES,
+        timeout=TIMEOUT,
+        silence_limit=SILENCE_LIMIT,
+        clock=lambda: time.monotonic() + sum(passed),
     )
     asked = rules(host)
 

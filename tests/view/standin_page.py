@@ -11,6 +11,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from nicegui import app, ui
+from view.modes import MODES
 from view.standin import StandIn
 
 from orchestrator.view.access import Guard, rules
@@ -40,7 +41,7 @@ class Machine(StandIn):
 def main(port: int) -> None:
     machine = Machine(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
     # a computer that does much else may halt for some seconds: that is no driver who went away
-    authority, training = ControlAuthority(machine, silence_limit=6.0), Training(machine)
+    authority, training = ControlAuthority(machine, lambda: MODES, silence_limit=6.0), Training(machine)
     machine.driver = lambda: authority.status().driver
     stations: list[OperatorStation] = []
     endpoint.serve(app, authority)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from view.standin import CONTROLLER, LEVERS
+from view.modes import MODES
+from view.standin import CONTROLLER, LEVERS, StandIn
 
 from orchestrator.base.errors import Problem
+from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.driving.sticks import (
     PATTERNS,
     CraneFunctions,
-    FullDeflection,
     ResponseCurve,
     StickAxes,
     commands,
@@ -89,7 +90,7 @@ def test_patterns(name: str, axis: str) -> None:
 @pytest.mark.parametrize("name", PATTERNS)
 def test_legend_says_what_happens(name: str, mode: str) -> None:
     """The words beside a stick name the function that moves, in the direction that it moves."""
-    words = legend(pattern(name), mode)
+    words = legend(pattern(name), MODES[mode].words)
     ends = {"left": ("x", -1), "right": ("x", 1), "up": ("y", 1), "down": ("y", -1)}
     positive = {"swing": "left", "boom": "up", "stick": "in"}
     for place, text in words.items():
@@ -112,35 +113,32 @@ def test_unknown_pattern() -> None:
 
 def test_levers() -> None:
     """Positive functions are positive commands, whatever the component is called."""
-    found = commands(
-        CraneFunctions(swing=1, boom=0.5, stick=-1), "levers", LEVERS, FullDeflection(swing_lever=5, lever=8)
-    )
-    assert found == dict(zip(LEVERS, (5, 4, -8), strict=True))
+    found = commands(CraneFunctions(swing=1, boom=0.5, stick=-1), MODES["levers"], LEVERS)
+    assert found == dict(zip(LEVERS, (4, 3, -6), strict=True))
 
 
 def test_levers_through_a_controller() -> None:
     """With a controller the levers are its levers, and what engages it is left to rest."""
-    found = commands(CraneFunctions(boom=1), "levers", CONTROLLER, FullDeflection(lever=8))
-    assert found["controller.boom_lever"] == 8
+    found = commands(CraneFunctions(boom=1), MODES["levers"], CONTROLLER)
+    assert found["controller.boom_lever"] == 6
     assert set(found) == set(CONTROLLER[:3])
 
 
 def test_tip() -> None:
     """Stick in is radially inwards, boom up is upwards, left is positive; the controller is on."""
-    found = commands(
-        CraneFunctions(swing=1, boom=1, stick=1), "tip", CONTROLLER, FullDeflection(tip=0.7, swing=0.3)
-    )
+    found = commands(CraneFunctions(swing=1, boom=0.7, stick=0.7), MODES["tip"], CONTROLLER)
     short = {name.partition(".")[2]: value for name, value in found.items()}
-    assert short == {"engaged": 1, "radial_velocity": -0.7, "vertical_velocity": 0.7, "swing_velocity": 0.3}
+    assert short == {"engaged": 1, "radial_velocity": -0.7, "vertical_velocity": 0.7, "swing_velocity": 0.4}
 
 
 def test_modes() -> None:
     """A machine without a controller has no tip mode; asking for it is one line."""
-    assert modes(LEVERS) == ("levers",)
-    assert modes(CONTROLLER) == ("levers", "tip")
-    assert modes(("engine.speed",)) == ()
-    with pytest.raises(Problem, match="mode: this machine takes levers, found tip"):
-        commands(CraneFunctions(), "tip", LEVERS, FullDeflection())
+    assert modes(MODES, LEVERS) == ("levers",)
+    assert modes(MODES, CONTROLLER) == ("levers", "tip")
+    assert modes(MODES, ("engine.speed",)) == ()
+    authority = ControlAuthority(StandIn(), lambda: MODES)
+    with pytest.raises(Problem, match="mode: expected one of levers, found tip"):
+        authority.choose(authority.join(), mode="tip")
 
 
 @given(
@@ -150,6 +148,8 @@ def test_modes() -> None:
 )
 def test_commands_are_bounded(sticks: StickAxes, name: str, mode: str) -> None:
     """No position of the sticks commands more than full."""
-    full = FullDeflection()
-    found = commands(functions(sticks, pattern(name), ResponseCurve()), mode, CONTROLLER, full)
-    assert all(abs(value) <= max(full.lever, full.tip, full.swing, 1) for value in found.values())
+    found = commands(functions(sticks, pattern(name), ResponseCurve()), MODES[mode], CONTROLLER)
+    most = {**MODES[mode].constant}
+    for driven in vars(MODES[mode].full).values():
+        most |= driven
+    assert all(abs(value) <= abs(most[axis.partition(".")[2]]) for axis, value in found.items())

@@ -69,7 +69,7 @@ def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
         (["--set", "manipulator.head_mas=900"], "did you mean"),
         (["--token", "short"], "--token: expected at least 16 characters, got 5"),
         (["--replay", "nothing.csv"], "nothing.csv: no such file"),
-        (["--replay", RECORDING], "recording.csv: expected signals such as manipulator.boom_angle, found u"),
+        (["--replay", RECORDING], "recording.csv: expected signals such as manipulator.swing_angle, found u"),
     ],
 )
 def test_mistakes(

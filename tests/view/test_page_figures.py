@@ -6,11 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from view.modes import DESCRIPTION
 
 from orchestrator.realtime.setup import Frame, Timing
-from orchestrator.view.panels.charts import CHARTS, Chart, options
+from orchestrator.view.panels.charts import options
 from orchestrator.view.panels.gauges import RealTimeFactor, cells, limit
 from orchestrator.view.signals import SignalIndex
+from orchestrator.view.view_description import Chart
 
 PULSE = Timing()
 NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")
@@ -69,8 +71,9 @@ def test_a_machine_without_a_controller_is_held_by_nothing() -> None:
     assert limit(SignalIndex(SimpleNamespace(signals=(), axes=())), frame()) == ""
 
 
-@pytest.mark.parametrize("chart", CHARTS, ids=lambda chart: chart.title)
+@pytest.mark.parametrize("chart", DESCRIPTION.charts, ids=lambda chart: chart.title)
 def test_time_axis_has_a_unit(chart: Chart) -> None:
     """Each label of the time axis says s; the unit of the other axis stands in the title."""
+    assert options(chart)["title"]["text"].endswith(f"[{chart.unit}]")
     assert options(chart)["xAxis"]["axisLabel"]["formatter"] == "{value} s"
     assert "formatter" not in options(chart)["yAxis"]["axisLabel"]

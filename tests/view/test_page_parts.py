@@ -7,25 +7,31 @@ import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from view.modes import DESCRIPTION
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, write
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
+from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.load import load
-from orchestrator.view.choice import MachineChoice, axes, plan, poses, variants
+from orchestrator.ssp.write import write_ssp
+from orchestrator.view.choice import MachineChoice, plan, poses, variants
+from orchestrator.view.driving.sticks import modes
 from orchestrator.view.page import AHEAD, LOST, Credit
 from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
-from orchestrator.view.panels.gauges import GROUPS, figure
+from orchestrator.view.panels.gauges import figure as figure_of
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session
 from orchestrator.view.signals import SignalIndex, by_bare_name, watched
+from orchestrator.view.view_description import Gauge, view_description
 
 
 @given(
@@ -87,12 +93,16 @@ def test_history_of_nothing() -> None:
 
 def test_figures() -> None:
     """Numbers come in the units that people read, bars begin at zero, what is not known is a dash."""
-    gauges = {gauge.name: gauge for _, group in GROUPS for gauge in group}
+    gauges = {gauge.name: gauge for group in DESCRIPTION.gauges for gauge in group.lines}
+
+    def figure(gauge: Gauge, value: float) -> list[Any]:
+        return figure_of(gauge, value, DESCRIPTION.full_pressure)
+
     assert figure(gauges["supply_pressure"], 20.68e6)[:3] == ["20.7", 0.0, 0.827]
     text, begin, end, *_ = figure(gauges["swing_speed"], math.radians(-30))
     assert (text, begin, end) == ("\N{MINUS SIGN}30", 0.25, 0.5)
     assert figure(gauges["tip_radius"], math.nan)[0] == "\N{EN DASH}"
-    assert figure(gauges["boom_rod_pressure"], -1e5)[-1] == "torn"
+    assert figure(gauges["boom_rod_pressure"], -1e5)[-1] == "cavitates"
     assert figure(gauges["boom_rod_pressure"], -1e3)[-1] == "", "the sound of a pressure at rest is no void"
     assert figure(gauges["tip_radial_velocity"], -1e-4)[0] == "0", "no minus sign at rest"
 
@@ -139,15 +149,56 @@ def test_choice(fmu_dir: Path) -> None:
 
 def test_choice_with_a_controller(fmu_dir: Path) -> None:
     """With a controller the levers and the velocities of the tip are driven, and it can be engaged."""
-    found = axes(load(fmu_dir / "harvester_control.ssp"))
+    system = load(fmu_dir / "harvester_control.ssp")
+    description = view_description(system)
+    found = description.driven(system)
     names = {axis.name for axis in found}
     assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
     assert "boom_command" not in names
-    seen = watched(load(fmu_dir / "harvester_control.ssp"))
+    seen = watched(system, description.shown)
     assert {
         "controller.tip_error",
         *(f"controller.{n}" for n in ("reference_share", "stroke_use", "speed_use")),
     } <= set(seen)
+
+
+def test_a_machine_without_a_description(fmu_dir: Path, tmp_path: Path) -> None:
+    """Its outputs are gauges in the units that people read, and charts; nothing is drawn or driven."""
+    system = assemble({"swing": fmu_dir / "swing.fmu"}, (), name="bench", stop=1.0, step=1e-3)
+    found = plan(MachineChoice(write_ssp(system, tmp_path / "bench.ssp")))
+    lines = {line.name: line for group in found.description.gauges for line in group.lines}
+    assert lines["swing_pressure_a"].unit == "bar"
+    assert set(found.description.curves) <= set(lines) == {p.rpartition(".")[2] for p in found.setup.signals}
+    assert (found.geometry, found.setup.axes, dict(found.description.modes)) == (None, (), {})
+    assert len(lines) <= len(system.ports("output"))
+
+
+ONE_GAUGE = 'charts = []\n[[gauges]]\ntitle = "a"\nlines = [{name = "x", text = "x", unit = "%s", high = %d}]'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("gauges = []\ncharts = []\naxis = 1", r"view.toml: unknown key 'axis'; did you mean axes"),
+        ("charts = []", r"view.toml: gauges: expected a list, got nothing"),
+        (ONE_GAUGE % ("furlong", 1), "gauge x: unit 'furlong' is unknown"),
+        (ONE_GAUGE % ("m", 0), "gauge x: expected an end above 0, got 0"),
+    ],
+)
+def test_a_description_that_is_wrong(fmu_dir: Path, tmp_path: Path, text: str, message: str) -> None:
+    """One line with what was expected and what was got."""
+    system = assemble({"swing": fmu_dir / "swing.fmu"}, (), name="bench", stop=1.0, step=1e-3)
+    path = write_ssp(system, tmp_path / "bench.ssp", resources={"view.toml": text.encode()})
+    with pytest.raises(Problem, match=message):
+        plan(MachineChoice(path))
+
+
+def test_a_machine_in_one_fmu(fmu_dir: Path) -> None:
+    """It brings the same description; no controller, so no tip mode."""
+    found = plan(MachineChoice(fmu_dir / "harvester.fmu"))
+    assert found.description == plan(MachineChoice(fmu_dir / "harvester.ssp")).description
+    assert found.geometry is not None
+    assert modes(found.description.modes, [axis.name for axis in found.setup.axes]) == ("levers",)
 
 
 def test_start_values(fmu_dir: Path) -> None:

@@ -20,23 +20,26 @@ import logging
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Frame, Machine
 from orchestrator.view.driving.sticks import (
-    FullDeflection,
     Message,
     ResponseCurve,
     StickAxes,
     commands,
     functions,
     left_over,
+    legend,
     modes,
     parse,
     pattern,
 )
+from orchestrator.view.view_description import FunctionWords, Mode
+
+Modes = Callable[[], Mapping[str, Mode]]
 
 MOST = 50  # pages at once; beyond that the oldest without a connection goes
 STILL = 0.5  # s without a new frame: a machine that hangs must not go on by itself when it comes back
@@ -128,10 +131,10 @@ class CommandGate:
     """
 
     def __init__(
-        self, machine: Machine, full: FullDeflection, curve: ResponseCurve, clock: Callable[[], float]
+        self, machine: Machine, known: Modes, curve: ResponseCurve, clock: Callable[[], float]
     ) -> None:
-        """clock: [s], never goes back"""
-        self.machine, self.full, self.curve = machine, full, curve
+        """known: the modes by name, as the machine says them now; clock: [s], never goes back"""
+        self.machine, self._known, self.curve = machine, known, curve
         self.live, self.why = False, "nobody drives"
         self._clock, self._frame, self._seen = clock, -1, clock()
         self._pattern, self._mode = pattern("ISO"), ""
@@ -146,12 +149,18 @@ class CommandGate:
     @property
     def modes(self) -> tuple[str, ...]:
         """In which the machine can be driven."""
-        return modes(self.machine.axes)
+        return modes(self._known(), self.machine.axes)
 
     @property
     def mode(self) -> str:
         """The chosen mode, or the first that the machine has: a restart may have changed it."""
         return self._mode if self._mode in self.modes else next(iter(self.modes), "")
+
+    @property
+    def legend(self) -> dict[str, str]:
+        """What each end of each axis of the sticks does."""
+        mode = self._known().get(self.mode)
+        return legend(self._pattern, mode.words if mode else FunctionWords())
 
     def choose(self, name: str | None, mode: str | None) -> None:
         """Another pattern or mode; Problem for one that there is not."""
@@ -171,7 +180,9 @@ class CommandGate:
             if halt := self._halt(frame):
                 return self._refused(halt)
             wanted = functions(sticks, self._pattern, self.curve)
-            values = commands(wanted, self.mode, self.machine.axes, self.full)
+            if not self.mode:
+                return self._refused("this machine has nothing that sticks can drive")
+            values = commands(wanted, self._known()[self.mode], self.machine.axes)
             if left_over(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
@@ -212,13 +223,13 @@ class ControlAuthority:
     def __init__(
         self,
         machine: Machine,
+        known: Modes,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
-        full: FullDeflection = FullDeflection(),  # noqa: B008  frozen
         curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.machine, self._gate = machine, CommandGate(machine, full, curve, clock)
+        self.machine, self._gate = machine, CommandGate(machine, known, curve, clock)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self._stations: list[OperatorStation] = []
         self._names = itertools.count(1)
@@ -240,6 +251,11 @@ class ControlAuthority:
             self._stations.remove(station)
         if self._asked is station:
             self._asked = None
+
+    @property
+    def legend(self) -> dict[str, str]:
+        """What each end of each axis of the sticks does, for the page."""
+        return self._gate.legend
 
     def station(self, key: str) -> OperatorStation | None:
         """The station of this key, compared in a time that does not tell how much of it was right."""

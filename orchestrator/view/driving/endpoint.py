@@ -28,7 +28,7 @@ from nicegui.element import Element
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Machine
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
-from orchestrator.view.driving.sticks import PATTERNS, legend, pattern
+from orchestrator.view.driving.sticks import PATTERNS
 
 PATH = "/controls"
 WATCH = 0.05  # s between two looks of the watchdog
@@ -161,7 +161,7 @@ def mount(
             toggle.set_enabled(status.role != "watching")
             if toggle.value != value and value:
                 toggle.value = value
-        sticks.label(legend(pattern(status.pattern), status.mode))
+        sticks.label(authority.legend)
 
     show()
     ui.timer(REFRESH, show)

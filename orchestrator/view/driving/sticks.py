@@ -25,11 +25,7 @@ A deflection x means the share s of full speed, odd, never falling, continuous, 
 with the dead zone d, because a worn stick does not come back to zero exactly, and the progression c: 0 is a
 straight line, 1 a pure cubic. The form is ours; linear plus cubic is what remote controls call "expo".
 
-Two modes drive the machine:
-
-    levers   swing, boom and stick command [V], or the levers of a controller that is not engaged
-    tip      velocity of the tip in cylinder coordinates [m/s, rad/s], for a controller that is engaged:
-             radial = -stick, vertical = boom, swing = swing, so that each hand keeps its direction
+Which inputs the functions drive in which mode, and how far, says the machine (`view_description`).
 """
 
 from __future__ import annotations
@@ -41,6 +37,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.view.view_description import FunctionWords, Mode
 
 
 @dataclass(frozen=True)
@@ -97,11 +94,9 @@ def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> Crane
     )
 
 
-def legend(chosen: Pattern, mode: str) -> dict[str, str]:
+def legend(chosen: Pattern, words: FunctionWords) -> dict[str, str]:
     """What each end of each axis does, for the page: `left_up`, `left_down`, ... -> words."""
-    tip = mode == "tip"
-    boom = {"up": "tip down" if tip else "boom down", "down": "tip up" if tip else "boom up"}
-    stick = {"up": "tip out" if tip else "stick out", "down": "tip in" if tip else "stick in"}
+    boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
     hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
     return {
         "left_left": "swing left",
@@ -194,43 +189,18 @@ def _short(found: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-LEVERS, TIP = "levers", "tip"
-ENGAGED = "engaged"
-VELOCITIES = ("radial_velocity", "vertical_velocity", "swing_velocity")
-LEVER_NAMES = {name: (f"{name}_lever", f"{name}_command") for name in ("swing", "boom", "stick")}
-
-
-@dataclass(frozen=True)
-class FullDeflection:
-    """What full deflection means: levers [V], tip along the radius and up [m/s], swing [rad/s]. Our choice.
-
-    4 V swing this machine at 0.84 rad/s, as fast as the work cycle does; 6 V would be 1.35 rad/s, and a stop
-    either hard or 50 degrees long.
-    """
-
-    swing_lever: float = 4.0
-    lever: float = 6.0
-    tip: float = 1.0
-    swing: float = 0.4
-
-
-def modes(axes: Sequence[str]) -> tuple[str, ...]:
+def modes(known: Mapping[str, Mode], axes: Sequence[str]) -> tuple[str, ...]:
     """The modes in which a machine with these axes can be driven."""
-    known = {_tail(name) for name in axes}
-    levers = any(names & known for names in map(set, LEVER_NAMES.values()))
-    tip = {*VELOCITIES, ENGAGED} <= known
-    return (*([LEVERS] if levers else []), *([TIP] if tip else []))
+    inputs = {_bare(name) for name in axes}
+    return tuple(name for name, mode in known.items() if mode.drives(inputs))
 
 
-def commands(
-    wanted: CraneFunctions, mode: str, axes: Sequence[str], full: FullDeflection
-) -> dict[str, float]:
+def commands(wanted: CraneFunctions, mode: Mode, axes: Sequence[str]) -> dict[str, float]:
     """Values of the driven inputs, by axis. An axis that the mode does not need is left out: it rests."""
-    if mode not in modes(axes):
-        possible = " or ".join(modes(axes)) or "nothing that sticks can drive"
-        raise Problem(f"mode: this machine takes {possible}, found {mode}")
-    values = _tip(wanted, full) if mode == TIP else _levers(wanted, full)
-    return {name: values[_tail(name)] for name in axes if _tail(name) in values}
+    values = dict(mode.constant)
+    for function, driven in vars(mode.full).items():
+        values |= {name: full * getattr(wanted, function) + 0.0 for name, full in driven.items()}  # no -0
+    return {name: values[_bare(name)] for name in axes if _bare(name) in values}
 
 
 def left_over(named: Collection[str], axes: Sequence[str], values: Iterable[float]) -> bool:
@@ -238,15 +208,5 @@ def left_over(named: Collection[str], axes: Sequence[str], values: Iterable[floa
     return any(value != 0 for name, value in zip(axes, values, strict=True) if name not in named)
 
 
-def _levers(wanted: CraneFunctions, full: FullDeflection) -> Mapping[str, float]:
-    most = {"swing": full.swing_lever, "boom": full.lever, "stick": full.lever}
-    return {alias: most[name] * getattr(wanted, name) for name, both in LEVER_NAMES.items() for alias in both}
-
-
-def _tip(wanted: CraneFunctions, full: FullDeflection) -> Mapping[str, float]:
-    velocity = (0.0 - full.tip * wanted.stick, full.tip * wanted.boom, full.swing * wanted.swing)
-    return {ENGAGED: 1.0, **dict(zip(VELOCITIES, velocity, strict=True))}
-
-
-def _tail(name: str) -> str:
+def _bare(name: str) -> str:
     return name.rpartition(".")[2]

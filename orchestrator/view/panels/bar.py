@@ -1,13 +1,9 @@
-"""What opens over the page: choice of the machine, choice of a file, the map of the keys.
-
-Where a replay stands, and the way to another place of it.
-
-The bar of buttons: play, pause, restart, speed, pose and fidelity, replay, save, views, help.
-"""
+"""The bar of buttons, and what it opens: choice of machine and file, map of the keys, slider of a replay."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any
 
 from nicegui import run, ui
@@ -177,7 +173,7 @@ class Bar:
     """The bar of one page."""
 
     def __init__(
-        self, session: Session, canvas: Canvas, allowed: Allowed, authority: ControlAuthority
+        self, session: Session, canvas: Canvas | None, allowed: Allowed, authority: ControlAuthority
     ) -> None:
         """allowed: why this page may not decide for all, or nothing; authority: told before any change."""
         self._session, self._allowed, self._authority = session, allowed, authority
@@ -193,9 +189,10 @@ class Bar:
             button("folder_open", "Replay a result file", lambda: files(session, self.do), "Replay")
             self._live = button("sensors", "Back to the live machine", self._back, "Live").mark("live")
             button("save_alt", "Save the session as a result file", self._save, "Save").mark("save")
-            with button("videocam", "View", None, "View"), ui.menu():
-                for name in (*VIEWS, TIP):
-                    ui.menu_item(name.capitalize(), lambda n=name: canvas.look(n, 0.6))
+            if canvas is not None:
+                with button("videocam", "View", None, "View"), ui.menu():
+                    for name in (*VIEWS, TIP):
+                        ui.menu_item(name.capitalize(), partial(canvas.look, name, 0.6))
             button("keyboard", "Keys, sticks and mouse", keys, "Keys").mark("help")
             Shortcuts({"KeyP": self._toggle, "Home": self._again})
 

@@ -1,12 +1,8 @@
-"""What was, thinned out for a chart: of each bin of time the lowest and the highest value stay.
-
-Strip charts of the last twenty seconds: commands, speeds, pressures.
-"""
+"""Strip charts of the last twenty seconds: of each bin of time the lowest and the highest value stay."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,8 +10,8 @@ from nicegui import ui
 from numpy.typing import NDArray
 
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.panels.gauges import DEGREES, MEGA
 from orchestrator.view.signals import SignalIndex
+from orchestrator.view.view_description import Chart, ChartCurve
 
 Array = NDArray[np.float64]
 
@@ -86,78 +82,17 @@ def extremes(rows: Array) -> Array:
     return np.stack((rows[first, columns], rows[second, columns]))
 
 
-# Okabe and Ito 2008: told apart with every kind of colour blindness; a joint has one colour in all charts
-SWING, BOOM, STICK, OTHER = "#009e73", "#0072b2", "#d55e00", "#7d7d7d"
 FAINT, TEXT = "#8a958f55", "#7b868a"  # on light and on dark ground
-
-
-@dataclass(frozen=True)
-class ChartCurve:
-    """A signal by its bare name; `dashed` is the second of a pair."""
-
-    name: str
-    text: str
-    colour: str
-    dashed: bool = False
-    factor: float = 1.0
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A title with its unit, curves, and where the axis may end: at the first that is enough.
-
-    both   the axis goes as far below zero; else it begins there
-    """
-
-    title: str
-    curves: Sequence[ChartCurve]
-    ends: Sequence[float]
-    both: bool = True
-
-
-COMMANDS = Chart(
-    "Command [V]",
-    (
-        ChartCurve("swing_command", "swing", SWING),
-        ChartCurve("boom_command", "boom", BOOM),
-        ChartCurve("stick_command", "stick", STICK),
-    ),
-    (10,),
-)
-SPEEDS = Chart(
-    "Speed [°/s]",
-    (
-        ChartCurve("swing_speed", "swing", SWING, factor=DEGREES),
-        ChartCurve("boom_speed", "boom", BOOM, factor=DEGREES),
-        ChartCurve("stick_speed", "stick", STICK, factor=DEGREES),
-    ),
-    (20, 40, 80, 160),
-)
-PRESSURES = Chart(
-    "Pressure [MPa]",
-    (
-        ChartCurve("boom_head_pressure", "boom, head", BOOM, factor=MEGA),
-        ChartCurve("boom_rod_pressure", "boom, rod", BOOM, True, MEGA),
-        ChartCurve("stick_head_pressure", "stick, head", STICK, factor=MEGA),
-        ChartCurve("stick_rod_pressure", "stick, rod", STICK, True, MEGA),
-        ChartCurve("swing_pressure_a", "swing, A", SWING, factor=MEGA),
-        ChartCurve("swing_pressure_b", "swing, B", SWING, True, MEGA),
-        ChartCurve("supply_pressure", "supply", OTHER, factor=MEGA),
-    ),
-    (25, 50, 100),
-    both=False,
-)
-CHARTS = (PRESSURES, COMMANDS, SPEEDS)  # what is first is seen in a low window, too
-NAMES = tuple(curve.name for chart in CHARTS for curve in chart.curves)
 
 
 class Charts:
     """The charts of one page."""
 
-    def __init__(self) -> None:
+    def __init__(self, charts: Sequence[Chart]) -> None:
         self._number, self._turn = -1, 0
+        self._specs = charts
         with ui.column().classes("charts"):
-            self._charts = [ui.echart(options(chart)).classes("chart") for chart in CHARTS]
+            self._charts = [ui.echart(options(chart)).classes("chart") for chart in charts]
 
     def show(self, history: History, one: bool = False) -> None:
         """New curves; of one chart alone, each in turn, for a browser that takes long to draw them."""
@@ -168,14 +103,14 @@ class Charts:
         place = {name: k for k, name in enumerate(history.names)}
         shared = [round(t, 2) for t in times.tolist()]
         self._turn += 1
-        for k, (chart, element) in enumerate(zip(CHARTS, self._charts, strict=True)):
-            if one and k != self._turn % len(CHARTS):
+        for k, (chart, element) in enumerate(zip(self._specs, self._charts, strict=True)):
+            if one and k != self._turn % len(self._specs):
                 continue
             source: dict[str, Any] = {"t": shared}
             peak = 0.0
             for n, curve in enumerate(chart.curves):
                 if curve.name in place:
-                    values = curve.factor * table[:, place[curve.name]]
+                    values = chart.factor * table[:, place[curve.name]]
                     peak = max(peak, float(abs(values).max(initial=0.0)))
                     source[str(n)] = [round(v, 2) for v in values.tolist()]
             high = next((end for end in chart.ends if end >= peak), chart.ends[-1])
@@ -192,7 +127,13 @@ def options(chart: Chart) -> dict[str, Any]:
     rows = 1 + len(chart.curves) // 5
     return {
         "animation": False,
-        "title": {"text": chart.title, "left": 0, "top": 0, "padding": [4, 0, 0, 0], "textStyle": title},
+        "title": {
+            "text": f"{chart.title} [{chart.unit}]",
+            "left": 0,
+            "top": 0,
+            "padding": [4, 0, 0, 0],
+            "textStyle": title,
+        },
         "grid": {"left": 30, "right": 6, "top": 22 + 15 * rows, "bottom": 18},
         "legend": {"top": 19, "left": 0, "padding": 0, "itemWidth": 18, "itemHeight": 7, "itemGap": 8}
         | {"textStyle": label, "selectedMode": False},

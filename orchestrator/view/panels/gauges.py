@@ -1,96 +1,22 @@
-"""The gauges: what is shown of a machine, in the units that people read.
-
-The line at the foot of the page: how the machine does, and how well it keeps real time.
-"""
+"""The gauges of a machine, and the line at the foot of the page: state, real-time factor, latency."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 from nicegui.element import Element
 
+from orchestrator.base.units import parse
 from orchestrator.realtime.setup import Frame
 from orchestrator.view.scene.canvas import SCALE, colour
-from orchestrator.view.signals import FULL as FULL_of_reading
 from orchestrator.view.signals import SignalIndex
+from orchestrator.view.view_description import Gauge, GaugeGroup, ViewDescription
 
-MEGA, LITRES, DEGREES, TURNS = 1e-6, 6e4, 180 / math.pi, 30 / math.pi  # to MPa, L/min, degrees, rpm
-
-TORN = -5e4  # Pa, over the atmosphere: shown as -0.1 MPa; from there the oil is torn, a void is in it
-
-
-@dataclass(frozen=True)
-class Gauge:
-    """One line: a signal by its bare name, its text and unit, the factor to that unit, the ends of its bar.
-
-    pressure   its bar has the colour of the pressure
-    """
-
-    name: str
-    text: str
-    unit: str
-    factor: float
-    low: float
-    high: float
-    digits: int = 1
-    pressure: bool = False
-
-
-def _pressure(name: str, text: str) -> Gauge:
-    return Gauge(name, text, "MPa", MEGA, 0.0, FULL_of_reading * MEGA, 1, pressure=True)
-
-
-GROUPS: Sequence[tuple[str, Sequence[Gauge]]] = (
-    (
-        "Pressure",
-        (
-            _pressure("supply_pressure", "Supply"),
-            _pressure("boom_head_pressure", "Boom, head side"),
-            _pressure("boom_rod_pressure", "Boom, rod side"),
-            _pressure("stick_head_pressure", "Stick, head side"),
-            _pressure("stick_rod_pressure", "Stick, rod side"),
-            _pressure("swing_pressure_a", "Swing, port A"),
-            _pressure("swing_pressure_b", "Swing, port B"),
-        ),
-    ),
-    (
-        "Motion",
-        (
-            Gauge("swing_angle", "Swing angle", "°", DEGREES, -180, 180, 0),
-            Gauge("boom_angle", "Boom angle", "°", DEGREES, -90, 90, 0),
-            Gauge("stick_angle", "Stick angle", "°", DEGREES, -180, 180, 0),
-            Gauge("swing_speed", "Swing speed", "°/s", DEGREES, -60, 60, 0),
-            Gauge("tip_radial_velocity", "Tip outwards", "m/s", 1, -2, 2, 2),
-            Gauge("tip_vertical_velocity", "Tip upwards", "m/s", 1, -2, 2, 2),
-            Gauge("tip_radius", "Tip, reach", "m", 1, 0, 7, 2),
-            Gauge("tip_height", "Tip, height", "m", 1, -2, 6, 2),
-            Gauge("head_side_angle", "Head, sideways", "°", DEGREES, -60, 60, 0),
-            Gauge("tip_error", "Tip off its path", "mm", 1e3, 0, 60, 0),
-        ),
-    ),
-    (
-        "Power",
-        (
-            Gauge("hydraulic_power", "Hydraulics", "kW", 1e-3, 0, 100, 0),
-            Gauge("supply_flow", "Flow", "L/min", LITRES, 0, 300, 0),
-            Gauge("engine_speed", "Engine", "rpm", TURNS, 0, 3000, 0),
-            Gauge("engine_torque", "Engine torque", "N.m", 1, 0, 700, 0),
-            Gauge("pump_1_stroke", "Pump 1, stroke", "%", 100, 0, 100, 0),
-            Gauge("pump_2_stroke", "Pump 2, stroke", "%", 100, 0, 100, 0),
-        ),
-    ),
-)
-
-
-def known(index: SignalIndex) -> list[tuple[str, list[Gauge]]]:
-    """The gauges for which the machine has signals, by group."""
-    groups = [(title, [g for g in gauges if index.knows(g.name)]) for title, gauges in GROUPS]
-    return [(title, gauges) for title, gauges in groups if gauges]
+CAVITATION = -5e4  # Pa, over the atmosphere: shown as -0.1 MPa; from there the oil cavitates
 
 
 class Gauges(Element, component="gauges.js"):
@@ -99,34 +25,38 @@ class Gauges(Element, component="gauges.js"):
     def __init__(self) -> None:
         super().__init__()
         self._gauges: list[Gauge] = []
-        self._props.update({"groups": [], "scale": list(SCALE), "full": FULL_of_reading * MEGA})
+        self._props.update({"groups": [], "scale": list(SCALE), "full": 0.0})
+        self._full = 0.0
 
-    def fit(self, index: SignalIndex) -> None:
+    def fit(self, index: SignalIndex, description: ViewDescription) -> None:
         """Show what this machine has."""
-        groups = known(index)
-        self._gauges = [g for _, gauges in groups for g in gauges]
-        self._props["groups"] = [{"title": t, "gauges": [_spec(g) for g in gauges]} for t, gauges in groups]
+        kept = [
+            GaugeGroup(g.title, tuple(x for x in g.lines if index.knows(x.name))) for g in description.gauges
+        ]
+        self._gauges, self._full = [line for group in kept for line in group.lines], description.full_pressure
+        groups = [{"title": g.title, "gauges": [_spec(x) for x in g.lines]} for g in kept if g.lines]
+        self._props.update({"groups": groups, "full": self._full / parse("MPa").factor})
         self.update()
 
     def show(self, frame: Frame, index: SignalIndex) -> None:
         """New numbers."""
-        self.run_method("show", [figure(g, index.value(frame, g.name)) for g in self._gauges])
+        self.run_method("show", [figure(g, index.value(frame, g.name), self._full) for g in self._gauges])
 
 
-def figure(gauge: Gauge, value: float) -> list[Any]:
+def figure(gauge: Gauge, value: float, full: float) -> list[Any]:
     """Text, begin and end of the bar as shares of its length, colour, and a word in the place of the unit
-    where something is wrong; a dash where nothing is known."""
+    where something is wrong; a dash where nothing is known. full: end of the scale of colours [Pa]."""
     zero = _share(gauge, 0.0)
     if not math.isfinite(value):
         return ["–", zero, zero, "", ""]  # noqa: RUF001
     shown = value * gauge.factor
     ends = sorted((zero, _share(gauge, shown)))
     text = f"{shown:.{gauge.digits}f}".replace("-", "\N{MINUS SIGN}") if round(shown, gauge.digits) else "0"
-    word = "torn" if gauge.pressure and value < TORN else ""
+    word = "cavitates" if gauge.is_pressure and value < CAVITATION else ""
     return [
         text,
         *(round(e, 3) for e in ends),
-        colour(value, FULL_of_reading) if gauge.pressure else "",
+        colour(value, full) if gauge.is_pressure else "",
         word,
     ]
 

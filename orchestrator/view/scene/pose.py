@@ -14,7 +14,7 @@ the boom, head from the vertical; a head at zero hangs along -z of its own frame
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 from orchestrator.base.errors import Problem
@@ -75,10 +75,10 @@ def geometry(system: System) -> Geometry:
     return Geometry(**{f.name: known[f.name] for f in fields(Geometry) if f.name in known})
 
 
-def start(system: System) -> Start:
-    """The pose in which a system begins."""
-    known = _numbers(mechanics(system))
-    return Start(*(known.get(f"initial_{joint}_angle", 0.0) for joint in ("swing", "boom", "stick")))
+def start(system: System, parameters: Sequence[str]) -> Start:
+    """The pose in which a system begins, from these parameters of its mechanics; zero without any."""
+    known = _numbers(mechanics(system)) if parameters else {}
+    return Start(*(known.get(name, 0.0) for name in parameters))
 
 
 def _numbers(component: Component) -> Mapping[str, float]:
@@ -93,7 +93,6 @@ def _numbers(component: Component) -> Mapping[str, float]:
 Point = tuple[float, float]
 Point3 = tuple[float, float, float]
 
-ANGLES = ("swing_angle", "boom_angle", "stick_angle", "head_angle", "head_side_angle")
 NODES = (
     "boom",
     "stick",

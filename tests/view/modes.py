@@ -1,0 +1,12 @@
+"""How the harvester is driven, as its own description says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmus.machine.ssp import VIEW
+from orchestrator.base.toml import fill, read
+from orchestrator.view.view_description import ViewDescription
+
+DESCRIPTION = fill(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
+MODES = DESCRIPTION.modes
