@@ -12,7 +12,6 @@ from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.view.scene.pose import Geometry, Start, geometry, start
-from orchestrator.view.signals import watched
 from orchestrator.view.view_description import ViewDescription, view_description
 
 USUAL = "usual"  # the FMU that the system brings
@@ -58,11 +57,11 @@ def plan(choice: MachineChoice) -> ViewPlan:
     system = with_swaps(loaded, choice.swap)
     posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
     description = view_description(loaded)
-    driven, scene = description.driven(system), description.scene
+    scene = description.scene
     setup = Setup(
         system=str(choice.system),
-        axes=driven,
-        signals=watched(system, description.shown, [axis.name for axis in driven]),
+        axes=description.driven(system),
+        signals=description.watched(system),
         swap=dict(choice.swap),
         parameters=(choice.pose,) if choice.pose else (),
         set=dict(choice.set),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -22,11 +23,12 @@ from orchestrator.view.driving.endpoint import mount
 from orchestrator.view.panels.bar import Bar
 from orchestrator.view.panels.charts import Charts, History
 from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, limit
-from orchestrator.view.scene.canvas import Canvas, rings
+from orchestrator.view.scene.canvas import Canvas, colour, rings
+from orchestrator.view.scene.pose import Angles, pose
 from orchestrator.view.session import Session
-from orchestrator.view.signals import SignalIndex
 from orchestrator.view.task.training import Training
 from orchestrator.view.task.training import mount as task
+from orchestrator.view.view_description import SignalIndex
 
 
 class SharedFigures:
@@ -223,16 +225,20 @@ class Page:
         return drawn and bool(self._client.has_socket_connection)
 
     def picture(self, number: int, frame: Frame) -> bool:
-        """The machine; False if it looks as before or has no drawing, so that nothing was sent."""
+        """The machine; False if it looks as before or has no drawing, so that nothing was sent.
+
+        A joint whose angle is not known stays as at the start.
+        """
         session, again = self._session, self._exchange != self._session.machine.exchanges
         self._exchange = session.machine.exchanges
-        plan, index = session.plan, session.index
-        scene = plan.description.scene
+        plan, value = session.plan, partial(session.index.value, frame)
+        scene, full = plan.description.scene, plan.description.full_pressure
         if self._canvas is None or scene is None or plan.geometry is None:
             return False
-        colours = index.colours(frame, scene.pressures, plan.description.full_pressure)
-        pose = index.pose(frame, scene.joints, plan.geometry, plan.start)
-        return self._canvas.show(number, pose, colours, again)
+        usual = (plan.start.swing, plan.start.boom, plan.start.stick, 0.0, 0.0)
+        angles = [v if math.isfinite(v) else u for v, u in zip(map(value, scene.joints), usual, strict=True)]
+        colours = {part: colour(value(name), full) for part, name in scene.pressures.items()}
+        return self._canvas.show(number, pose(Angles(*angles), plan.geometry), colours, again)
 
     def figures(self, frame: Frame, shared: SharedFigures) -> None:
         """Everything else; a machine of other sizes is built anew."""

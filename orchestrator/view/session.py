@@ -16,7 +16,7 @@ from orchestrator.data.trace import Trace, read, write
 from orchestrator.realtime.setup import Array, Frame, Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
-from orchestrator.view.signals import SignalIndex, by_bare_name
+from orchestrator.view.view_description import SignalIndex, by_bare_name
 
 
 class ExchangeableMachine:

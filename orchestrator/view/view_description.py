@@ -3,12 +3,13 @@
 The file tells which inputs an operator drives and what the functions of the sticks mean for them, which
 signals are gauges and charts, and which are the joints and pressures of the drawing. Names are bare, without
 their component. What a system does not have is left out. A system without the file can be watched: its
-outputs become gauges and charts.
+outputs become gauges and charts. `SignalIndex` finds the bare names in the frames of any machine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.toml import Rule, fill
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import parse, shown
-from orchestrator.realtime.setup import Axis
+from orchestrator.realtime.setup import Axis, Frame, Machine
 from orchestrator.ssp.system import System
 
 FILE = "view.toml"
@@ -150,8 +151,8 @@ class SceneSignals:
     pressures   part of the drawing -> its pressure
     """
 
-    joints: tuple[str, ...]
-    initial: tuple[str, ...]
+    joints: Annotated[tuple[str, ...], Rule("five angles", lambda value: len(value) == 5)]
+    initial: Annotated[tuple[str, ...], Rule("three parameters", lambda value: len(value) == 3)]
     pressures: Mapping[str, str]
 
 
@@ -191,6 +192,15 @@ class ViewDescription:
                 f" {self.axes[0].name[-1]}, found {', '.join(sorted(inputs)[:6]) or 'none'}"
             )
         return found
+
+    def watched(self, system: System) -> tuple[str, ...]:
+        """`component.variable` of the outputs that are shown, as far as the system has them.
+
+        What would drive a driven input otherwise, such as a program of levers, is not shown.
+        """
+        driven = {axis.name for axis in self.driven(system)}
+        found = by_bare_name(str(port) for port in system.ports("output"))
+        return tuple(dict.fromkeys(found[n] for n in self.shown if n in found and n not in driven))
 
 
 def view_description(system: System) -> ViewDescription:
@@ -239,3 +249,45 @@ def _shown_unit(unit: str) -> str:
 def _curves(names: Iterable[str]) -> Iterator[ChartCurve]:
     for name, colour in zip(names, COLOURS, strict=False):
         yield ChartCurve(name, name.replace("_", " "), colour)
+
+
+def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:
+    """Bare name -> full name. Where several have it, the component that the name begins with is meant:
+    `supply_flow` is that of `supply`, not what one drive takes."""
+    found = dict[str, str]()
+    for name in names:
+        component, _, bare = name.rpartition(".")
+        if bare not in found or (component and bare.startswith(component.rpartition(".")[2])):
+            found[bare] = name
+    return found
+
+
+def columns(names: Sequence[str]) -> Mapping[str, int]:
+    """Bare name -> place among the names."""
+    place = {name: k for k, name in enumerate(names)}
+    return {bare: place[full] for bare, full in by_bare_name(names).items()}
+
+
+class SignalIndex:
+    """Where each value stands in the frames of one machine; what is not there is not a number."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._signals, self._axes = columns(machine.signals), columns(machine.axes)
+
+    def knows(self, name: str) -> bool:
+        """Is there such a signal or axis?"""
+        return name in self._signals or name in self._axes
+
+    def value(self, frame: Frame, name: str) -> float:
+        """A signal by its bare name; what drives the machine comes first."""
+        if name in self._axes:
+            return float(frame.axes[self._axes[name]])
+        if name in self._signals:
+            return float(frame.values[self._signals[name]])
+        return math.nan
+
+    def column(self, name: str) -> tuple[str, int] | None:
+        """Where a bare name stands: among the "axes" or among the "values"."""
+        if name in self._axes:
+            return "axes", self._axes[name]
+        return ("values", self._signals[name]) if name in self._signals else None

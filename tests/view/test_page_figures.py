@@ -11,8 +11,7 @@ from view.modes import DESCRIPTION
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.view.panels.charts import options
 from orchestrator.view.panels.gauges import RealTimeFactor, cells, limit
-from orchestrator.view.signals import SignalIndex
-from orchestrator.view.view_description import Chart
+from orchestrator.view.view_description import Chart, SignalIndex
 
 PULSE = Timing()
 NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")

@@ -30,8 +30,7 @@ from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
 from orchestrator.view.panels.gauges import figure as figure_of
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session
-from orchestrator.view.signals import SignalIndex, by_bare_name, watched
-from orchestrator.view.view_description import Gauge, view_description
+from orchestrator.view.view_description import Gauge, SignalIndex, by_bare_name, view_description
 
 
 @given(
@@ -155,7 +154,7 @@ def test_choice_with_a_controller(fmu_dir: Path) -> None:
     names = {axis.name for axis in found}
     assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
     assert "boom_command" not in names
-    seen = watched(system, description.shown)
+    seen = description.watched(system)
     assert {
         "controller.tip_error",
         *(f"controller.{n}" for n in ("reference_share", "stroke_use", "speed_use")),

@@ -10,8 +10,7 @@ from nicegui import ui
 from numpy.typing import NDArray
 
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.signals import SignalIndex
-from orchestrator.view.view_description import Chart, ChartCurve
+from orchestrator.view.view_description import Chart, ChartCurve, SignalIndex
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ export default {
         const unit = line.querySelector("small");
         unit.dataset.unit ??= unit.textContent;
         if (unit.textContent !== (word || unit.dataset.unit)) unit.textContent = word || unit.dataset.unit;
-        line.classList.toggle("torn", Boolean(word));
+        line.classList.toggle("cavitates", Boolean(word));
         if (colour) bar.style.background = colour;
       });
     },

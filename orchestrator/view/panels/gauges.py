@@ -13,8 +13,7 @@ from nicegui.element import Element
 from orchestrator.base.units import parse
 from orchestrator.realtime.setup import Frame
 from orchestrator.view.scene.canvas import SCALE, colour
-from orchestrator.view.signals import SignalIndex
-from orchestrator.view.view_description import Gauge, GaugeGroup, ViewDescription
+from orchestrator.view.view_description import Gauge, GaugeGroup, SignalIndex, ViewDescription
 
 CAVITATION = -5e4  # Pa, over the atmosphere: shown as -0.1 MPa; from there the oil cavitates
 
