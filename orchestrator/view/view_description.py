@@ -24,6 +24,7 @@ from orchestrator.ssp.system import System
 
 FILE = "view.toml"
 MOST_GAUGES, MOST_CHARTS, MOST_CURVES = 24, 3, 7  # of a system without the file
+RANGE = 200.0  # of its gauges, in the unit that is shown
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
@@ -219,20 +220,19 @@ def view_description(system: System) -> ViewDescription:
 
 def of_outputs(system: System) -> ViewDescription:
     """Gauges of the outputs that are real numbers, a group for each unit, and charts of the first ones."""
+    names = by_bare_name(str(port) for port in system.ports("output"))
+    outputs = {bare: system.variable(system.port(name)) for bare, name in names.items()}
     by_unit = dict[str, list[str]]()
-    for port in list(system.ports("output")):
-        variable = system.variable(port)
-        if variable.is_real and sum(map(len, by_unit.values())) < MOST_GAUGES:
-            unit = variable.unit.name if variable.unit else "1"
-            by_unit.setdefault(_shown_unit(unit), []).append(port.variable)
+    for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
+        by_unit.setdefault(_shown_unit(variable.unit.name if variable.unit else "1"), []).append(bare)
     groups = tuple(
-        GaugeGroup(unit, tuple(Gauge(n, n.replace("_", " "), unit, 100.0, -100.0) for n in names))
-        for unit, names in by_unit.items()
+        GaugeGroup(unit, tuple(Gauge(n, n.replace("_", " "), unit, RANGE, -RANGE) for n in bare))
+        for unit, bare in by_unit.items()
     )
     ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
     charts = tuple(
-        Chart(unit, unit, tuple(_curves(names[:MOST_CURVES])), ends)
-        for unit, names in list(by_unit.items())[:MOST_CHARTS]
+        Chart("Outputs", unit, tuple(_curves(bare[:MOST_CURVES])), ends)
+        for unit, bare in list(by_unit.items())[:MOST_CHARTS]
     )
     return ViewDescription(groups, charts)
 

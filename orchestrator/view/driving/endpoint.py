@@ -152,7 +152,7 @@ def mount(
     def show() -> None:
         status = authority.status(station)
         take.text = TAKE[status.role]
-        take.set_enabled(machine.drives)
+        take.set_enabled(machine.drives and bool(status.modes))
         others = status.asked and status.role == "driving"
         asked.text = "another page asks for the controls" if others else ""
         if modes.options != list(status.modes):
