@@ -145,6 +145,23 @@ def test_hose_formulas_of_the_longest_hose() -> None:
     assert hose.scaled_resistance(1.0, 1.0, 2 / 3) == pytest.approx(1.5**4.75, rel=1e-12)
 
 
+@pytest.mark.parametrize(("length", "bore"), [(0.6, 6.35e-3), (4.0, 19.05e-3), (12.0, 31.75e-3)])
+def test_a_hose_of_any_size_has_the_speed_of_sound_and_the_impedance_of_its_bore(
+    length: float, bore: float
+) -> None:
+    """sqrt(I C) = l / c in any bore, sqrt(I / C) = rho c / A, c = sqrt(beta / rho); R from the wall shear."""
+    beta, section = 1.6e9, math.pi * (bore / 2) ** 2
+    i, c = hose.inertance(length, bore, RHO), hose.capacitance(length, bore, beta)
+    sound = math.sqrt(beta / RHO)
+    # exact identities: rounding only
+    assert math.sqrt(i * c) == pytest.approx(length / sound, rel=1e-12)
+    assert math.sqrt(i / c) == pytest.approx(RHO * sound / section, rel=1e-12)
+    assert c * beta == pytest.approx(section * length, rel=1e-12)
+    # wall shear 8 mu v / d of the parabolic profile on the circumference carries the drop on the section
+    drop = hose.laminar_resistance(length, bore, 0.03) * section  # at a mean speed of 1 m/s
+    assert drop * section == pytest.approx(8 * 0.03 / bore * math.pi * bore * length, rel=1e-12)
+
+
 def test_oil_column_starts_as_hyperbolic_tangent() -> None:
     """Under a constant pressure Q = Q_s tanh(t/tau), tau = I / sqrt(dp C_R): momentum of a turbulent line."""
     inertance, resistance, dp = 1.361e7, 3.2e10, 1e6

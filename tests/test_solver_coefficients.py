@@ -1,4 +1,4 @@
-"""The numbers of RODAS: conditions that they obey, and that the C code has the same."""
+"""The numbers of both methods: conditions that they obey; the C code has the same numbers of RODAS."""
 
 import re
 from pathlib import Path
@@ -69,3 +69,51 @@ def test_the_c_code_has_the_same_numbers():
     flat = {"A": [0.0, *np.concatenate(solver.A)], "C": [0.0, *np.concatenate(solver.C)]}
     for name in ("GAMMA", "ALPHA", "G", "A", "C"):
         assert numbers(name) == [*np.ravel(flat.get(name, getattr(solver, name)))], name
+
+
+class Linear:
+    """dx/dt = rate x + u."""
+
+    nominal, absolute, stiff = np.ones(1), np.ones(1), False
+
+    def __init__(self, rate: float) -> None:
+        self.factor = rate
+
+    def rate(self, x, u):
+        return self.factor * x + u
+
+    def linearised(self, x, u, du):
+        return self.rate(x, u), np.array([[self.factor]]), du
+
+
+def inputs(*coefficients: float) -> solver.Motion:
+    """An input that is this polynomial of the time."""
+    return solver.Motion(np.array([*coefficients, *[0.0] * (4 - len(coefficients))])[:, None])
+
+
+@pytest.mark.parametrize("z", [-1.1, -0.9, -0.3, 0.5])
+def test_kuttas_method_is_the_series_of_the_exponential(z):
+    """Of dx/dt = lambda x it takes 1 + z + z^2/2 + z^3/6; its error is the last term; stable to |z| = 1."""
+    new, estimate, stable = solver.kutta(Linear(z / 0.2), inputs(0.0), 0.0, np.array([3.0]), 0.2)
+    # exact identities: rounding only
+    assert new[0] == pytest.approx(3 * (1 + z + z**2 / 2 + z**3 / 6), rel=1e-14)
+    assert estimate[0] == pytest.approx(3 * z**3 / 6, rel=1e-12)
+    assert stable == (abs(z) < 1)
+
+
+def test_inputs_that_move_are_integrated_exactly():
+    """Of dx/dt = u(t) Kutta and the embedded method integrate a parabola exactly, RODAS a cubic."""
+    h, late, x = 0.7, 0.4, np.array([2.0])
+    for degree in (2, 3):
+        coefficients = (5.0, -3.0, 2.0, 4.0 * (degree - 2))
+        motion, integral = inputs(*coefficients), np.polynomial.Polynomial(coefficients).integ()
+        exact = x[0] + integral(late + h) - integral(late)
+        new, estimate = solver._linearised(Linear(0.0), motion, late, x).advance(x, h)
+        # exact identities but for the 16 digits of the coefficients, which are up to 60
+        assert new[0] == pytest.approx(exact, abs=1e-12)
+        assert (abs(estimate[0]) < 1e-12) == (degree == 2)
+        if degree == 2:
+            new, estimate, _ = solver.kutta(Linear(0.0), motion, late, x, h)
+            assert new[0] == pytest.approx(exact, rel=1e-14)
+            # Simpson's rule less the midpoint rule: h^3 u''/24
+            assert estimate[0] == pytest.approx(h**3 * 4.0 / 24, rel=1e-12)

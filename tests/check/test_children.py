@@ -21,6 +21,7 @@ from orchestrator.worker.process import MOST, LimitExceeded, Worker, WorkerLimit
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+bounded = pytest.mark.timeout(PATIENCE)  # a limit that is not enforced lets a test wait for ever
 
 
 def until(happens) -> bool:
@@ -79,6 +80,7 @@ def sleeper(monkeypatch):
     child.close()
 
 
+@bounded
 def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     """What a child has written to stderr is thrown away when it is more than anybody would read."""
     errors = sleeper.folder / "errors"
@@ -90,6 +92,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     assert errors.stat().st_size == 0
 
 
+@bounded
 def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
     text = r"^not done within 0.3 s, stopped before the first call$"

@@ -6,8 +6,9 @@ from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
 from orchestrator.base.files import Location
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.description import Interface, Variable, read_interface
 from orchestrator.ssp.dependencies import gauss_seidel_order, output_order
+from orchestrator.ssp.system import Component, Connection, Port, System
 
 
 def worst(result, exact):
@@ -79,6 +80,40 @@ def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, os
 def test_gauss_seidel_takes_feed_through_last(oscillator):
     """The component whose output needs the other's position steps after it."""
     assert gauss_seidel_order(oscillator) == ["b", "a"]
+
+
+def order(wires, through=(), interpolating=""):
+    """Order of components a, b, c: wire "ab" leads from a to b, and feeds through there if in `through`."""
+    faces = {}
+    for name in "abc":
+        inputs = {f"from_{w[0]}": Variable(f"from_{w[0]}", causality="input") for w in wires if w[1] == name}
+        direct = frozenset(f"from_{w[0]}" for w in through if w[1] == name)
+        faces[name] = Interface(
+            {"y": Variable("y", causality="output")} | inputs,
+            {"y": direct},
+            interpolates=name in interpolating,
+        )
+    connections = tuple(Connection(Port(w[0], "y"), Port(w[1], f"from_{w[0]}")) for w in wires)
+    return "".join(
+        gauss_seidel_order(System("s", {n: Component(n, f) for n, f in faces.items()}, connections))
+    )
+
+
+@pytest.mark.parametrize(
+    ("wires", "through", "interpolating", "expected"),
+    [
+        ((), (), "", "abc"),  # the given order
+        (("cb", "ba"), (), "", "cba"),  # a chain from its source on
+        (("ab", "ba", "ca"), (), "", "cab"),  # both wait for one when c is gone: the given order
+        (("ab", "ba", "ca", "ac"), (), "", "bac"),  # the fewest waiting inputs: two of a, one of each other
+        (("ba", "ca", "ab", "ac"), ("ab", "ac"), "", "abc"),  # two inputs that are held before one direct
+        (("ab", "ba", "ca"), (), "a", "cba"),  # of equals the one that interpolates comes later
+        (("aa", "ba"), ("aa",), "", "bac"),  # its own output is nothing to wait for
+    ],
+)
+def test_gauss_seidel_order_by_its_rules(wires, through, interpolating, expected):
+    """Fewest waiting inputs that feed through, then fewest waiting, then those that hold their inputs."""
+    assert order(wires, through, interpolating) == expected
 
 
 def test_stages_follow_the_feed_through(oscillator):

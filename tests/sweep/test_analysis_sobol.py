@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ import pytest
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.analysis.morris_sobol import RESAMPLES, intervals
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate
 from orchestrator.studies.study import Choice, Factor
 
@@ -30,6 +32,20 @@ def near(estimate: IntervalEstimate, truth: float) -> bool:
     assert estimate.low is not None
     assert estimate.high is not None
     return abs(estimate.value - truth) <= 0.75 * (estimate.high - estimate.low)
+
+
+def test_intervals_of_means_are_those_of_the_normal_distribution() -> None:
+    """Means of 100 samples drawn with replacement are normal, with sd / 10: so are the ends of 95 %."""
+    samples = np.random.default_rng(5).normal(size=(100, 400))
+    found = intervals(lambda rows: samples[rows].mean(axis=0), 100)
+    means, sd = samples.mean(axis=0), samples.std(axis=0) / 10
+    np.testing.assert_array_equal([f.value for f in found], means)
+    below = (means - [f.low for f in found]) / sd
+    above = ([f.high for f in found] - means) / sd
+    # 1.92, not yet 1.96: where the 2.5 % quantile of so few draws lies on average
+    expected = -NormalDist().inv_cdf((0.025 * (RESAMPLES - 1) + 1) / (RESAMPLES + 1))
+    # one such quantile has an sd of 0.13, the mean over 400 columns one of 0.007: four of these
+    assert [below.mean(), above.mean()] == pytest.approx([expected, expected], abs=0.03)
 
 
 def test_ishigami_has_its_closed_form_indices() -> None:
