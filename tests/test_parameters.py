@@ -53,14 +53,14 @@ def test_derived_numbers_follow_from_their_formulas():
     p, diameter = values(BOOM_STICK).p, 0.75 * 0.0254
     for name, length in (("boom", 3.0), ("stick", 4.0)):
         area = math.pi / 4 * diameter**2
-        # exact identity: rounding only
+        # exact identity: rounding only; abs=0, as a capacitance is smaller than the default of 1e-12
         assert p[f"{name}_hose_inertance"] == pytest.approx(970.0 * length / area, rel=1e-12)
-        assert p[f"{name}_hose_capacitance"] == pytest.approx(area * length / 1.6e9, rel=1e-12)
+        assert p[f"{name}_hose_capacitance"] == pytest.approx(area * length / 1.6e9, rel=1e-12, abs=0)
         assert p[f"{name}_hose_resistance"] == pytest.approx(3.2e10 * length / 4, rel=1e-12)
     s = values(SWING).p
     assert s["line_resistance"] == pytest.approx(128 * 0.02 / (math.pi * diameter**4), rel=1e-12)
     # the motor's volume is stated with four digits
-    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-5)
+    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-5, abs=0)
 
 
 @pytest.mark.parametrize(
