@@ -1,8 +1,8 @@
 """Modes of a linear model: eigenvalues, how much each state takes part in them, and what to call them.
 
-A mode is named by the states that take part in it. Nothing here knows a machine: the unit of a state says
-what it is (a motion, a pressure, a flow), the words of its name what it belongs to, so that boom_speed and
-boom_rod_pressure make "boom on its oil".
+A mode is named by the states that take part in it. Nothing here knows a machine, all comes from the model
+descriptions of the FMUs: the unit of a state says what it is (a motion, a pressure, a flow), the words of its
+name say what it belongs to, so that boom_speed and boom_rod_pressure make "boom on its oil".
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from orchestrator.base.units import DeclaredUnit
 if TYPE_CHECKING:
     from orchestrator.linear.model import Named
 
-ENOUGH, MANY = 0.8, 4  # states are listed until they have this share of a mode, and at most so many
+MAIN_SHARE, MAIN_COUNT = 0.8, 4  # states are listed until they have this share of a mode, and at most so many
 SMALL = 0.04  # a state with less is not listed
 PART = 0.12  # of a mode that a kind of states has to have, to be in its name
 KINDS = {  # exponents of kg, m, s without the radian
@@ -51,7 +51,7 @@ def name(
     for part, unit in zip(share, units, strict=True):
         weight[kind(unit)] = weight.get(kind(unit), 0.0) + float(part)
     kinds = {k for k, total in weight.items() if total >= PART}
-    main = tuple(labels[i] for i in _members(share))
+    main = tuple(labels[i] for i in _main_states(share))
     return _phrase(value, kinds, main), main
 
 
@@ -67,11 +67,11 @@ def kind(unit: DeclaredUnit | None) -> str:
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
-def _members(share: NDArray[np.float64]) -> list[int]:
+def _main_states(share: NDArray[np.float64]) -> list[int]:
     """The states to name, the largest first."""
     order, found, total = np.argsort(-share, kind="stable"), list[int](), 0.0
-    for i in order[:MANY]:
-        if found and (total >= ENOUGH or share[i] < SMALL):
+    for i in order[:MAIN_COUNT]:
+        if found and (total >= MAIN_SHARE or share[i] < SMALL):
             break
         found.append(int(i))
         total += float(share[i])
@@ -181,11 +181,11 @@ def modes(a: Array, states: Sequence[Named]) -> tuple[Mode, ...]:
             share = share / share.sum() if share.sum() else share
             units = [s.unit for s in states]
             found.append(Mode(complex(values[k]), share, *name(complex(values[k]), share, labels, units)))
-    return tuple(_apart(found))
+    return tuple(_numbered(found))
 
 
-def _apart(found: Sequence[Mode]) -> Iterator[Mode]:
-    """The same with numbers behind names that occur more than once."""
+def _numbered(found: Sequence[Mode]) -> Iterator[Mode]:
+    """The modes, with numbers behind names that occur more than once."""
     names = [m.name for m in found]
     for k, mode in enumerate(found):
         number = f" ({names[: k + 1].count(mode.name)})" if names.count(mode.name) > 1 else ""

@@ -20,7 +20,7 @@ from orchestrator.view.view_description import SignalIndex, by_bare_name
 
 
 class ExchangeableMachine:
-    """A `Machine` that hands everything on to another one, which may be exchanged.
+    """A `Machine` that forwards everything to another one, which may be exchanged.
 
     factor      the speed that was asked for last, of whichever machine
     exchanges   counts the exchanges: frames of before have nothing to do with those of after

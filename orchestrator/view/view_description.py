@@ -59,7 +59,7 @@ class FunctionWords:
 
 
 @dataclass(frozen=True)
-class Mode:
+class DriveMode:
     """What the functions of the sticks (swing, boom, stick) drive.
 
     constant   input -> its value while somebody drives; the mode needs all of them
@@ -166,7 +166,7 @@ class ViewDescription:
     full_pressure: float = 25e6
     signals: tuple[str, ...] = ()
     axes: tuple[DrivenInput, ...] = ()
-    modes: Mapping[str, Mode] = field(default_factory=dict)
+    modes: Mapping[str, DriveMode] = field(default_factory=dict)
     scene: SceneSignals | None = None
 
     @property

@@ -1,1 +1,1 @@
-"""Two sticks with two axes each: from the hands of a driver to the commands of the machine."""
+"""Two sticks with two axes each: from the driver to the commands of the machine."""

@@ -37,9 +37,9 @@ from orchestrator.view.driving.sticks import (
     parse,
     pattern,
 )
-from orchestrator.view.view_description import FunctionWords, Mode
+from orchestrator.view.view_description import DriveMode, FunctionWords
 
-Modes = Callable[[], Mapping[str, Mode]]
+Modes = Callable[[], Mapping[str, DriveMode]]
 
 MOST = 50  # pages at once; beyond that the oldest without a connection goes
 STILL = 0.5  # s without a new frame: a machine that hangs must not go on by itself when it comes back

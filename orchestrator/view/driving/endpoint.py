@@ -134,7 +134,7 @@ def mount(
 ) -> OperatorStation:
     """The controls of one page, at this place of the page; they leave with the page.
 
-    slow   called when the page was too busy to say what the hands do
+    slow   called when the page was too busy to report its sticks
     """
     station = authority.join()
     ui.add_css(STYLE)

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.view.view_description import FunctionWords, Mode
+from orchestrator.view.view_description import DriveMode, FunctionWords
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def pattern(name: str) -> Pattern:
 
 
 def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> CraneFunctions:
-    """What the hands mean. The curve comes first, so that it is the same for each function."""
+    """What the deflections mean. The curve comes first, so that it is the same for each function."""
     left, right = shaped(sticks.left_y, curve), shaped(sticks.right_y, curve)
     boom, stick = (right, left) if chosen.boom == "right" else (left, right)
     return CraneFunctions(  # 0 - x is no -0
@@ -135,7 +135,7 @@ KEYS = {"n", "sticks", "dead_man"}
 
 @dataclass(frozen=True)
 class Message:
-    """One look at the hands of the driver."""
+    """The sticks at one instant."""
 
     number: int
     sticks: StickAxes
@@ -189,13 +189,13 @@ def _short(found: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def modes(known: Mapping[str, Mode], axes: Sequence[str]) -> tuple[str, ...]:
+def modes(known: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, ...]:
     """The modes in which a machine with these axes can be driven."""
     inputs = {_bare(name) for name in axes}
     return tuple(name for name, mode in known.items() if mode.drives(inputs))
 
 
-def commands(wanted: CraneFunctions, mode: Mode, axes: Sequence[str]) -> dict[str, float]:
+def commands(wanted: CraneFunctions, mode: DriveMode, axes: Sequence[str]) -> dict[str, float]:
     """Values of the driven inputs, by axis. An axis that the mode does not need is left out: it rests."""
     values = dict(mode.constant)
     for function, driven in vars(mode.full).items():

@@ -247,7 +247,7 @@ def words(status: dict[str, Any]) -> str:
 
 
 def directions(way: tuple[float, float, float]) -> str:
-    """The way to a target, as the hands have to do it."""
+    """The way to a target, as the sticks have to be moved."""
     out, up, left = way[0], way[1], math.degrees(way[2])
     ends = (("out", "in", out, 2, " m"), ("up", "down", up, 2, " m"), ("left", "right", left, 0, "°"))
     return ", ".join(f"{a if v >= 0 else b} {abs(v):.{n}f}{unit}" for a, b, v, n, unit in ends)
