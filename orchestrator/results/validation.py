@@ -216,9 +216,11 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
         raise Problem(f"run: {name}: expected finite numbers, got {values[k]} at {trace.time[k]:g} s")
     unit, criterion = trace.units.get(name, ""), reference.criterion(name)
+    unit_of_file = reference.file_units.get(name, reference.units[name])
     if not unit:
-        unit = reference.file_units.get(name, reference.units[name])
+        unit = unit_of_file
         notes.append(f"the run states no unit, {unit!r} of the reference assumed")
+    linear(unit_of_file, unit, where)  # refuses by the unit that the user wrote
     factor, offset = linear(reference.units[name], unit, where)
     recorded = factor * reference[name] + offset
     there = np.isfinite(recorded)
