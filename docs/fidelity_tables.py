@@ -164,12 +164,12 @@ def combination_table(rows: Sequence[Combination], costs: Mapping[str, Mapping[s
     cells = [[*key, f"{cost(found[key]):.1f}", f"{100 * found[key].change:.2g} %"] for key in COMBINED]
     change, spent = ([f(row) for row in rows] for f in (lambda row: 100 * row.change, cost))
     ended = sum(not row.failure for row in rows)
-    told = (
+    summary = (
         f"{ended} of {len(rows)} combinations come to the end of the work cycle. They cost {min(spent):.1f} "
         f"to {max(spent):.1f} µs per step of 1 ms and change joint speeds by up to {max(change):.2g} %; the "
-        f"coupling makes up at most {100 * max(row.residual for row in rows):.1g} % of the energy of a bond."
+        f"energy error of the coupling is at most {100 * max(row.residual for row in rows):.1g} % at any bond."
     )
-    return told + "\n\n" + _rows([*rows[0].variants, "µs per 1 ms", "change"], cells)
+    return summary + "\n\n" + _rows([*rows[0].variants, "µs per 1 ms", "change"], cells)
 
 
 def rows_of_costs(
