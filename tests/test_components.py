@@ -73,7 +73,7 @@ def test_positive_parts_differ_by_the_argument(z: float, width: float) -> None:
 @given(flows, pressures, pressures, commands)
 def test_metering_edges_never_create_power(flow: float, supply: float, tank: float, command: float) -> None:
     """Heat of the four edges is not negative for any command, flow and pressures."""
-    a, b = spool_valve.ports(VALVE, command, flow, -flow, supply, tank, RHO)
+    a, b = spool_valve.ports_from_flow(VALVE, command, flow, -flow, supply, tank, RHO)
     for node in (a, b):
         # rounding of products of 1e-3 m3/s and 1e7 Pa
         assert number(spool_valve.throttling_loss(node, supply, tank)) >= -1e-6
@@ -83,7 +83,7 @@ def test_metering_edges_never_create_power(flow: float, supply: float, tank: flo
 def test_port_node_conserves_oil(flow: float, tank: float, command: float) -> None:
     """What comes from the supply goes to the tank or into the line."""
     for node, q in zip(
-        spool_valve.ports(VALVE, command, flow, -flow, PS, tank, RHO), (flow, -flow), strict=True
+        spool_valve.ports_from_flow(VALVE, command, flow, -flow, PS, tank, RHO), (flow, -flow), strict=True
     ):
         # exact identity; both terms are products of 1e-10 conductances and up to 1e14 Pa trial pressures
         assert number(node.supply - node.tank) == pytest.approx(q, rel=1e-6, abs=1e-9)
@@ -92,8 +92,8 @@ def test_port_node_conserves_oil(flow: float, tank: float, command: float) -> No
 @given(st.floats(0.0, 12.0), flows)
 def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> None:
     """The spool is symmetrical: command -V with exchanged line flows is command V with exchanged ports."""
-    a, b = spool_valve.ports(VALVE, command, flow, -flow, PS, 0.0, RHO)
-    d, c = spool_valve.ports(VALVE, -command, -flow, flow, PS, 0.0, RHO)
+    a, b = spool_valve.ports_from_flow(VALVE, command, flow, -flow, PS, 0.0, RHO)
+    d, c = spool_valve.ports_from_flow(VALVE, -command, -flow, flow, PS, 0.0, RHO)
     # the same operations in the same order
     assert number(a.pressure) == number(c.pressure)
     assert number(b.pressure) == number(d.pressure)
@@ -105,7 +105,7 @@ def test_closed_valve_passes_exactly_the_stated_leakage(command: float) -> None:
     target = 5e6
     # the line flow at which the node stands at the target pressure
     flow = VALVE.leakage * ((PS - target) - target)
-    a, _ = spool_valve.ports(VALVE, command, flow, 0.0, PS, 0.0, RHO)
+    a, _ = spool_valve.ports_from_flow(VALVE, command, flow, 0.0, PS, 0.0, RHO)
     # exact identity, rounding only
     assert number(a.supply) == pytest.approx(VALVE.leakage * (PS - target), rel=1e-9)
     assert number(a.tank) == pytest.approx(VALVE.leakage * target, rel=1e-9)
@@ -116,7 +116,7 @@ def test_open_edge_obeys_the_orifice_equation(command: float, flow: float) -> No
     """P_s - P_A = C_R Q |Q| with C_R = rho / (2 C_d^2 A^2), eqs. (1), (2)."""
     share = number(spool_valve.opening(command, VALVE.dead_band, VALVE.full_command, VALVE.command_rounding))
     c_r = RHO / (2 * VALVE.discharge_coefficient**2 * (VALVE.area * share) ** 2)
-    a, b = spool_valve.ports(VALVE, command, flow, -flow, PS, 0.0, RHO)
+    a, b = spool_valve.ports_from_flow(VALVE, command, flow, -flow, PS, 0.0, RHO)
     # rounding of |Q| at Q_t: (Q_t/Q)^2 / 2 = 2e-4; leakage of the closed edge 3e-7/3e-4
     assert number(PS - a.pressure) == pytest.approx(c_r * flow**2, rel=2e-3)
     assert number(b.pressure) == pytest.approx(c_r * flow**2, rel=2e-3)
@@ -271,10 +271,10 @@ def test_leakage_of_a_motor_by_hand() -> None:
 def test_leakage_of_a_closed_valve_by_hand() -> None:
     """Both edges closed: G_leak on either side, in both writings of the port."""
     leak = VALVE.leakage
-    port = spool_valve.ports(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
+    port = spool_valve.ports_from_flow(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
     assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9)
     assert number(port.pressure) == pytest.approx(10.5e6 - 1e-7 / (2 * leak), rel=1e-9)
-    direct = spool_valve.direct_ports(VALVE, 0.0, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
+    direct = spool_valve.ports_from_pressure(VALVE, 0.0, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
     for port, pressure in zip(direct, (8e6, 3e6), strict=True):
         assert number(port.supply) == pytest.approx(leak * (20e6 - pressure), rel=1e-9)
         assert number(port.tank) == pytest.approx(leak * (pressure - 1e6), rel=1e-9)

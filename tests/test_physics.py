@@ -261,7 +261,7 @@ def test_boom_and_stick_drives_are_the_same_equations(seed):
 def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
     """At the same flow the drops over both edges fall, or stay, as the command grows."""
     less, further = (
-        spool_valve.ports(VALVE, c, flow, -flow, PS, 0.0, RHO) for c in (command, command + more)
+        spool_valve.ports_from_flow(VALVE, c, flow, -flow, PS, 0.0, RHO) for c in (command, command + more)
     )
     # rounding of 1e7 Pa, and of pressures up to 1e12 Pa that belong to flows which a shut valve cannot pass
     for a, b in ((PS - less[0].pressure, PS - further[0].pressure), (less[1].pressure, further[1].pressure)):
@@ -271,7 +271,9 @@ def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
 @given(command=commands, flow=flows, more=st.floats(1e-6, 1e-3))
 def test_a_port_gives_less_pressure_the_more_it_is_drawn(command, flow, more):
     """dP/dQ < 0 at each port and command: no valve position feeds an oscillation of its line."""
-    before, after = (spool_valve.ports(VALVE, command, q, q, PS, 0.0, RHO) for q in (flow, flow + more))
+    before, after = (
+        spool_valve.ports_from_flow(VALVE, command, q, q, PS, 0.0, RHO) for q in (flow, flow + more)
+    )
     for a, b in zip(before, after, strict=True):
         assert float(ca.DM(b.pressure)) < float(ca.DM(a.pressure))
 

@@ -14,7 +14,7 @@ from scipy.signal import savgol_filter
 
 from fmus.components.chamber import pressure_rate
 from fmus.components.smooth import direction
-from fmus.components.spool_valve import Valve, direct_ports
+from fmus.components.spool_valve import Valve, ports_from_pressure
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1
 SUPPLY, TANK, DENSITY, BULK = 16e6, 0.2e6, 870.0, 4e8  # Pa, Pa, kg/m3, Pa with the hoses
@@ -55,7 +55,7 @@ def machine():
     """(state, command [V]) -> rate of the state, in SI units."""
     x, volts = ca.SX.sym("x", 8), ca.SX.sym("volts")
     p_a, p_b, stroke, speed, bend, arm, spool, slide = ca.vertsplit(x)
-    a, b = direct_ports(VALVE, spool, p_a, p_b, SUPPLY, TANK, DENSITY, 0.0)
+    a, b = ports_from_pressure(VALVE, spool, p_a, p_b, SUPPLY, TANK, DENSITY, 0.0)
     force = BENDING * bend + INNER * (speed - arm)
     friction = VISCOUS * speed + DRY * direction(speed, 0.005)
     rate = ca.vertcat(

@@ -36,7 +36,7 @@ from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, Line, LineState
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import Edges, PortFlow, Spool, SpoolState
+from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import read
 
@@ -72,7 +72,7 @@ class DetailedDrive:
     full_command: Scalar
     x: DriveState
     u: Surroundings
-    ports: tuple[PortFlow, PortFlow]
+    ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
     drawn: Pair
 

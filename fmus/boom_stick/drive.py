@@ -7,7 +7,7 @@ The boom and stick model of eq. (9a), corrected (E3, E4, E6, E7, E8 of docs/equa
     C_r dP_r/dt  = Q_r + A_r x'        C_r = C_hose + (V_0 + A_r (L - x)) / beta
 
 Without line dynamics, the limit I -> 0, the line flows Q_h, Q_r of the ports A and B follow from the
-pressures (`spool_valve.direct_ports`): the hose stays as a volume and as a resistance in series with the open
+pressures (`spool_valve.ports_from_pressure`): the hose stays as a volume and as a resistance in series with the open
 edge. Valid for motions that are slow beside the oil column of the hose, which lags by I / (2 C_R Q): 3 m of
 3/4 in hose by 10 ms at 40 L/min through an edge of 40 mm2, less through a smaller one.
 
@@ -24,7 +24,7 @@ from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
 from fmus.components import chamber, cylinder, hose, ports, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
-from fmus.components.spool_valve import PortFlow, Valve
+from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Terminal
 
 Pair = tuple[Scalar, Scalar]  # of head and rod side
@@ -96,16 +96,16 @@ def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
     )
 
 
-def valve_ports(d: CylinderDrive, x: OilState, u: Surroundings) -> tuple[PortFlow, PortFlow]:
+def valve_ports(d: CylinderDrive, x: OilState, u: Surroundings) -> tuple[EdgeFlows, EdgeFlows]:
     """The valve's port nodes: A feeds the head, B the rod side."""
-    return spool_valve.ports(
+    return spool_valve.ports_from_flow(
         d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density
     )
 
 
-def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: Surroundings) -> tuple[PortFlow, PortFlow]:
+def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: Surroundings) -> tuple[EdgeFlows, EdgeFlows]:
     """The same without line dynamics, from the pressures of the chambers."""
-    return spool_valve.direct_ports(
+    return spool_valve.ports_from_pressure(
         d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance
     )
 
@@ -145,7 +145,7 @@ def observe(
     d: CylinderDrive,
     x: OilState,
     pressure_rates: Pair,
-    ports: Iterable[PortFlow],
+    ports: Iterable[EdgeFlows],
     u: Surroundings,
     hose_heat: Scalar,
 ) -> dict[str, Scalar]:

@@ -22,7 +22,7 @@ from fmus.boom_stick.variables import (
     QuasistaticBoomStickState,
 )
 from fmus.components.hose import LumpedHose, VolumeHose
-from fmus.components.spool_valve import PortFlow
+from fmus.components.spool_valve import EdgeFlows
 from fmus.contract import Scalar, Subsystem
 
 
@@ -32,7 +32,7 @@ def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
 
 def _now(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> list[tuple[CylinderDrive, OilState, tuple[PortFlow, PortFlow], Surroundings]]:
+) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], Surroundings]]:
     """Of each drive its numbers, its oil with the line flows that follow from the pressures, its ports."""
     found = []
     for axis, d, at in zip(AXES, drive.drives(p, _hose), drive.surroundings(u), strict=True):

@@ -82,7 +82,7 @@ def opens(valve: Valve) -> dict[str, Scalar]:
 
 
 @dataclass(frozen=True)
-class PortFlow:
+class EdgeFlows:
     """One port node: its pressure [Pa]; flow from supply, flow to tank and flow into the line [m3/s]."""
 
     pressure: Scalar
@@ -129,7 +129,7 @@ def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
     return ca.sqrt(c / (1 + ca.sqrt(1 + (c * drop) ** 2)))
 
 
-def port(
+def edge_flows(
     line_flow: Scalar,
     gain_supply: Scalar,
     gain_tank: Scalar,
@@ -137,8 +137,8 @@ def port(
     transition_flow: Scalar,
     supply_pressure: Scalar,
     tank_pressure: Scalar,
-) -> PortFlow:
-    """Port node between a supply edge and a tank edge that carries the line flow Q away.
+) -> EdgeFlows:
+    """Flows of a port's two edges, supply (meter-in) and tank (meter-out), from the line flow Q.
 
     Each edge has the conductance G = G_leak + K / sqrt(C_R (Q^2 + Q_t^2)) with K^2 = 1 / C_R,
 
@@ -154,10 +154,10 @@ def port(
     g_tank = leakage + gain_tank**2 / speed
     pressure = (g_supply * supply_pressure + g_tank * tank_pressure - line_flow) / (g_supply + g_tank)
     supply, tank = g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure)
-    return PortFlow(pressure, supply, tank, line_flow)
+    return EdgeFlows(pressure, supply, tank, line_flow)
 
 
-def ports(
+def ports_from_flow(
     valve: Valve,
     command: Scalar,
     flow_a: Scalar,
@@ -165,13 +165,13 @@ def ports(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
     density: Scalar,
-) -> tuple[PortFlow, PortFlow]:
+) -> tuple[EdgeFlows, EdgeFlows]:
     """Both port nodes at a command [V] and the line flows [m3/s] out of A and B."""
     full = flow_gain(valve.area, valve.discharge_coefficient, density)
     shape = (valve.dead_band, valve.full_command, valve.command_rounding)
     forward, backward = full * opening(command, *shape), full * opening(-command, *shape)
     rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return port(flow_a, forward, backward, *rest), port(flow_b, backward, forward, *rest)
+    return edge_flows(flow_a, forward, backward, *rest), edge_flows(flow_b, backward, forward, *rest)
 
 
 def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
@@ -182,7 +182,7 @@ def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
     return (full * ramp(effective - valve.dead_band, valve.command_rounding)) ** 2
 
 
-def _direct_port(
+def _edge_flows_from_pressure(
     pressure: Scalar,
     source: Scalar,
     from_supply: Scalar,
@@ -191,8 +191,8 @@ def _direct_port(
     transition_flow: Scalar,
     supply_pressure: Scalar,
     tank_pressure: Scalar,
-) -> PortFlow:
-    """Port whose edges lead directly into a chamber at this pressure P: flows from pressures.
+) -> EdgeFlows:
+    """Flows of the two edges of a port that leads directly into a chamber at this pressure P.
 
     Each edge passes G_leak dp, the one that is open (to the supply if `from_supply`, else to the tank, with
     the pressure `source` behind it) also Q(K^2 dp), see `turbulent_factor`. At most one is open.
@@ -200,7 +200,7 @@ def _direct_port(
     y = square * (source - pressure)
     turbulent = y * turbulent_factor(y, transition_flow)
     supply, tank = leakage * (supply_pressure - pressure), leakage * (pressure - tank_pressure)
-    return PortFlow(
+    return EdgeFlows(
         pressure,
         supply + ca.if_else(from_supply, turbulent, 0),
         tank - ca.if_else(from_supply, 0, turbulent),
@@ -208,7 +208,7 @@ def _direct_port(
     )
 
 
-def direct_ports(
+def ports_from_pressure(
     valve: Valve,
     command: Scalar,
     pressure_a: Scalar,
@@ -217,7 +217,7 @@ def direct_ports(
     tank_pressure: Scalar,
     density: Scalar,
     line_resistance: Scalar,
-) -> tuple[PortFlow, PortFlow]:
+) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], lines without inertia to chambers at these pressures [Pa].
 
     The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
@@ -229,12 +229,12 @@ def direct_ports(
     behind_b = supply_pressure + tank_pressure - behind_a  # the other one
     rest = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
     return (
-        _direct_port(pressure_a, behind_a, forward, *rest),
-        _direct_port(pressure_b, behind_b, 1 - forward, *rest),
+        _edge_flows_from_pressure(pressure_a, behind_a, forward, *rest),
+        _edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, *rest),
     )
 
 
-def throttling_loss(node: PortFlow, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
+def throttling_loss(node: EdgeFlows, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
     """Power [W] turned into heat by the two edges of a port; never negative."""
     return node.supply * (supply_pressure - node.pressure) + node.tank * (node.pressure - tank_pressure)
 
@@ -279,7 +279,7 @@ def spool_ports(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
     density: Scalar,
-) -> tuple[PortFlow, PortFlow]:
+) -> tuple[EdgeFlows, EdgeFlows]:
     """Both port nodes at a spool position and the line flows [m3/s] out of A and B."""
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
     rounding = edges.command_rounding / edges.full_command
@@ -289,6 +289,6 @@ def spool_ports(
 
     rest = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
     return (
-        port(flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *rest),
-        port(flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *rest),
+        edge_flows(flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *rest),
+        edge_flows(flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *rest),
     )

@@ -47,8 +47,8 @@ from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickPara
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.spool_valve import (
+    EdgeFlows,
     Edges,
-    PortFlow,
     Spool,
     SpoolState,
     Valve,
@@ -137,7 +137,7 @@ def run(
 
 
 Flows: TypeAlias = tuple[Scalar, Scalar]  # out of A and B [m3/s]
-Ports: TypeAlias = tuple[PortFlow, PortFlow]
+Ports: TypeAlias = tuple[EdgeFlows, EdgeFlows]
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _ideal_valve() -> BenchValve:
     p = lumped()
 
     def ports(_: ByName, command: Scalar, flows: Flows, tank: float) -> Ports:
-        return spool_valve.ports(Valve.of(p, "valve"), command, *flows, SUPPLY, tank, p.density)
+        return spool_valve.ports_from_flow(Valve.of(p, "valve"), command, *flows, SUPPLY, tank, p.density)
 
     return BenchValve({}, lambda _, __: {}, ports)
 

@@ -24,7 +24,7 @@ from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, LineState
 from fmus.components.motor import MotorNodes
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import Edges, PortFlow, Spool, SpoolState
+from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import read
 from fmus.swing import drive, lumped
@@ -49,7 +49,7 @@ class _Now:
     spool: SpoolState
     lines: tuple[LineState, LineState]
     pressures: tuple[Scalar, Scalar]
-    ports: tuple[PortFlow, PortFlow]
+    ports: tuple[EdgeFlows, EdgeFlows]
     nodes: MotorNodes
     cross: Scalar
     anti: tuple[Scalar, Scalar]

@@ -9,7 +9,7 @@ from typing import Any
 
 from fmus.components import chamber, hose, motor, ports, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow, Valve
+from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Terminal
 from fmus.swing.variables import SwingInputs
 
@@ -46,7 +46,7 @@ def observe(
     u: SwingInputs,
     pressures: Pair,
     flows: Pair,
-    valve: tuple[PortFlow, PortFlow],
+    valve: tuple[EdgeFlows, EdgeFlows],
     nodes: MotorNodes,
     node_rates: Pair,
 ) -> dict[str, Scalar]:

@@ -17,15 +17,15 @@ from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow, Valve
+from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.swing import drive
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
 
-def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[PortFlow, PortFlow]:
+def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[EdgeFlows, EdgeFlows]:
     flows, pressures = (x.swing_flow_a, x.swing_flow_b), (u.supply_pressure, u.tank_pressure)
-    return spool_valve.ports(Valve.of(p, "valve"), u.swing_command, *flows, *pressures, p.density)
+    return spool_valve.ports_from_flow(Valve.of(p, "valve"), u.swing_command, *flows, *pressures, p.density)
 
 
 def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:

@@ -4,7 +4,7 @@
     C dP_b/dt = Q_b + D w + (P_a - P_b) / R_in - (P_b - P_t) / R_ex
     torque    = D (P_a - P_b)           D = D_m N                   eqs. (8), (11), (12)
 
-with the line flows Q_a, Q_b from the pressures (`fmus.components.spool_valve.direct_ports`): the limit of the
+with the line flows Q_a, Q_b from the pressures (`fmus.components.spool_valve.ports_from_pressure`): the limit of the
 lumped drive for lines without inertance and laminar resistance, which costs 8 kPa at 74 L/min. The pressures
 stand at the motor ports. Torque depends on states only.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.spool_valve import PortFlow, Valve
+from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem
 from fmus.swing import drive
 from fmus.swing.variables import QuasistaticSwingParameters, SwingInputs, SwingOutputs
@@ -30,11 +30,11 @@ class QuasistaticSwingState(Group):
 
 def _ports(
     x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
-) -> tuple[tuple[PortFlow, PortFlow], MotorNodes]:
+) -> tuple[tuple[EdgeFlows, EdgeFlows], MotorNodes]:
     """The valve's ports and the motor's."""
     lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
     pressures = (*lines, u.supply_pressure, u.tank_pressure)
-    ports = spool_valve.direct_ports(
+    ports = spool_valve.ports_from_pressure(
         valve, u.swing_command, *pressures, p.density, p.line_turbulent_resistance
     )
     taken = drive.displacement(p) * u.swing_speed

@@ -100,7 +100,7 @@ def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:
     return frozenset(map(names.index, found))
 
 
-def jacobi(system: System, coupling: Coupling) -> Plan:
+def jacobi_plan(system: System, coupling: Coupling) -> Plan:
     """Sources are extrapolated over the step at degree `order`; order of convergence: one more.
 
     At order 0 inputs are held, unless an FMU moves them itself by a rate input.
@@ -112,7 +112,7 @@ def jacobi(system: System, coupling: Coupling) -> Plan:
     return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)
 
 
-def gauss_seidel(system: System, coupling: Coupling) -> Plan:
+def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
     """Sources that have stepped are interpolated at degree `order` + 1, others extrapolated at `order`.
 
     Order of convergence: `order` + 1. At order 0 inputs from components that step later are held, unless an
@@ -132,7 +132,7 @@ def gauss_seidel(system: System, coupling: Coupling) -> Plan:
     )
 
 
-def hermite(system: System, coupling: Coupling) -> Plan:
+def hermite_plan(system: System, coupling: Coupling) -> Plan:
     """At most `passes` passes, fewer when one changes all signals by less than the tolerance.
 
     Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
@@ -162,7 +162,7 @@ def hermite(system: System, coupling: Coupling) -> Plan:
     )
 
 
-def interface_jacobian(system: System, coupling: Coupling) -> Plan:
+def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
     """All inputs are predicted; those from components that have stepped are bent to where they arrived.
 
     One pass, no rollback. Components whose future does not depend on others step first, and are followed as
@@ -233,10 +233,10 @@ def _linearisable(face: Interface) -> bool:
 
 
 MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {
-    "jacobi": jacobi,
-    "gauss-seidel": gauss_seidel,
-    "hermite": hermite,
-    "interface-jacobian": interface_jacobian,
+    "jacobi": jacobi_plan,
+    "gauss-seidel": gauss_seidel_plan,
+    "hermite": hermite_plan,
+    "interface-jacobian": interface_jacobian_plan,
 }
 
 

@@ -13,7 +13,7 @@ from orchestrator.data.trace import Trace, check_suffix, read, write
 from orchestrator.engine.job import Execution, Job, Record, estimated, guarded, open_slave
 from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
 from orchestrator.engine.scenario import Scenario, drive
-from orchestrator.engine.time_grid import RECORD, communication_step, divided, free_grid, grid, thinned
+from orchestrator.engine.time_grid import RECORD, divided, free_grid, grid, step_length, thinned
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
@@ -146,7 +146,7 @@ def simulated(
     if record_step is None and loaded.coupling and loaded.coupling.adaptive is not None:
         interval = None if everywhere else RECORD
     else:
-        interval = thinned(communication_step(loaded, step)) if record_step is None else record_step
+        interval = thinned(step_length(loaded, step)) if record_step is None else record_step
     folder(out.parent)
     try:
         return run(loaded, scenario, step=step, record_step=interval, progress=True, **options)

@@ -71,7 +71,7 @@ def grid(
     """The communication points from what the user gave and, where nothing was given, what is suggested."""
     begin, end = _span(system, scenario, start, stop)
     with _with_place(system, step):
-        step = communication_step(system, step)
+        step = step_length(system, step)
         points = _whole_steps(begin, end, step)
     points = replace(points, every=_every(record_step, step))
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
@@ -91,7 +91,7 @@ def free_grid(
     whole = _whole_steps(begin, end, end - begin)
     points = whole if record_step is None else _whole_steps(begin, end, record_step, "record step")
     inside = tuple(_apart((t for t in events if begin < t < points.stop), points))
-    first = communication_step(system, first)
+    first = step_length(system, first)
     _positive("step", first)
     if system.coupling is not None:
         _check_steps("largest step", begin, end, system.coupling.limits[1])
@@ -139,7 +139,7 @@ def _span(
     return begin, end
 
 
-def communication_step(system: System, step: float | None) -> float:
+def step_length(system: System, step: float | None) -> float:
     """The step [s] given, else what the system suggests, else the smallest that an FMU does, else 1 ms."""
     if step is not None:
         return step

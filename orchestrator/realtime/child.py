@@ -26,7 +26,7 @@ from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
 from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import Recorder
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
-from orchestrator.engine.time_grid import Grid, communication_step
+from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as b
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Array, Axis, Setup, Task
@@ -261,7 +261,7 @@ class FrameStepper:
 
 def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     """The communication points, without end, and how many of them are a frame."""
-    start, step = system.start or 0.0, communication_step(system, setup.step)
+    start, step = system.start or 0.0, step_length(system, setup.step)
     if not (isfinite(step) and step > 0):
         raise Problem(f"step: expected a positive time, got {step:g} s")
     if coupling.adaptive is not None:

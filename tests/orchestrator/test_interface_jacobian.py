@@ -12,7 +12,7 @@ from orchestrator.base.files import Location
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
-from orchestrator.engine.masters import interface_jacobian
+from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
@@ -258,8 +258,11 @@ def test_what_only_follows_sources_leads(fmus, open_oscillator):
     """A chain behind a source steps in its order, each with the course of the one before."""
     files = {"last": closed(fmus, "mass_b"), "middle": closed(fmus, "mass_a"), "first": fmus["source"]}
     chain = assemble(files, ["middle.force -> last.force", "first.y -> middle.x2"], {"first.omega": 20.0})
-    assert interface_jacobian(chain, Coupling("interface-jacobian", guard=0)).order == [2, 1, 0]
-    assert interface_jacobian(open_oscillator, Coupling("interface-jacobian", guard=0)).prediction.leads == 0
+    assert interface_jacobian_plan(chain, Coupling("interface-jacobian", guard=0)).order == [2, 1, 0]
+    assert (
+        interface_jacobian_plan(open_oscillator, Coupling("interface-jacobian", guard=0)).prediction.leads
+        == 0
+    )
     coarse, fine = (follow(chain, step=h, stop=1.0) for h in (1e-2, 1e-3))
     assert coarse.card.notes == fine.card.notes
     assert not any("no directional derivatives" in note for note in coarse.card.notes)

@@ -40,7 +40,7 @@ drops = st.floats(-4e7, 4e7)
 
 def ports(command, a, b, supply=SUPPLY, tank=0.0, valve=VALVE, hose=HOSE):
     """Both ports as numbers."""
-    found = spool_valve.direct_ports(valve, command, a, b, supply, tank, RHO, hose)
+    found = spool_valve.ports_from_pressure(valve, command, a, b, supply, tank, RHO, hose)
     return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
 
 
@@ -66,7 +66,7 @@ def test_a_closed_valve_passes_exactly_the_stated_leakage(command, a, b, tank):
 def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
     """dQ/ddp = K^2 / Q_t + G_leak there, by the derivative of the equations."""
     pressure = ca.SX.sym("pressure")
-    supplied, _ = spool_valve.direct_ports(VALVE, command, pressure, 0.0, SUPPLY, 0.0, RHO, HOSE)
+    supplied, _ = spool_valve.ports_from_pressure(VALVE, command, pressure, 0.0, SUPPLY, 0.0, RHO, HOSE)
     slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
     expected = square_gain(command) / VALVE.transition_flow + VALVE.leakage
     # exact identity, rounding only

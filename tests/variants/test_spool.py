@@ -134,7 +134,7 @@ def test_each_edge_opens_from_its_own_overlap_on(x):
 @given(st.floats(-1.0, 1.0), st.floats(-2e-3, 2e-3))
 def test_equal_overlaps_make_the_valve_of_lumped(x, flow):
     """With the dead band as overlap of all edges and the spool at its command: the ports of lumped."""
-    usual = spool_valve.ports(VALVE, 10.0 * x, flow, -flow, P_S, 0.0, RHO)
+    usual = spool_valve.ports_from_flow(VALVE, 10.0 * x, flow, -flow, P_S, 0.0, RHO)
     found = spool_valve.spool_ports(EDGES, SPOOL, x, flow, -flow, P_S, 0.0, RHO)
     for mine, theirs in zip(found, usual, strict=True):
         # exact identity; volts and shares differ by rounding, which the foot of the opening multiplies

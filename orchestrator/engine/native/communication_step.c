@@ -87,8 +87,8 @@ static void shape(Simulation *sim, const Component *p, int n, double h) {
     }
 }
 
-/* All components once. */
-static int pass(Simulation *sim, int n, double h) {
+/* All components once: at the same time (Jacobi), or each with the new outputs of those before (Gauss-Seidel). */
+static int step_components(Simulation *sim, int n, double h) {
     double clock = seconds();
     memset(sim->has_stepped, 0, (size_t)sim->component_count);
     if (sim->pool) {
@@ -151,7 +151,7 @@ static void ahead(Simulation *sim, double h) {
 int communication_step(Simulation *sim, double h, int *passes) {
     ahead(sim, h);
     for (int n = 0; n < sim->passes; n++) {
-        int verdict = pass(sim, n, h);
+        int verdict = step_components(sim, n, h);
         *passes = n + 1;
         if (!verdict && sim->passes > 1) verdict = solve_loops(sim, h);
         if (verdict) return verdict;
