@@ -28,7 +28,7 @@ def build(
     step, stop   default experiment [s]
     numbers      parameters and start values; by default those of the subsystem's parameters.toml
     fmi          2 or 3
-    platforms    names of `platforms.PLATFORMS`; by default the one this runs on
+    platforms    names of `compile.PLATFORMS`; by default the one this runs on
     """
     return _write([(Path(out_dir), package(sub, fmi, step, stop, numbers))], platforms)[0]
 

@@ -1,25 +1,23 @@
-"""CasADi expressions as C99 statements.
+"""The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and one file that includes all.
 
-CasADi's own generator tests every argument for null and hides the names of the variables; here the
-operations of a CasADi function are written one per line, inputs by name, results as they are used.
-
-The equations of a model as the C functions of native/model.h: values, and derivatives both ways.
-
-The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and one that includes all.
+The equations become the C functions of native/model.h: values, and derivatives both ways. CasADi's own
+generator tests every argument for null and hides the names of the variables; here the operations of a CasADi
+function are written one per line, inputs by name, results as they are used.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import accumulate
 
 import casadi as ca
 
 from fmus.contract import Symbolic
-from fmus.export.elimination import Elimination, eliminate
+from fmus.export.elimination import eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base.errors import Problem
 
@@ -149,80 +147,86 @@ class Equations:
     lengths: Mapping[str, int]
 
 
-@dataclass(frozen=True)
-class _Directions:
-    """Symbols: directions v of states, inputs and parameters, slopes of inputs, weights w of results."""
-
-    vx: ca.SX
-    vu: ca.SX
-    vp: ca.SX
-    du: ca.SX
-    wx0: ca.SX
-    wdx: ca.SX
-    wy: ca.SX
+# name of a C function -> vectors it writes, and what it reads besides states, inputs and parameters
+_ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
+    "model_start": (["x0"], []),
+    "model_dynamics": (["dx"], []),
+    "model_jacobian": (["dx", "jac", "ft"], ["du"]),
+    "model_observe": (["y", "require"], []),
+    "model_corner": (["wait"], []),
+    "model_forward": (["vdx", "vy"], ["vx", "vu"]),
+    "model_start_forward": (["vx0", "vdx0", "vy0"], ["vx", "vu", "vp"]),
+}
+_ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
+    "model_reverse": (["wx", "wu"], ["wdx", "wy"]),
+    "model_start_reverse": (["wx_start", "wu_start", "wp_start"], ["wx0", "wdx", "wy"]),
+}
 
 
 def write_out(interface: Interface) -> Equations:
     """All functions of native/model.h for a model."""
     sym = interface.equations
     system = eliminate(ca.jacobian(sym.dx, sym.x))
-    along = _directions(sym, interface.y)
-    values = (
-        _values(sym, interface.y, system, along)
-        | _forward(sym, interface.y, along)
-        | _reverse(sym, interface.y, along)
-    )
-    values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
-    model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
-    lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-
-    def give(name: str, *outputs: str, **more: ca.SX) -> Routine:
-        return Routine(name, {**model, **more}, {o: values[o] for o in outputs})
-
-    prepare = Routine("model_prepare", {"p": sym.p}, {"c": prepared})
-    routines = [prepare, *_elimination(system), *_routines(give, along)]
-    return Equations(routines, _adjoint(give, along), lengths)
-
-
-# ---- expressions -----------------------------------------------------------------------------------
-
-
-def _directions(sym: Symbolic, y: ca.SX) -> _Directions:
-    sizes = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x, "wy": y}
-    return _Directions(**{name: ca.SX.sym(name, like.numel()) for name, like in sizes.items()})
-
-
-def _values(sym: Symbolic, y: ca.SX, system: Elimination, d: _Directions) -> dict[str, ca.SX]:
-    return {
+    # directions v of states, inputs and parameters, slopes of inputs, weights w of results
+    sizes = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x}
+    given = {name: ca.SX.sym(name, v.numel()) for name, v in (sizes | {"wy": interface.y}).items()}
+    values = {
         "x0": sym.start,
         "dx": sym.dx,
         "jac": system.entries,
-        "ft": ca.jtimes(sym.dx, sym.u, d.du),
-        "y": y,
+        "ft": ca.jtimes(sym.dx, sym.u, given["du"]),
+        "y": interface.y,
         "require": sym.require,
         "wait": sym.corner,
+        **_directional(sym, interface.y, given),
+        **_adjoint(sym, interface.y, given),
     }
+    values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
+    model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
+    written, adjoint = (
+        [
+            Routine(name, model | {i: given[i] for i in inputs}, {o: values[o] for o in outputs})
+            for name, (outputs, inputs) in table.items()
+        ]
+        for table in (_ROUTINES, _ADJOINT)
+    )
+    matrix = {"diagonal": system.diagonal, "jac": system.jac}
+    first = [
+        Routine("model_prepare", {"p": sym.p}, {"c": prepared}),
+        Routine("model_factorise", matrix, {"lu": system.factors, "trust": system.trust}),
+        Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
+    ]
+    lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
+    return Equations([*first, *written], adjoint, lengths)
 
 
-def _forward(sym: Symbolic, y: ca.SX, d: _Directions) -> dict[str, ca.SX]:
+def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """Directional derivatives while the model runs, and at the start through the start equations."""
-    running, starting = (sym.x, sym.u), (sym.x, sym.u, sym.p)
-    vx0 = _along(sym.start, starting, (d.vx, d.vu, d.vp))
+
+    def along(value: ca.SX, *direction: ca.SX) -> ca.SX:
+        known = (sym.x, sym.u, sym.p)[: len(direction)]
+        return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
+
+    vx0 = along(sym.start, d["vx"], d["vu"], d["vp"])
     return {
-        "vdx": _along(sym.dx, running, (d.vx, d.vu)),
-        "vy": _along(y, running, (d.vx, d.vu)),
+        "vdx": along(sym.dx, d["vx"], d["vu"]),
+        "vy": along(y, d["vx"], d["vu"]),
         "vx0": vx0,
-        "vdx0": _along(sym.dx, starting, (vx0, d.vu, d.vp)),
-        "vy0": _along(y, starting, (vx0, d.vu, d.vp)),
+        "vdx0": along(sym.dx, vx0, d["vu"], d["vp"]),
+        "vy0": along(y, vx0, d["vu"], d["vp"]),
     }
 
 
-def _reverse(sym: Symbolic, y: ca.SX, d: _Directions) -> dict[str, ca.SX]:
+def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """Adjoint derivatives, likewise."""
-    starting = (sym.x, sym.u, sym.p)
-    wx, wu = _against((sym.dx, y), (sym.x, sym.u), (d.wdx, d.wy))
-    on_x, on_u, on_p = _against((sym.dx, y), starting, (d.wdx, d.wy))
-    start_x, start_u, start_p = _against((sym.start,), starting, (d.wx0 + on_x,))
+
+    def against(value: ca.SX, weights: ca.SX, *known: ca.SX) -> list[ca.SX]:
+        return _split(ca.jtimes(value, ca.vertcat(*known), weights, True), known)
+
+    results, weights = ca.vertcat(sym.dx, y), ca.vertcat(d["wdx"], d["wy"])
+    wx, wu = against(results, weights, sym.x, sym.u)
+    on_x, on_u, on_p = against(results, weights, sym.x, sym.u, sym.p)
+    start_x, start_u, start_p = against(sym.start, d["wx0"] + on_x, sym.x, sym.u, sym.p)
     return {
         "wx": wx,
         "wu": wu,
@@ -232,18 +236,9 @@ def _reverse(sym: Symbolic, y: ca.SX, d: _Directions) -> dict[str, ca.SX]:
     }
 
 
-def _against(values: Sequence[ca.SX], known: Sequence[ca.SX], weights: Sequence[ca.SX]) -> list[ca.SX]:
-    """The weighted sum of `values`, differentiated by each of `known`."""
-    total = ca.jtimes(ca.vertcat(*values), ca.vertcat(*known), ca.vertcat(*weights), True)
-    ends = [0]
-    for group in known:
-        ends.append(ends[-1] + group.numel())
-    return list(ca.vertsplit(ca.densify(total), ends))
-
-
-def _along(value: ca.SX, known: Sequence[ca.SX], direction: Sequence[ca.SX]) -> ca.SX:
-    """Directional derivative of `value` with respect to `known`."""
-    return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
+def _split(column: ca.SX, like: Iterable[ca.SX]) -> list[ca.SX]:
+    """Parts of a column, as long as these."""
+    return list(ca.vertsplit(ca.densify(column), [0, *accumulate(part.numel() for part in like)]))
 
 
 def hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
@@ -255,42 +250,10 @@ def hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.S
     reduced, symbols, meanings = ca.extract_parametric(everything, p)
     c = ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
     prepared = ca.vertcat(*meanings) if meanings else ca.SX(0, 1)
-    ends = [0]
-    for value in wanted.values():
-        ends.append(ends[-1] + value.numel())
-    parts = ca.vertsplit(ca.densify(reduced), ends)
-    return dict(zip(wanted, parts, strict=True)), c, prepared
+    return dict(zip(wanted, _split(reduced, wanted.values()), strict=True)), c, prepared
 
 
-# ---- functions -------------------------------------------------------------------------------------
-
-
-def _elimination(system: Elimination) -> list[Routine]:
-    matrix = {"diagonal": system.diagonal, "jac": system.jac}
-    return [
-        Routine("model_factorise", matrix, {"lu": system.factors, "trust": system.trust}),
-        Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
-    ]
-
-
-def _routines(give: Callable[..., Routine], d: _Directions) -> list[Routine]:
-    return [
-        give("model_start", "x0"),
-        give("model_dynamics", "dx"),
-        give("model_jacobian", "dx", "jac", "ft", du=d.du),
-        give("model_observe", "y", "require"),
-        give("model_corner", "wait"),
-        give("model_forward", "vdx", "vy", vx=d.vx, vu=d.vu),
-        give("model_start_forward", "vx0", "vdx0", "vy0", vx=d.vx, vu=d.vu, vp=d.vp),
-    ]
-
-
-def _adjoint(give: Callable[..., Routine], d: _Directions) -> list[Routine]:
-    return [
-        give("model_reverse", "wx", "wu", wdx=d.wdx, wy=d.wy),
-        give("model_start_reverse", "wx_start", "wu_start", "wp_start", wx0=d.wx0, wdx=d.wdx, wy=d.wy),
-    ]
-
+# ---- files -----------------------------------------------------------------------------------------
 
 DEFAULT_TOLERANCE = 1e-6
 

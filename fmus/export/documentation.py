@@ -109,7 +109,7 @@ def _html(text: str) -> Markup:
 
 
 @dataclass(frozen=True)
-class VariableRow:
+class DocumentedVariable:
     """One variable, as text."""
 
     name: str
@@ -129,11 +129,11 @@ class VariableGroup:
     """Rows under a heading."""
 
     title: str
-    rows: Sequence[VariableRow]
+    rows: Sequence[DocumentedVariable]
     name: str = ""  # of the terminal
 
 
-def _row(v: Variable, sources: Mapping[str, Number]) -> VariableRow:
+def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
     q, number = v.quantity, sources.get(v.name)
     if number is not None and number.value != v.start:
         number = None  # built with another value than that of the file
@@ -143,7 +143,7 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> VariableRow:
     customary, shown = display(q.unit), ""
     if customary and v.start is not None:
         shown = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {pretty(customary[0])}"
-    return VariableRow(
+    return DocumentedVariable(
         name=v.name,
         direction="in" if v.kind == "INPUT" else "out" if v.output else "",
         text=q.text,
@@ -178,7 +178,7 @@ def printed(value: float) -> str:
     return typeset(f"{value:.6g}")
 
 
-def _ports(sub: Subsystem, rows: Mapping[str, VariableRow]) -> list[VariableGroup]:
+def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[VariableGroup]:
     """Inputs and outputs by terminal, then the rest."""
     rest = {name: row for name, row in rows.items() if row.direction}
     groups = []
@@ -206,7 +206,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
     rows = {v.name: _row(v, sources) for v in interface.variables}
-    parameters: dict[str, list[VariableRow]] = {}
+    parameters: dict[str, list[DocumentedVariable]] = {}
     for v in interface.parameters:
         parameters.setdefault(v.quantity.group, []).append(rows[v.name])
     start = [  # of states and inputs: what has a source, or may be set

@@ -4,10 +4,10 @@
 
 Gaussian elimination with pivots on the diagonal, in an order chosen when the code is generated, so that few
 entries are filled in (Markowitz). No rows are exchanged while the model runs. That is accurate unless a
-diagonal entry, before or after the elimination, is small beside what was subtracted from it; `trust` tells.
-It looks at each entry by itself: what several that are only rather small lose together it does not see, and
-leaves to the error estimate of the step. The diagonal is one over the step: a solver that shortens the step
-where there is no trust gets on.
+diagonal entry, before or after the elimination, is small compared with what was subtracted from it; `trust`
+shows that. It looks at each entry by itself: what several that are only rather small lose together it does
+not see, and leaves to the error estimate of the step. The diagonal is one over the step: a solver that
+shortens the step where there is no trust gets on.
 """
 
 from __future__ import annotations

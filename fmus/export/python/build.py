@@ -88,7 +88,7 @@ def build_python(
 
     step, stop   default experiment [s]
     numbers      parameters and start values; by default those of the subsystem's parameters.toml
-    platforms    names of `platforms.PLATFORMS`; by default the one this runs on
+    platforms    names of `compile.PLATFORMS`; by default the one this runs on
     where        "module:NAME" by which the FMU finds the subsystem; by default what `origin` finds
     """
     given = numbers or values(sub, derive=False)

@@ -41,7 +41,7 @@ from orchestrator.ssp.common import package_version
 MODEL_FILE = "model.json"  # in resources/: what the FMU was built from
 
 
-class Slave(Fmi2Slave):  # type: ignore[misc]
+class PythonSlave(Fmi2Slave):  # type: ignore[misc]
     """One instance; methods raise, but `do_step` logs what went wrong and returns False."""
 
     log_categories: ClassVar[dict[str, str]] = LOG_CATEGORIES
@@ -116,7 +116,7 @@ _SHARED: dict[
 ] = {}  # by the text of model.json: all instances of an FMU share the functions
 
 
-class SubsystemSlave(Slave):
+class SubsystemSlave(PythonSlave):
     """A slave of a `Subsystem` of an installed package."""
 
     def model(self) -> RunnableModel:
@@ -138,7 +138,7 @@ class SubsystemSlave(Slave):
         return _SHARED[key]
 
 
-class UserSlave(Slave):
+class UserSlave(PythonSlave):
     """A slave of a model that a user wrote, in a file beside the script."""
 
     def model(self) -> RunnableModel:
@@ -153,7 +153,7 @@ CATEGORIES = dict(zip((OK, WARNING, DISCARD, ERROR), LOG_CATEGORIES, strict=Fals
 ALWAYS = {WARNING, ERROR}  # logged without debug logging, too
 
 
-class Discarded(Problem):
+class NotAvailable(Problem):
     """What was asked for is not there; nothing else is wrong."""
 
 
@@ -162,7 +162,7 @@ class Failed(Exception):
 
 
 def connect(
-    model: Callable[..., Slave], name: str, guid: str, folder: Path, logging: bool
+    model: Callable[..., PythonSlave], name: str, guid: str, folder: Path, logging: bool
 ) -> tuple[int, bytes, Dispatcher | None]:
     """What answers the calls of a new instance, or why there is none."""
     try:
@@ -187,7 +187,7 @@ def _record(kind: int, function: str, text: str) -> bytes:
 class Dispatcher:
     """One instance as the library sees it; `logged` are the kinds of messages that go out."""
 
-    def __init__(self, slave: Slave, logged: set[int]) -> None:
+    def __init__(self, slave: PythonSlave, logged: set[int]) -> None:
         self.slave, self.instance, self.logged = slave, slave.instance, logged
 
     def __call__(self, name: bytes, *given: bytes) -> tuple[int, bytes, bytes]:
@@ -202,7 +202,7 @@ class Dispatcher:
         except KeyboardInterrupt:
             raise
         except BaseException as problem:  # one that went on into the library would end the program
-            status = DISCARD if isinstance(problem, Discarded) else ERROR
+            status = DISCARD if isinstance(problem, NotAvailable) else ERROR
             problems = [(status, message(problem, self.slave.folder))]
         messages = [*events, *self._queued(), *problems]
         return status, b"".join(_record(k, function, text) for k, text in messages if k in self.logged), value
@@ -273,7 +273,7 @@ def _status(kind: int, answer: Callable[[Dispatcher], bytes]) -> Callable[[Dispa
     def give(calls: Dispatcher, asked: bytes) -> bytes:
         calls.instance.allowed(ANY & ~INSTANTIATED)
         if _integers(asked)[0] != kind:
-            raise Discarded("there is no such status")
+            raise NotAvailable("there is no such status")
         return answer(calls)
 
     return give
