@@ -4,8 +4,8 @@
     C dP_b/dt = Q_b + D w + (P_a - P_b) / R_in - (P_b - P_t) / R_ex
     torque    = D (P_a - P_b)           D = D_m N                   eqs. (8), (11), (12)
 
-with the line flows Q_a, Q_b from the pressures (`fmus.components.spool_valve.ports_from_pressure`): the limit of the
-lumped drive for lines without inertance and laminar resistance, which costs 8 kPa at 74 L/min. The pressures
+with the line flows Q_a, Q_b from the pressures (`spool_valve.ports_from_pressure`): the limit of the lumped
+drive for lines without inertance and laminar resistance, which costs 8 kPa at 74 L/min. The pressures
 stand at the motor ports. Torque depends on states only.
 """
 
