@@ -166,8 +166,9 @@ def combination_table(rows: Sequence[Combination], costs: Mapping[str, Mapping[s
     ended = sum(not row.failure for row in rows)
     summary = (
         f"{ended} of {len(rows)} combinations come to the end of the work cycle. They cost {min(spent):.1f} "
-        f"to {max(spent):.1f} µs per step of 1 ms and change joint speeds by up to {max(change):.2g} %; the "
-        f"energy error of the coupling is at most {100 * max(row.residual for row in rows):.1g} % at any bond."
+        f"to {max(spent):.1f} µs per step of 1 ms and change joint speeds by up to {max(change):.2g} %; "
+        "the energy error of the coupling is "
+        f"at most {100 * max(row.residual for row in rows):.1g} % at any bond."
     )
     return summary + "\n\n" + _rows([*rows[0].variants, "µs per 1 ms", "change"], cells)
 
