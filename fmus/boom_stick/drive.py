@@ -8,8 +8,8 @@ The boom and stick model of eq. (9a), corrected (E3, E4, E6, E7, E8 of docs/equa
 
 Without line dynamics, the limit I -> 0, the line flows Q_h, Q_r of the ports A and B follow from the
 pressures (`spool_valve.ports_from_pressure`): the hose stays as a volume and as a resistance in series with
-the open edge. Valid for motions that are slow beside the oil column of the hose, which lags by I / (2 C_R Q): 3 m of
-3/4 in hose by 10 ms at 40 L/min through an edge of 40 mm2, less through a smaller one.
+the open edge. Valid for motions that are slow compared with the oil column of the hose, which lags by
+I / (2 C_R Q): 3 m of 3/4 in hose by 10 ms at 40 L/min through an edge of 40 mm2, less through a smaller one.
 
 Signs: line flows are positive into the cylinder; x from the closed end; x' and F extend.
 """
