@@ -107,8 +107,8 @@ def test_closed_valve_passes_exactly_the_stated_leakage(command: float) -> None:
     flow = VALVE.leakage * ((PS - target) - target)
     a, _ = spool_valve.ports_from_flow(VALVE, command, flow, 0.0, PS, 0.0, RHO)
     # exact identity, rounding only
-    assert number(a.supply) == pytest.approx(VALVE.leakage * (PS - target), rel=1e-9)
-    assert number(a.tank) == pytest.approx(VALVE.leakage * target, rel=1e-9)
+    assert number(a.supply) == pytest.approx(VALVE.leakage * (PS - target), rel=1e-9, abs=0)
+    assert number(a.tank) == pytest.approx(VALVE.leakage * target, rel=1e-9, abs=0)
 
 
 @pytest.mark.parametrize(("command", "flow"), [(2.0, 3e-4), (5.0, 5e-4), (5.0, 2e-3), (10.0, 4e-3)])
@@ -272,9 +272,9 @@ def test_leakage_of_a_closed_valve_by_hand() -> None:
     """Both edges closed: G_leak on either side, in both writings of the port."""
     leak = VALVE.leakage
     port = spool_valve.ports_from_flow(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
-    assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9)
+    assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9, abs=0)
     assert number(port.pressure) == pytest.approx(10.5e6 - 1e-7 / (2 * leak), rel=1e-9)
     direct = spool_valve.ports_from_pressure(VALVE, 0.0, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
     for port, pressure in zip(direct, (8e6, 3e6), strict=True):
-        assert number(port.supply) == pytest.approx(leak * (20e6 - pressure), rel=1e-9)
-        assert number(port.tank) == pytest.approx(leak * (pressure - 1e6), rel=1e-9)
+        assert number(port.supply) == pytest.approx(leak * (20e6 - pressure), rel=1e-9, abs=0)
+        assert number(port.tank) == pytest.approx(leak * (pressure - 1e6), rel=1e-9, abs=0)
