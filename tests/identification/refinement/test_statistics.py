@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fmus.identification.refinement.multistart import from_random_starts
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import Traces, whiteness
-from fmus.identification.refinement.statistics import unidentified
+from fmus.identification.refinement.statistics import _clustered, unidentified
 from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
 
 
@@ -185,3 +186,21 @@ def test_memory_of_a_residual_is_its_correlation_time() -> None:
         assert correlation_time(lfilter([1], [1, -a], white)) == pytest.approx((1 + a) / (1 - a), rel=0.1)
     assert correlation_time(np.linspace(-1, 1, 1000)) == pytest.approx(50)  # a trend: a twentieth
     assert correlation_time(np.zeros(1000)) == 1
+
+
+def test_leaving_out_one_segment_after_another_gives_the_variance_of_a_mean() -> None:
+    """One sample a segment, one unknown, their mean: the jackknife is s^2 / n with n - 1 degrees."""
+    samples = np.random.default_rng(4).normal(size=7)
+    rows = [np.array([[1.0, sample - samples.mean()]]) for sample in samples]
+    segments = [
+        SimpleNamespace(
+            linear=SimpleNamespace(condensed=lambda *_, own=own: own),
+            projected=lambda _: None,
+        )
+        for own in rows
+    ]
+    run = SimpleNamespace(top=np.zeros((0, 2)), bottom=np.vstack(rows), recursion=[None] * len(rows))
+    solution = SimpleNamespace(linear=SimpleNamespace(runs=[run]), evaluated=SimpleNamespace(runs=[segments]))
+    found = _clustered(solution, np.zeros((1, 1)), np.array([[1 / 7]]))
+    # exact identity: rounding only
+    assert found[0, 0] == pytest.approx(np.var(samples, ddof=1) / 7, rel=1e-12)
