@@ -51,6 +51,8 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
     other = least_squares(residuals, np.concatenate([[0.0, 0.0], found.z]), x_scale=0.01, xtol=1e-12)
     free = len(one.time) - 5
     covariance = np.linalg.inv(other.jac.T @ other.jac) * 2 * other.cost / free
+    # two start states and three parameters; the noise is white, so every sample counts
+    assert found.statistics.freedom == free
     sd = found.statistics.sd(False)
     # the search ends within a tenth of a standard deviation, usually far within
     assert np.max(np.abs(found.z - other.x[2:]) / sd) < 0.1
