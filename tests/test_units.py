@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from fmus.export.model_description import base_unit
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import DISPLAY, display, in_si, parse, per_second, spelled
+from orchestrator.base.units import DISPLAY, display, in_si, linear, parse, per_second, spelled
 
 
 @pytest.mark.parametrize(
@@ -128,3 +128,14 @@ def test_any_product_goes_to_si_and_back(value, parts):
 def test_a_temperature_in_a_product_is_a_difference():
     """J/degC is J/K: the zero of a temperature has no meaning in a product."""
     assert parse("J/degC") == parse("J/K")
+
+
+@pytest.mark.parametrize(
+    ("source", "target"), [("degF", "degC"), ("degC", "degF"), ("K", "degC"), ("degC", "K")]
+)
+def test_temperatures_convert_by_both_zeros(source, target):
+    """Water boils at 212 degF, 100 degC and 373.15 K, whichever way."""
+    boils = {"degF": 212.0, "degC": 100.0, "K": 373.15}
+    factor, offset = linear(source, target, "here")
+    # a few roundings of 373.15
+    assert factor * boils[source] + offset == pytest.approx(boils[target], rel=1e-12)
