@@ -143,9 +143,9 @@ SENSITIVITY = (
 
 def simulate(system: Path, case: Case, moves: Sequence[Move], stop: float, pose: str = "nominal") -> Trace:
     """A run with these strokes of the operator."""
-    operator = {f"operator.{name}": value for name, value in program(moves).items()}
+    strokes = {f"operator_input.{name}": value for name, value in program(moves).items()}
     swap = {part: str(system.parent / FINE) if v == FINE else v for part, v in case.swap.items()}
-    given = {**operator, **case.set}
+    given = {**strokes, **case.set}
     names = (*SPEEDS, *PRESSURES)
     result = run(system, swap=swap, set=given, parameters=[pose], stop=stop, record=names)
     return {"time": result.trace.time, **{name: result.trace[name] for name in names}}

@@ -124,7 +124,7 @@ def supply(axes: Axes) -> None:
     area(axes, [(84, 82), (66, 76), (78, 64)], ORANGE)
 
 
-def operator(axes: Axes) -> None:
+def operator_input(axes: Axes) -> None:
     """A joystick and the two ways it goes."""
     area(axes, [(22, 12), (78, 12), (70, 28), (30, 28)])
     axes.add_patch(Arc((50, 28), 38, 24, theta1=0, theta2=180, color=DARK, lw=6))
@@ -160,7 +160,7 @@ def harvester(axes: Axes) -> None:
 
 
 ICONS: Mapping[str, Callable[[Axes], None]] = {
-    f.__name__: f for f in (swing, boom_stick, manipulator, supply, operator, controller, harvester)
+    f.__name__: f for f in (swing, boom_stick, manipulator, supply, operator_input, controller, harvester)
 }
 
 

@@ -15,7 +15,7 @@ from fmus.controller import CONTROLLER
 from fmus.export.python.build import build_python
 from fmus.export.reference_experiment import STEP, data_file
 from fmus.machine.parts import FAMILIES
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 
 EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()

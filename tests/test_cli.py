@@ -62,7 +62,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     assert "scenario" not in capsys.readouterr().out
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    assert "note: the scenario replaces operator\n" in capsys.readouterr().out
+    assert "note: the scenario replaces operator_input\n" in capsys.readouterr().out
     own, given = (read(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
     np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
@@ -96,7 +96,10 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     assert "<title>mine against Work cycle, monolithic solution" in page
     printed = capsys.readouterr().out
     assert "--scenario" not in printed
-    assert "note: the scenario replaces operator; without it these keep their start values: swing." in printed
+    assert (
+        "note: the scenario replaces operator_input; without it these keep their start values: swing."
+        in printed
+    )
 
 
 @pytest.mark.usefixtures("here")
@@ -200,7 +203,7 @@ def test_signals_are_listed(capsys, fmu_dir):
     assert main(["signals", "--kind", "parameter"]) == 0
     heads = [line for line in capsys.readouterr().out.splitlines() if line and not line.startswith(" ")]
     assert heads == [
-        f"{name}: parameters" for name in ("manipulator", "supply", "boom_stick", "swing", "operator")
+        f"{name}: parameters" for name in ("manipulator", "supply", "boom_stick", "swing", "operator_input")
     ]
 
 
@@ -215,13 +218,13 @@ def test_wires_can_be_cut(capsys):
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator"])
+@pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator_input"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
     """One subsystem, or those of the machine; the words for the sources are explained."""
     assert main(["parameters", *([only] if only else [])]) == 0
     printed = capsys.readouterr().out
-    for name in ("swing", "boom_stick", "manipulator", "operator"):
-        shown = name == only or (only is None and name != "operator")
+    for name in ("swing", "boom_stick", "manipulator", "operator_input"):
+        shown = name == only or (only is None and name != "operator_input")
         assert (f"\n{name}: " in f"\n{printed}") is shown
     assert "printed in the paper" in printed
 
@@ -236,7 +239,7 @@ def test_poses_and_programs_are_chosen_by_name():
     for name, angle in (("swing", 0.5), ("boom", POSES["raised"].boom), ("stick", POSES["raised"].stick)):
         # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
         np.testing.assert_allclose(trace[f"manipulator.{name}_angle"], angle, rtol=0, atol=5e-4)
-    assert not trace["operator.boom_command"].any()
+    assert not trace["operator_input.boom_command"].any()
 
 
 @pytest.mark.usefixtures("here")

@@ -114,7 +114,7 @@ def test_rate_ports_gain_two_orders_of_magnitude_at_1_ms(system):
         (20e-3, 2e-3, 2e-3),  # 4.5e-4 and 6.0e-4: a fifth of the fastest oscillation
     ],
 )
-@pytest.mark.parametrize("led_by", ["scenario", "operator"])
+@pytest.mark.parametrize("led_by", ["scenario", "operator_input"])
 def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, speed, pressure, led_by):
     """Led by the scenario, or by the FMU of the levers with the corners of its ramps."""
     scenario = data("scenarios/work_cycle.csv") if led_by == "scenario" else None

@@ -103,8 +103,15 @@ def at(seed):
     """A random state, input and the numbers of the hydraulics."""
     rng = np.random.default_rng(seed)
     p = parameters()
-    x = HYDRAULICS.states(*rng.uniform(0.2e6, 7.5e6, 2))
-    u = HYDRAULICS.inputs(rng.uniform(0, 1), rng.uniform(0.35, 0.65), rng.uniform(-0.3, 0.3), 0.0, 8829.0)
+    p_1, p_2 = rng.uniform(0.2e6, 7.5e6, 2)
+    x = HYDRAULICS.states(p_1=p_1, p_2=p_2)
+    u = HYDRAULICS.inputs(
+        kappa=rng.uniform(0, 1),
+        s1=rng.uniform(0.35, 0.65),
+        s1_dot=rng.uniform(-0.3, 0.3),
+        s1_ddot=0.0,
+        holding_force=8829.0,
+    )
     return x, u, p
 
 
@@ -136,7 +143,9 @@ def test_published_equilibrium():
     v, p = values(ARM), parameters()
     _, outputs = symbolic(ARM).function()(*(list(group.values()) for group in (v.x, v.u, v.p)))
     arm = unstack(ARM.outputs, outputs.full()[:, 0])
-    u = HYDRAULICS.inputs(0.45, arm.s1, arm.s1_dot, 0.0, arm.holding_force)
+    u = HYDRAULICS.inputs(
+        kappa=0.45, s1=arm.s1, s1_dot=arm.s1_dot, s1_ddot=0.0, holding_force=arm.holding_force
+    )
     pressures = model.initial(None, u, p)
     kappa = float(model.observe(HYDRAULICS.states(**pressures), u, p).holding_kappa)
     found = [arm.s1, arm.holding_force, *pressures.values(), kappa]

@@ -104,14 +104,14 @@ def test_without_rate_wires_the_system_is_lost(fmu_dir):
 
 
 def test_ecos_needs_no_small_steps_for_the_one_block(fmu_dir, capfd):
-    """operator.fmu drives harvester.fmu: no coupling error, at 20 ms as exact as the FMU's own solver."""
+    """operator_input.fmu drives harvester.fmu: no coupling error, at 20 ms as exact as the FMU's own solver."""
     ecos = load("ecospy")
     structure = ecos.EcosSimulationStructure()
-    for name in ("operator", "harvester"):
+    for name in ("operator_input", "harvester"):
         structure.add_model(name, str(fmu_dir / f"{name}.fmu"))
     for start, _ in COMMAND_WIRES:
         lever = start.split(".")[1]
-        structure.make_real_connection(f"operator::{lever}", f"harvester::{lever}")
+        structure.make_real_connection(f"operator_input::{lever}", f"harvester::{lever}")
     names = [f"harvester::{name.split('.')[1]}" for name in SIGNALS]
     with ecos.EcosSimulation(step_size=0.02, structure=structure) as simulation:
         assert simulation.init()

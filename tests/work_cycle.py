@@ -21,7 +21,7 @@ PRESSURES = (
 )
 SIGNALS = (*(f"manipulator.{j}_{kind}" for kind in ("speed", "angle") for j in JOINTS), *PRESSURES)
 # the manipulator first: it alone can be initialised without the others
-ORDER = ("manipulator", "boom_stick", "swing", "operator")
+ORDER = ("manipulator", "boom_stick", "swing", "operator_input")
 FMUS = (*ORDER, "harvester")
 VERSIONS = ("fmu_dir", "fmi3_dir")  # fixtures: the folders of FMI 2.0 and 3.0
 

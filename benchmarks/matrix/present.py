@@ -16,9 +16,9 @@ from benchmarks.matrix.cells import remark
 from benchmarks.matrix.running import Ended, ran
 
 ANSWER = 60.0  # s within which a tool must tell its version
-PARTS = ("manipulator", "supply", "boom_stick", "swing", "operator")
-MANIPULATOR_FIRST = ("operator", "manipulator", "supply", "boom_stick", "swing")
-MANIPULATOR_LAST = ("operator", "supply", "boom_stick", "swing", "manipulator")
+PARTS = ("manipulator", "supply", "boom_stick", "swing", "operator_input")
+MANIPULATOR_FIRST = ("operator_input", "manipulator", "supply", "boom_stick", "swing")
+MANIPULATOR_LAST = ("operator_input", "supply", "boom_stick", "swing", "manipulator")
 
 
 @dataclass(frozen=True)

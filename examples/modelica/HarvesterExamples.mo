@@ -1,7 +1,7 @@
 package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md has the steps"
   extends Modelica.Icons.ExamplesPackage;
 
-  package Imported "harvester.fmu and operator.fmu by the tool's own import"
+  package Imported "harvester.fmu and operator_input.fmu by the tool's own import"
     extends Modelica.Icons.ExamplesPackage;
 
     // the classes that the tool made of the FMUs: the only lines to adapt
@@ -14,12 +14,12 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
       Operator levers;
       Machine machine;
     equation
-      connect(operator.swing_command, machine.swing_command);
-      connect(operator.swing_command_rate, machine.swing_command_rate);
-      connect(operator.boom_command, machine.boom_command);
-      connect(operator.boom_command_rate, machine.boom_command_rate);
-      connect(operator.stick_command, machine.stick_command);
-      connect(operator.stick_command_rate, machine.stick_command_rate);
+      connect(operator_input.swing_command, machine.swing_command);
+      connect(operator_input.swing_command_rate, machine.swing_command_rate);
+      connect(operator_input.boom_command, machine.boom_command);
+      connect(operator_input.boom_command_rate, machine.boom_command_rate);
+      connect(operator_input.stick_command, machine.stick_command);
+      connect(operator_input.stick_command_rate, machine.stick_command_rate);
       // an open input is zero in the tool's class, not its start value
       machine.supply_pressure = 20.684e6 "Pa";
       machine.supply_pressure_rate = 0 "Pa/s";
@@ -65,9 +65,9 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
       Harvester.WithFlanges.BoomStick boom_stick;
       Harvester.WithFlanges.Manipulator arm;
     equation
-      connect(operator.swing_command, swing.swing_command);
-      connect(operator.boom_command, boom_stick.boom_command);
-      connect(operator.stick_command, boom_stick.stick_command);
+      connect(operator_input.swing_command, swing.swing_command);
+      connect(operator_input.boom_command, boom_stick.boom_command);
+      connect(operator_input.stick_command, boom_stick.stick_command);
       connect(swing.swing, arm.swing);
       connect(boom_stick.boom, arm.boom);
       connect(boom_stick.stick, arm.stick);

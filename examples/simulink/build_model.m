@@ -19,7 +19,7 @@ function error_percent = build_model(folder, step, delayed)
     set_param(model, 'SolverType', 'Fixed-step', 'Solver', 'FixedStepDiscrete', ...
         'FixedStep', num2str(step, 17), 'StopTime', '42');
     parts = struct();
-    names = {'manipulator', 'boom_stick', 'swing', 'operator'};
+    names = {'manipulator', 'boom_stick', 'swing', 'operator_input'};
     for k = 1:numel(names)
         parts.(names{k}) = add_part(model, names{k}, folder, step, k);
     end
@@ -142,11 +142,11 @@ function table = wires()
         'manipulator.stick_acceleration', 'boom_stick.stick_acceleration'
         'manipulator.boom_holding_force', 'boom_stick.boom_holding_force'
         'manipulator.stick_holding_force', 'boom_stick.stick_holding_force'
-        'operator.swing_command',         'swing.swing_command'
-        'operator.swing_command_rate',    'swing.swing_command_rate'
-        'operator.boom_command',          'boom_stick.boom_command'
-        'operator.boom_command_rate',     'boom_stick.boom_command_rate'
-        'operator.stick_command',         'boom_stick.stick_command'
-        'operator.stick_command_rate',    'boom_stick.stick_command_rate'
+        'operator_input.swing_command',         'swing.swing_command'
+        'operator_input.swing_command_rate',    'swing.swing_command_rate'
+        'operator_input.boom_command',          'boom_stick.boom_command'
+        'operator_input.boom_command_rate',     'boom_stick.boom_command_rate'
+        'operator_input.stick_command',         'boom_stick.stick_command'
+        'operator_input.stick_command_rate',    'boom_stick.stick_command_rate'
     };
 end

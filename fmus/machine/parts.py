@@ -10,7 +10,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.manipulator import MANIPULATOR
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 from fmus.supply import SUPPLY
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
@@ -59,7 +59,7 @@ CONNECTIONS = SIGNALS + RATES + HOLDING
 
 # from the operator, each with its rate
 COMMAND_WIRES: Wires = tuple(
-    (f"operator.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
+    (f"operator_input.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
 )

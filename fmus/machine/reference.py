@@ -48,7 +48,7 @@ from fmus.machine.parts import (
 )
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
 from fmus.monolith import join, simulate
-from fmus.operator.model import AXES, OPERATOR
+from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
 from orchestrator.base.files import write_columns
 
@@ -67,8 +67,10 @@ def machine() -> dict[str, Array]:
     commanded = symbolic(OPERATOR).function().map(time.size)
     p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
     commands = np.asarray(commanded(time[None, :], ca.DM(0, time.size), p)[1])
-    known = {f"operator.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)}
-    known["operator.clock"] = time
+    known = {
+        f"operator_input.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)
+    }
+    known["operator_input.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     sources = {end: known[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))
@@ -79,7 +81,7 @@ def machine() -> dict[str, Array]:
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
     known |= {target: known[source] for source, target in wires if source in known}
     known |= {f"controller.{n}": samples for n, samples in spells(time).items()}
-    known |= {f"controller.{n}_lever": known[f"operator.{n}_command"] for n in AXES}
+    known |= {f"controller.{n}_lever": known[f"operator_input.{n}_command"] for n in AXES}
     return {name: samples[::2] for name, samples in (known | driven).items()}
 
 

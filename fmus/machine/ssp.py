@@ -15,7 +15,7 @@ from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.write import write_ssp
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import quantities
-from fmus.operator.model import AXES, OPERATOR, STROKES, WORDS, stroke_name
+from fmus.operator_input.model import AXES, OPERATOR, STROKES, WORDS, stroke_name
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 

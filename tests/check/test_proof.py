@@ -26,7 +26,7 @@ from fmus.export.reference_experiment import (
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from orchestrator.check.reference_experiment import ExperimentComparison, cases, compare

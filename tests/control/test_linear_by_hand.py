@@ -21,7 +21,7 @@ def opened(ssp, folder):
     with zipfile.ZipFile(ssp) as archive:
         archive.extractall(folder)
     root = ElementTree.parse(folder / "SystemStructure.ssd").getroot()
-    parts = [c.get("name") for c in root.iter(f"{SSD}Component") if c.get("name") != "operator"]
+    parts = [c.get("name") for c in root.iter(f"{SSD}Component") if c.get("name") != "operator_input"]
     wires = [c.attrib for c in root.iter(f"{SSD}Connection") if c.get("startElement") in parts]
     ends = ("startElement", "startConnector"), ("endElement", "endConnector")
     return parts, [tuple((w[a], w[b]) for a, b in ends) for w in wires]

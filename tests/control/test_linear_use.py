@@ -87,7 +87,10 @@ ERRORS = {
     "--speed boom=nan: expected a finite number": {"steady": True, "speeds": {"boom": float("nan")}},
     "--time 0.0015: expected a multiple of the communication step": {"time": 0.0015},
     "--set tank_pressure: fed by supply.tank_pressure .*; expected --input": {"set": {"tank_pressure": 1e5}},
-    "--set boom_command: fed by operator.*; expected --scenario": {"set": {"boom_command": 3.0}, "time": 1.0},
+    "--set boom_command: fed by operator_input.*; expected --scenario": {
+        "set": {"boom_command": 3.0},
+        "time": 1.0,
+    },
     "no steady state found with .*boom_speed = 9.*expected slower joints": {
         "steady": True,
         "speeds": {"boom": 9.0},

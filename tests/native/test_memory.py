@@ -9,7 +9,7 @@ import pytest
 from native.bench import Fmu, begin, drive, look, push
 
 VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
-NAMES = ("swing", "operator", "manipulator", "boom_stick", "harvester")
+NAMES = ("swing", "operator_input", "manipulator", "boom_stick", "harvester")
 INSTANCES, STEPS, ROUNDS = 100, 1000, 10
 
 pytestmark = pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")

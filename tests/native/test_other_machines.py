@@ -14,7 +14,7 @@ from fmus.export.build import build_all
 from fmus.machine.build import STEP
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 
 WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
@@ -35,7 +35,7 @@ def compare(
     build_all([HARVESTER, OPERATOR], folders, STEP, WORK_CYCLE_STOP, platforms=[platform])
     for version, built in folders.items():
         program = driver(version, folder, zig(platform), suffix=suffix)
-        for name in ("harvester", "operator"):
+        for name in ("harvester", "operator_input"):
             host = machines[version, name]
             other = unpack(built / f"{name}.fmu", built / name, platform)
             script = cycle(host, STOP) if name == "harvester" else [*begin(host), *moves(host, 0, 1000)]

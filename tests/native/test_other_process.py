@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from native.bench import begin, drive, look, moves, push
 
-NAMES = ("swing", "boom_stick", "manipulator", "operator", "harvester")
+NAMES = ("swing", "boom_stick", "manipulator", "operator_input", "harvester")
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -32,7 +32,7 @@ def work(fmu, steps):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("name", ["swing", "boom_stick", "manipulator", "operator", "harvester"])
+@pytest.mark.parametrize("name", ["swing", "boom_stick", "manipulator", "operator_input", "harvester"])
 def test_eight_threads_give_the_serial_numbers(machines, drivers, tmp_path, version, name):
     """Eight threads with an instance each print, digit by digit, what one alone prints."""
     fmu = machines[version, name]

@@ -18,12 +18,12 @@ from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
 from fmus.export.reference_experiment import STEP, data_file
 from fmus.machine.parts import FAMILIES
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from python_fmu.stimulus import Array, stimulus
 
 SUBS = {sub.name: sub for family in FAMILIES.values() for sub in family.values()} | {
-    "operator": OPERATOR,
+    "operator_input": OPERATOR,
     "controller": CONTROLLER,
 }
 STOP = 3.0  # s: boom and swing are moved in this part of the work cycle

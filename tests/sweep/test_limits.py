@@ -114,7 +114,7 @@ def test_fixed_numbers_count_themselves_and_for_shares(bounded: Path, tmp_path: 
     ("name", "numbers", "expected"),
     [
         ("manipulator.head_mass", _uniform(-900, 400, ', unit = "kg"'), "at least 0.001 kg, got -900 kg"),
-        ("operator.swing_1_rise", _uniform(-1, 0.5), "minimum: expected at least 0 s, got -1 s"),
+        ("operator_input.swing_1_rise", _uniform(-1, 0.5), "minimum: expected at least 0 s, got -1 s"),
     ],
 )
 def test_the_machine_refuses_what_cannot_be(

@@ -71,14 +71,14 @@ def test_the_ramp_of_a_lever_is_varied_as_the_page_says(fmu_dir, tmp_path, one):
     """As it stands: one lever makes one stroke up to 3.6 V in all runs, with another peak in each."""
     text = _block("toml", 2)
     assert "build/harvester.ssp" in text
-    more = """lever = { signal = "operator.swing_command", measure = "maximum" }
-boom = { signal = "operator.boom_command", measure = "range" }
+    more = """lever = { signal = "operator_input.swing_command", measure = "maximum" }
+boom = { signal = "operator_input.boom_command", measure = "range" }
 """
     file = tmp_path / "ramp.toml"
     file.write_text(text.replace("build", fmu_dir.as_posix()) + more, encoding="utf-8")
     table = run(file, one)[0].table
     assert table["status"].tolist() == ["ok"] * 8
-    assert table["start:operator.swing_1_rise"].between(0.1, 0.7).all()
+    assert table["start:operator_input.swing_1_rise"].between(0.1, 0.7).all()
     assert table["output:lever"].to_numpy() == pytest.approx(3.6, rel=1e-12)  # V; rounding only
     assert (table["output:boom"] == 0).all()
     assert table["output:peak"].nunique() == 8

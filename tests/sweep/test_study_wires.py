@@ -38,16 +38,16 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
     with pytest.raises(Problem) as wrong:
         resolve(read(file))[0]
     key = f'"{name}"' if "." in name else name
-    wire = "operator.boom_command -> boom_stick.boom_command"
+    wire = "operator_input.boom_command -> boom_stick.boom_command"
     assert str(wrong.value) == (
-        f"{file}: factors.{key}: {name} cannot be set: it is fed by {wire}; vary what operator is set by,"
+        f"{file}: factors.{key}: {name} cannot be set: it is fed by {wire}; vary what operator_input is set by,"
         " or drive boom_stick.boom_command by a scenario under choices"
     )
 
 
 def test_what_the_refusal_advises_is_accepted(fmu_dir: Path, tmp_path: Path) -> None:
     """A number of the levers is a factor; a scenario drives the wired input itself."""
-    assert resolve(read(_file(tmp_path, fmu_dir, "operator.boom_1_command")))[0].factors
+    assert resolve(read(_file(tmp_path, fmu_dir, "operator_input.boom_1_command")))[0].factors
     file = _file(tmp_path, fmu_dir, "manipulator.head_mass")
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     file.write_text(file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n', encoding="utf-8")

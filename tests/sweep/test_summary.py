@@ -40,10 +40,10 @@ def test_an_early_end_stands_between() -> None:
 
 def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
     """The first run of a kind is the example; a reason that is always the same is told as it is."""
-    reasons = {n: f"operator: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
+    reasons = {n: f"operator_input: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
     found = _failed({**reasons, 30: "the process ended by signal 11 (SIGSEGV)"})
     assert summary(found).splitlines()[-2:] == [
-        "6 failed, such as: operator: swing_1_rise is -0.3, expected at least 0",
+        "6 failed, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
         "1 failed: the process ended by signal 11 (SIGSEGV)",
     ]
 

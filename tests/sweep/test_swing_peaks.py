@@ -33,7 +33,7 @@ def test_names_and_units_of_the_studies_are_right(name: str, fmu_dir: Path, tmp_
     assert {output.unit for output in study.outputs} == {"Pa"}
     # the levers play nothing but the strokes of the study
     played = {n for n, value in study.fixed.items() if n.endswith("_command") and value}
-    assert played <= {"operator.swing_1_command", "operator.swing_2_command"}
+    assert played <= {"operator_input.swing_1_command", "operator_input.swing_2_command"}
 
 
 def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> None:

@@ -140,10 +140,10 @@ def test_choice(fmu_dir: Path) -> None:
         "detailed": "detailed",
         "quasistatic": "quasistatic",
     }
-    assert "operator" not in variants(system)
+    assert "operator_input" not in variants(system)
     found = plan(MachineChoice(system)).setup
     assert [axis.name for axis in found.axes] == ["swing_command", "boom_command", "stick_command"]
-    assert not [name for name in found.signals if name.startswith("operator.")]
+    assert not [name for name in found.signals if name.startswith("operator_input.")]
 
 
 def test_choice_with_a_controller(fmu_dir: Path) -> None:

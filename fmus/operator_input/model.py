@@ -168,7 +168,7 @@ def corner(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
 
 
 OPERATOR = Subsystem(
-    name="operator",
+    name="operator_input",
     text="Operator: a program of up to ten strokes on each of three levers",
     parameters=OperatorParameters,
     states=OperatorState,

@@ -1,5 +1,5 @@
 """The operator: plays a program of lever strokes."""
 
-from fmus.operator.model import OPERATOR
+from fmus.operator_input.model import OPERATOR
 
 __all__ = ["OPERATOR"]

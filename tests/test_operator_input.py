@@ -31,7 +31,7 @@ from fmus.machine.work_cycle import (
     program_numbers,
 )
 from fmus.machine.work_cycle import sample as sampled
-from fmus.operator.model import AHEAD, AXES, OPERATOR, STROKES, Stroke, sample
+from fmus.operator_input.model import AHEAD, AXES, OPERATOR, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem
 
@@ -101,21 +101,21 @@ def test_the_fmu_plays_the_work_cycle(fmu_dir):
     time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
     names = [f"{lever}_command" for lever in AXES]
     rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
-    with driving(fmu_dir / "operator.fmu") as operator:
+    with driving(fmu_dir / "operator_input.fmu") as operator_input:
         for n in range(len(time) - 1):
             # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
-            np.testing.assert_allclose(operator.get(*names), commands[n], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(operator_input.get(*names), commands[n], rtol=0, atol=1e-9)
             np.testing.assert_allclose(
-                operator.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
+                operator_input.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
             )
-            operator.step(1e-3, 5)
+            operator_input.step(1e-3, 5)
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_any_master_gets_the_same_commands(fmu_dir, kind):
     """In co-simulation and model exchange, whatever the start time: the clock begins with the run."""
     rows = simulate_fmu(
-        str(fmu_dir / "operator.fmu"),
+        str(fmu_dir / "operator_input.fmu"),
         fmi_type=kind,
         start_time=5.0,
         stop_time=12.0,
@@ -132,7 +132,7 @@ def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
     """In model exchange the FMU names the corners one by one, and no event after the last one."""
     corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
     for folder in (fmu_dir, fmi3_dir):
-        with exchanging(folder / "operator.fmu", 5.0) as following:
+        with exchanging(folder / "operator_input.fmu", 5.0) as following:
             assert [round(time, 9) for time in following] == sorted(corners)
 
 
@@ -146,7 +146,7 @@ def exchanging(path, start):
         guid=description.guid,
         unzipDirectory=folder,
         modelIdentifier=description.modelExchange.modelIdentifier,
-        instanceName="operator",
+        instanceName="operator_input",
     )
     fmu.instantiate()
     if kind is FMU2Model:
@@ -176,8 +176,10 @@ def exchanging(path, start):
 
 def test_no_event_is_lost_in_a_whole():
     """Components with corners cannot be joined: the FMU of the whole would not tell them."""
-    with pytest.raises(Problem, match="whole: operator has corners, expected components without"):
-        compose("whole", "The operator alone", {"operator": OPERATOR}, (), {}, folder=OPERATOR.values.parent)
+    with pytest.raises(Problem, match="whole: operator_input has corners, expected components without"):
+        compose(
+            "whole", "The operator alone", {"operator_input": OPERATOR}, (), {}, folder=OPERATOR.values.parent
+        )
 
 
 def test_the_shipped_program_is_the_work_cycle():
