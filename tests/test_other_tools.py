@@ -104,7 +104,7 @@ def test_without_rate_wires_the_system_is_lost(fmu_dir):
 
 
 def test_ecos_needs_no_small_steps_for_the_one_block(fmu_dir, capfd):
-    """operator_input.fmu drives harvester.fmu: no coupling error, at 20 ms as exact as the FMU's own solver."""
+    """operator_input.fmu drives harvester.fmu: no coupling error, at 20 ms as exact as the solver."""
     ecos = load("ecospy")
     structure = ecos.EcosSimulationStructure()
     for name in ("operator_input", "harvester"):

@@ -40,8 +40,8 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
     key = f'"{name}"' if "." in name else name
     wire = "operator_input.boom_command -> boom_stick.boom_command"
     assert str(wrong.value) == (
-        f"{file}: factors.{key}: {name} cannot be set: it is fed by {wire}; vary what operator_input is set by,"
-        " or drive boom_stick.boom_command by a scenario under choices"
+        f"{file}: factors.{key}: {name} cannot be set: it is fed by {wire}; vary what"
+        " operator_input is set by, or drive boom_stick.boom_command by a scenario under choices"
     )
 
 
