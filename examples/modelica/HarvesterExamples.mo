@@ -7,11 +7,11 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
     // the classes that the tool made of the FMUs: the only lines to adapt
     // OpenModelica names them <model>_me_FMU, Dymola <model>_fmu
     model Machine = harvester_me_FMU "The whole machine: commands in, motion out";
-    model Operator = operator_me_FMU "Plays strokes of the levers";
+    model OperatorInput = operator_input_me_FMU "Plays strokes of the levers";
 
     model OneBlock "The work cycle"
       extends Modelica.Icons.Example;
-      Operator levers;
+      OperatorInput operator_input;
       Machine machine;
     equation
       connect(operator_input.swing_command, machine.swing_command);
@@ -60,7 +60,7 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
 
     model Flanges "The work cycle, connected at rods and shaft"
       extends Modelica.Icons.Example;
-      Harvester.FMUs.Operator levers;
+      Harvester.FMUs.OperatorInput operator_input;
       Harvester.WithFlanges.Swing swing;
       Harvester.WithFlanges.BoomStick boom_stick;
       Harvester.WithFlanges.Manipulator arm;
