@@ -13,11 +13,10 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.machine.parts import FAMILIES
-from orchestrator import Problem, load, run
+from orchestrator import Problem, compare, load, run, with_swaps
 from orchestrator.base.text import share
-from orchestrator.results.comparison import Comparison, compare
-from orchestrator.ssp.swap import with_swaps
-from orchestrator.studies.convergence_report import write
+from orchestrator.results.comparison import Comparison
+from orchestrator.results.comparison_report import write
 from orchestrator.studies.variants import inside
 
 KINDS = ("speed", "angle", "pressure")  # joint speeds and angles [rad/s, rad], all pressures
