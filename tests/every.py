@@ -12,8 +12,8 @@ from driver import Driver, driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
+from fmus.export.ls_ref import STEP, data_file
 from fmus.export.python.build import build_python
-from fmus.export.reference_experiment import STEP, data_file
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR
 

@@ -19,8 +19,8 @@ from markupsafe import Markup
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
+from fmus.export.ls_ref import PAGE, ls_ref_files
 from fmus.export.model_description import LOG_CATEGORIES
-from fmus.export.reference_experiment import PAGE, proof
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.text import typeset
 from orchestrator.base.units import display, pretty
@@ -237,5 +237,5 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         ],  # of derivatives nobody wants a table
         sources={word: meaning for word, meaning in SOURCES.items() if word in used},
         categories=LOG_CATEGORIES,
-        proof=PAGE.rpartition("/")[2] if proof(sub) else "",
+        proof=PAGE.rpartition("/")[2] if ls_ref_files(sub) else "",
     )

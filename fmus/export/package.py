@@ -10,8 +10,8 @@ from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, sources
 from fmus.export.documentation import page, shipped
 from fmus.export.interface import Interface, interface_of
+from fmus.export.ls_ref import ls_ref_files
 from fmus.export.model_description import build_description, model_description, terminals
-from fmus.export.reference_experiment import proof
 from fmus.parameters import Values, document, values
 from fmus.parameters import numbers as numbers_of
 
@@ -80,4 +80,4 @@ def readable_files(
         content["resources/parameters.toml"] = document(sub.numbers).encode()
     elif sub.values is None or sub.values.is_file():
         content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
-    return content | proof(sub)
+    return content | ls_ref_files(sub)

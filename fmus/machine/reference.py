@@ -35,7 +35,7 @@ from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
 from fmus.controller.paths import spells
 from fmus.export.interface import interface_of
-from fmus.export.reference_experiment import STEP, data_file, reference_parameters
+from fmus.export.ls_ref import STEP, data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
     COMMAND_WIRES,

@@ -19,8 +19,8 @@ DEFECT = "check.defect"
 
 def all_rules() -> tuple[CheckRule, ...]:
     """All rules, in the order in which they are applied."""
+    from orchestrator.check.ls_ref_comparison import EXPERIMENT
     from orchestrator.check.probes import PROBES
-    from orchestrator.check.reference_experiment import EXPERIMENT
     from orchestrator.check.rules import STATIC
 
     return (*STATIC, *PROBES, EXPERIMENT)

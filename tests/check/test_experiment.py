@@ -11,8 +11,8 @@ import pytest
 
 from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
-from orchestrator.check.reference_experiment import EXPERIMENT
-from orchestrator.check.reference_files import PLACE
+from orchestrator.check.ls_ref_comparison import EXPERIMENT
+from orchestrator.check.ls_ref_files import PLACE
 from orchestrator.check.subject import Subject, unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"

@@ -14,9 +14,9 @@ from fmpy.validation import validate_fmu
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
+from fmus.export.ls_ref import STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
-from fmus.export.reference_experiment import STEP, data_file
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values

@@ -9,7 +9,7 @@ from every import EVERY, at_work, native, outputs, python, row, work
 from fmpy.validation import validate_fmu
 
 from fmus.contract import quantities
-from fmus.export.reference_experiment import STEP
+from fmus.export.ls_ref import STEP
 from orchestrator.base.units import parse
 
 NAMES = tuple(EVERY)

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.finding import CheckRule, Finding, error, note, warning
-from orchestrator.check.probe_process import run
-from orchestrator.check.probes import first_run
-from orchestrator.check.reference_files import (
+from orchestrator.check.ls_ref_files import (
     MANIFEST,
     Related,
     ResultTable,
@@ -30,6 +28,8 @@ from orchestrator.check.reference_files import (
     shown,
     table,
 )
+from orchestrator.check.probe_process import run
+from orchestrator.check.probes import first_run
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, numbers

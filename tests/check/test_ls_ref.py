@@ -14,13 +14,13 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.reference_experiment import (
+from fmus.export.ls_ref import (
     BOUND,
     PAGE,
     PLACE,
     TOLERANCE,
     data_file,
-    proof,
+    ls_ref_files,
     reference_parameters,
 )
 from fmus.machine.one_block import HARVESTER
@@ -29,9 +29,9 @@ from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
-from orchestrator.check.reference_experiment import ExperimentComparison, cases, compare
-from orchestrator.check.reference_files import manifest, table
-from orchestrator.check.reference_files import parameter_set as read_parameters
+from orchestrator.check.ls_ref_comparison import ExperimentComparison, cases, compare
+from orchestrator.check.ls_ref_files import manifest, table
+from orchestrator.check.ls_ref_files import parameter_set as read_parameters
 from orchestrator.check.subject import unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
@@ -48,7 +48,7 @@ def built(folder: Path, name: str) -> Path:
 
 def test_the_source_without_states_carries_nothing():
     """Its outputs follow its inputs at once."""
-    assert proof(ALL["supply"]) == {}
+    assert ls_ref_files(ALL["supply"]) == {}
 
 
 def compared(path: Path, folder: Path) -> ExperimentComparison:
@@ -145,17 +145,17 @@ def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_pat
 
 def test_a_subsystem_without_reference_carries_none(tmp_path):
     """Somebody's own subsystem is built as before."""
-    assert proof(replace(SWING, values=tmp_path / "parameters.toml")) == {}
+    assert ls_ref_files(replace(SWING, values=tmp_path / "parameters.toml")) == {}
 
 
 def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
     """A variant of a subsystem beside the same files: what they name is not there, so they stay out."""
-    assert proof(replace(SWING, outputs=SWING.states)) == {}
+    assert ls_ref_files(replace(SWING, outputs=SWING.states)) == {}
 
 
 def test_an_experiment_without_inputs_has_no_stimuli():
     """The levers have no inputs: no file, and none in the experiment."""
-    files = proof(OPERATOR)
+    files = ls_ref_files(OPERATOR)
     assert f"{PLACE}/input.csv" not in files
     assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
     assert b"There are no inputs" in files[PAGE]
@@ -166,13 +166,13 @@ def test_the_parameter_set_keeps_the_schema(name):
     """Valid against the SSP 1.0 schema for parameter sets that FMPy ships."""
     file = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
     schema = etree.XMLSchema(etree.parse(str(file)))
-    schema.assertValid(etree.fromstring(proof(SUBSYSTEMS[name])[f"{PLACE}/parameters.ssv"]))
+    schema.assertValid(etree.fromstring(ls_ref_files(SUBSYSTEMS[name])[f"{PLACE}/parameters.ssv"]))
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_the_files_are_small(name):
     """Below 200 kB each."""
-    assert all(len(content) < 200_000 for content in proof(SUBSYSTEMS[name]).values())
+    assert all(len(content) < 200_000 for content in ls_ref_files(SUBSYSTEMS[name]).values())
 
 
 def test_a_parameter_set_reads_back(tmp_path):

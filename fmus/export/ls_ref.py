@@ -49,7 +49,7 @@ def data_file(sub: Subsystem, name: str) -> Path:
     return sub.folder / f"{which}_{name}"
 
 
-def proof(sub: Subsystem) -> dict[str, bytes]:
+def ls_ref_files(sub: Subsystem) -> dict[str, bytes]:
     """Path in the FMU -> content; nothing for a subsystem without reference, or with other variables."""
     data = {name: data_file(sub, name) for name in ("parameters.ssv", "input.csv", "result.csv")}
     files = {name: path.read_bytes() for name, path in data.items() if path.is_file()}
