@@ -343,7 +343,7 @@ def test_all_options_reach_the_validation(capsys):
         (["validate", "none.ssp"], "none.ssp: no such file"),
         (
             ["validate", "--reference", "none.csv"],
-            "none.csv: expected a .csv or .toml file, got no such file",
+            "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file",
         ),
         (["validate", "--layout", "none.toml"], "none.toml: no such file"),
         (["validate", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
@@ -385,13 +385,13 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
         (
             'unit = "Pa"',
             'unit = "bear"',
-            "own.toml: [signals.'swing.swing_pressure_a']: unit 'bear' is unknown",
+            "own.toml: signals.\"swing.swing_pressure_a\": unit 'bear' is unknown",
         ),
         ('unit = "Pa"', 'unit = "m"', "unit 'm' cannot be converted, expected a unit like 'Pa'"),
         (
             "limit = 0.005",
             "limit = -1",
-            "own.toml: [tolerances] speed: limit is -1, expected a number above 0",
+            "own.toml: tolerances.speed: limit: expected a number above 0, got -1",
         ),
         ("manipulator.boom_speed", "manipulator.speed", "own.csv: column 'manipulator.speed' expected, got "),
     ],
