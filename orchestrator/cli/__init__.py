@@ -1,6 +1,7 @@
 """The command line `harvester`: one file per command, in the order of the help.
 
-A command reads its options, calls one function and prints. Its imports are inside, so that --help stays fast.
+A command reads its options, calls one function and prints. Its imports are inside the function,
+so that --help stays fast.
 """
 
 # isort: off

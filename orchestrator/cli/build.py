@@ -1,4 +1,4 @@
-"""`harvester build`: the FMUs of the machine, or one whose code is Python."""
+"""`harvester build`: build the FMUs of the machine, or one FMU whose code is Python."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ def build(
         str | None,
         typer.Argument(
             metavar="MODEL",
-            help="For an FMU whose code is Python: a file with a model of your own, such as my_actuator.py,"
-            " or a subsystem, such as fmus.boom_stick:VARIANTS.lumped.",
+            help="Build only this model, as an FMU whose code is Python: a file with your own model, such as"
+            " my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped.",
         ),
     ] = None,
     out: Annotated[
         Path,
         typer.Option(
             metavar="DIR",
-            help="Where the files go; those of FMI 3.0 to fmi3/ in it, those in Python to python/.",
+            help="Folder of the FMUs; FMI 3.0 goes to its subfolder fmi3, FMUs in Python to python.",
         ),
     ] = BUILD,
     fmi: Annotated[
-        str, typer.Option(metavar="VERSION", help="2, 3 or both; of a model in Python 2.")
+        str, typer.Option(metavar="VERSION", help="2, 3 or both; a MODEL in Python is always 2.")
     ] = "both",
     platform: Annotated[
         list[str] | None,
@@ -42,13 +42,14 @@ def build(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Numbers in place of those of the parts (.toml), such as harvester identify writes.",
+            help="Parameter values that replace those of the parts (.toml), as written by identify.",
         ),
     ] = None,
 ) -> None:
-    """Build the FMUs of the machine, or one of a model in Python.
+    """Build the FMUs of the machine, or one FMU from a model in Python.
 
-    Of the machine: the parts in all variants, the whole, the controller, and the systems that connect them.
+    The machine: all variants of its parts, the whole machine as one FMU, the controller, and the systems that
+    connect them.
     """
     from fmus.export.compile import select
 
@@ -63,9 +64,9 @@ def build(
         from fmus.export.python.build import build_model
 
         if 2 not in versions[fmi]:
-            raise Problem(f"--fmi {fmi}: expected 2, an FMU whose code is Python is one of FMI 2.0")
+            raise Problem(f"--fmi {fmi}: expected 2, because an FMU whose code is Python uses FMI 2.0")
         if parameters is not None:
-            raise Problem(f"--parameters {parameters}: a model of your own has its own numbers")
+            raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
         print(build_model(model, out, platforms))
         return
     from fmus.machine.build import build_machine

@@ -1,4 +1,4 @@
-"""`harvester check`: what is wrong with an FMU."""
+"""`harvester check`: find what is wrong with an FMU."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ def check(
         ),
     ] = "any",
     json: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="Write the findings to a file, for programs.")
+        Path | None, typer.Option(metavar="OUT", help="Also write the findings to this file (.json).")
     ] = None,
-    static: Annotated[bool, typer.Option("--static", help="Run nothing of the FMU.")] = False,
+    static: Annotated[
+        bool, typer.Option("--static", help="Only inspect the file; run no code of the FMU.")
+    ] = False,
     timeout: Annotated[
-        float, typer.Option(metavar="SECONDS", help="A call into the FMU that takes longer is a hang.")
+        float, typer.Option(metavar="SECONDS", help="A call to the FMU that takes longer counts as a hang.")
     ] = 10.0,
     rules: Annotated[bool, typer.Option("--rules", help="Print the table of rules.")] = False,
 ) -> None:
-    """Tell what is wrong with an FMU, and for which tool.
+    """Find what is wrong with an FMU, and which tools that affects.
 
-    Exit status 1 if there are errors.
+    The exit status is 1 if there are errors.
     """
     from orchestrator.check import all_rules
     from orchestrator.check import check as run_check

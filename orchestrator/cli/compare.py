@@ -1,4 +1,4 @@
-"""`harvester compare`: results of several runs against one of them."""
+"""`harvester compare`: compare the results of several runs."""
 
 from __future__ import annotations
 
@@ -16,36 +16,35 @@ def compare(
         list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet) of runs.")
     ],
     against: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The trace to compare with; default: the first.")
+        Path | None, typer.Option(metavar="FILE", help="Trace to compare with; default: the first.")
     ] = None,
     signals: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="What to show, such as '*_pressure*'; repeatable; default: speeds, pressures and angles."
+            help="Signals to show, such as '*_pressure*'; repeatable; default: speeds, pressures and angles."
             " The summary covers all signals.",
         ),
     ] = None,
     start: Annotated[
-        float | None, typer.Option(metavar="T", help="Begin of the window [s].", parser=seconds)
+        float | None, typer.Option(metavar="T", help="Start of the time window [s].", parser=seconds)
     ] = None,
     stop: Annotated[
-        float | None, typer.Option(metavar="T", help="End of the window [s].", parser=seconds)
+        float | None, typer.Option(metavar="T", help="End of the time window [s].", parser=seconds)
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where comparison.png and comparison.json go.")
+        Path, typer.Option(metavar="DIR", help="Folder of comparison.png and comparison.json.")
     ] = BUILD,
 ) -> None:
     """Compare traces of runs.
 
-    Difference of each signal from one of them, cost, and a picture.
+    Prints the difference of each signal and the cost of each run, and draws the signals.
     """
-
     from orchestrator.base.files import folder
-    from orchestrator.results.comparison import compare as compared
+    from orchestrator.results.comparison import compare as compare_traces
     from orchestrator.results.comparison_report import text, write
 
-    found = compared(traces, against=against, signals=signals or (), start=start, stop=stop)
+    comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
     folder(out)
-    picture, numbers = write(found, out)
-    print(f"{text(found)}\n\npicture: {picture}\nnumbers: {numbers}")
+    picture, numbers = write(comparison, out)
+    print(f"{text(comparison)}\n\npicture: {picture}\nnumbers: {numbers}")

@@ -1,4 +1,4 @@
-"""`harvester convergence`: error over communication step, for each master."""
+"""`harvester convergence`: the error of each master over the communication step."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ def convergence(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Reference, .csv with .toml; default: of the harvester's work cycle its solution,"
-            " of any other run the finest hermite run.",
+            help="Reference (.csv with .toml); default: the monolithic solution for the work cycle,"
+            " the hermite run with the smallest step for any other run.",
         ),
     ] = None,
     steps: Annotated[
-        str, typer.Option(metavar="S,S,...", help="Communication steps [s], with commas.")
+        str, typer.Option(metavar="S,S,...", help="Communication steps [s], separated by commas.")
     ] = "0.0005,0.001,0.002,0.005,0.01,0.02",
     masters: Annotated[
         str,
         typer.Option(
             metavar="NAME,...",
-            help="Only these, such as jacobi, 'hermite 2 passes' or '*order 1'; default: all.",
+            help="Masters, such as jacobi, 'hermite 2 passes' or '*order 1'; default: all.",
         ),
     ] = "",
     signals: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="What to judge, such as '*_pressure*'; repeatable, one table each;"
+            help="Signals whose error is taken, such as '*_pressure*'; repeatable, one table each;"
             " default: speeds and pressures.",
         ),
     ] = None,
     case: Case,
     repeats: Annotated[
-        int, typer.Option(metavar="N", help="How often each run is timed; the median counts.")
+        int, typer.Option(metavar="N", help="Number of times that each run is timed; the median is reported.")
     ] = 3,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where numbers and pictures go.")] = STUDY,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the tables and figures.")] = STUDY,
 ) -> None:
-    """Error over communication step for all masters.
+    """Compute the error of each master over the communication step, and its cost.
 
-    And what each costs: tables, numbers, pictures.
+    Prints tables, and writes them as CSV with figures.
     """
     from fmus.machine.build import data
     from orchestrator.studies.convergence_study import convergence as study
 
-    usually = data("reference/work_cycle.csv")
-    options = case.options() | {"scenario": case.scenario, "usually": usually}
+    work_cycle = data("reference/work_cycle.csv")
+    options = case.options() | {"scenario": case.scenario, "usually": work_cycle}
     study(system, reference, out, steps, masters, signals or (), repeats, **options)

@@ -1,4 +1,4 @@
-"""`harvester identify`: parameters from recordings."""
+"""`harvester identify`: estimate parameters from recordings."""
 
 from __future__ import annotations
 
@@ -14,40 +14,51 @@ from orchestrator.cli.options import BUILD, app
 def identify(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="Recordings: data files, each with a .toml that describes it."),
+        typer.Argument(
+            metavar="DIR", help="Folder of recordings: data files, each with a .toml that describes it."
+        ),
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the parameters go (.toml).")] = Path(
-        "parameters.toml"
-    ),
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the estimated parameters (.toml).")
+    ] = Path("parameters.toml"),
     report: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where identification.html and .json go.")
+        Path, typer.Option(metavar="DIR", help="Folder of identification.html and .json.")
     ] = BUILD,
     joint: Annotated[
-        bool, typer.Option("--joint/--no-joint", help="Refine all together, if the machine was recorded.")
+        bool,
+        typer.Option(
+            "--joint/--no-joint",
+            help="Refine all parameters together, if there is a recording of the whole machine.",
+        ),
     ] = True,
     inertia: Annotated[
-        bool, typer.Option("--inertia", help="Estimate inertial parameters from joint motion, too.")
+        bool,
+        typer.Option("--inertia", help="Also estimate inertial parameters, from the motion of the joints."),
     ] = False,
     free: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="What the joint refinement may change; repeatable; default: what a work cycle shows.",
+            help="Parameter that the joint refinement may change; repeatable; default: those that a work"
+            " cycle excites.",
         ),
     ] = None,
     starts: Annotated[
         int,
-        typer.Option(metavar="N", help="Refine again from N random starts: do they lead to the same result?"),
+        typer.Option(
+            metavar="N",
+            help="Repeat the refinement from N random starts, to see whether the result is the same.",
+        ),
     ] = 4,
 ) -> None:
-    """Find the machine's parameters from recordings.
+    """Estimate the machine's parameters from recordings.
 
-    By the paper's procedures, then all together.
+    First by the procedures of the paper, one by one, then all together.
     """
-    from fmus.identification.command import run as identified
+    from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
-    from orchestrator.base.files import folder as made
+    from orchestrator.base.files import folder as make_folder
 
-    made(out.parent)
-    made(report)
-    identified(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE), starts=starts)
+    make_folder(out.parent)
+    make_folder(report)
+    run_identify(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE), starts=starts)

@@ -1,4 +1,4 @@
-"""`harvester linearize`: a linear model of a system, and its modes."""
+"""`harvester linearize`: the linear model of a system at an operating point, and its modes."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def linearize(
         typer.Option(
             "--input",
             metavar="NAME",
-            help="Input of the linear model; its wire is cut; repeatable; default: what the levers feed"
-            " and inputs of the system.",
+            help="Input of the linear model; its connection is cut; repeatable; default: the inputs of the"
+            " system and those that the operator's levers drive.",
         ),
     ] = None,
     output: Annotated[
@@ -42,25 +42,28 @@ def linearize(
     ] = None,
     steady: Annotated[
         bool,
-        typer.Option("--steady", help="Find the steady state: joints held where they are, all else at rest."),
+        typer.Option(
+            "--steady",
+            help="Linearize at the steady state: the joints keep their angles, all other states settle.",
+        ),
     ] = False,
     speed: Annotated[
         list[str] | None,
         typer.Option(
             metavar="JOINT=V",
-            help="With --steady: speed of a joint, such as boom=0.1 [rad/s]; default 0; repeatable.",
+            help="With --steady: constant speed of a joint, such as boom=0.1 [rad/s]; default 0; repeatable.",
         ),
     ] = None,
     time: Annotated[
         float | None,
         typer.Option(
             metavar="T",
-            help="Operating point: at this time [s] of a run; default: its start.",
+            help="Linearize at this time of a run [s]; default: at the start.",
             parser=seconds,
         ),
     ] = None,
     scenario: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With --time: inputs over time of that run.")
+        Path | None, typer.Option(metavar="FILE", help="With --time: inputs of that run over time.")
     ] = None,
     step: Annotated[
         float | None,
@@ -69,14 +72,17 @@ def linearize(
     swap: Swap = None,
     set_: Set = None,
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Where the arrays go (.npz); names and modes: .json beside.")
+        Path,
+        typer.Option(
+            metavar="FILE", help="File for A, B, C, D (.npz); names and modes go to a .json of the same name."
+        ),
     ] = BUILD / "linear.npz",
 ) -> None:
-    """Modes of a system at an operating point, and A, B, C, D.
+    """Linearize a system at an operating point: A, B, C, D and the modes.
 
-    The point: the start (default), a time of a run (--time), or a steady state (--steady).
+    The operating point is the start (default), a time of a run (--time), or a steady state (--steady).
 
-    A controller that moves the machine, so that its loops are closed:
+    Example with a controller that moves the machine, so that its loops are closed:
 
     harvester linearize build/harvester_control.ssp --pose reach --time 2 --set engaged=1
     --set radial_velocity=-0.3 --set swing_velocity=0.3
@@ -85,7 +91,9 @@ def linearize(
     from orchestrator.linear.linearize import linearize as run_linearize
 
     if time is None and (scenario or step):
-        raise Problem("--scenario, --step: expected --time with them, the operating point is the start else")
+        raise Problem(
+            "--scenario, --step: expected --time as well; without it the operating point is the start"
+        )
     if out.suffix != ".npz":
         raise Problem(f"--out {out}: expected a file name ending in .npz")
     speeds = _speeds(speed or [])
@@ -110,10 +118,10 @@ def linearize(
 
 def _speeds(texts: Sequence[str]) -> dict[str, float]:
     """{joint: speed} from the texts 'joint=speed'."""
-    found = assignments(texts, "--speed", "joint=speed, such as boom=0.1")
-    for name, value in found.items():
+    speeds = assignments(texts, "--speed", "joint=speed, such as boom=0.1")
+    for name, value in speeds.items():
         try:
             float(value)
         except ValueError:
             raise Problem(f"--speed {name}={value}: expected a number, got {value!r}") from None
-    return {name: float(value) for name, value in found.items()}
+    return {name: float(value) for name, value in speeds.items()}

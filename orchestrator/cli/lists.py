@@ -1,4 +1,4 @@
-"""`harvester variants`, `parameters`, `signals`: what there is."""
+"""`harvester variants`, `parameters` and `signals`: lists of what the machine and a system contain."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from orchestrator.cli.options import BUILD, SYSTEM, Swap, System, app, swaps
 @app.command()
 def variants(
     system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM", help="The built system, to measure costs in.")
+        Path, typer.Argument(metavar="SYSTEM", help="System in which the cost of the variants is measured.")
     ] = SYSTEM,
     combinations: Annotated[
         bool, typer.Option("--combinations", help="Run the work cycle with every combination of variants.")
     ] = False,
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Where the table of combinations goes (.csv).")
+        Path, typer.Option(metavar="FILE", help="File for the table of combinations (.csv).")
     ] = BUILD / "combinations.csv",
 ) -> None:
-    """List the variants of each part, and what they cost here.
+    """List the variants of each part, with their cost on this computer.
 
-    With states, inputs and range of validity.
+    Also their states, inputs and range of validity.
     """
     from fmus.machine.parts import FAMILIES
     from fmus.machine.tables import variant_lines, variant_names
@@ -37,7 +37,7 @@ def variants(
         return
     print("\n".join(variant_lines(costs(system, variant_names()) if system.exists() else {})))
     if not system.exists():
-        print(f"{system} is not built: no costs measured; make it with: harvester build")
+        print(f"{system} does not exist, so no cost was measured; build it with: harvester build")
 
 
 @app.command()
@@ -45,15 +45,17 @@ def parameters(
     subsystem: Annotated[
         str | None,
         typer.Argument(
-            help="A part or a variant of it, such as swing or swing_detailed; default: the machine"
+            help="A part or a variant of a part, such as swing or swing_detailed; default: the whole machine."
         ),
     ] = None,
     source: Annotated[
         str | None,
-        typer.Option(metavar="WORD", help="Only numbers with this source, such as paper or assumed."),
+        typer.Option(
+            metavar="WORD", help="Only parameters whose source contains this word, such as paper or assumed."
+        ),
     ] = None,
 ) -> None:
-    """Print the numbers of the model with unit and source."""
+    """Print the parameters of the model with value, unit and source."""
     from fmus.machine.tables import print_parameters
 
     print_parameters(subsystem, source)
@@ -65,8 +67,7 @@ def signals(
     kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only input, output or parameter.")] = None,
     swap: Swap = None,
 ) -> None:
-    """List the variables of a system with unit and meaning."""
-
+    """List the variables of a system with unit and description."""
     from orchestrator.base.files import there
     from orchestrator.ssp.listing import lines
     from orchestrator.ssp.load import load

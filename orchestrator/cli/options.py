@@ -1,4 +1,4 @@
-"""The application, groups of options that several commands share, and how texts of options are read."""
+"""The application `harvester`, the options that several commands share, and the parsing of values."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def _group() -> None:
 
 
 def spread(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the fields of its groups, which are dataclasses, as parameters of their own."""
+    """Decorator: replace each parameter that is a dataclass (a group of options) by its fields."""
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters: dict[str, Parameter] = {}
     for name, parameter in signature(command).parameters.items():
         if name in groups:
@@ -44,8 +44,8 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def spread_command(**values: Any) -> None:
-        for name, kind in groups.items():
-            values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
+        for name, group in groups.items():
+            values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
         command(**values)
 
     spread_command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
@@ -53,39 +53,39 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
     return spread_command
 
 
-def _parameter(name: str, default: Any, kind: Any) -> Parameter:
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+def _parameter(name: str, default: Any, annotation: Any) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 T = TypeVar("T")
 
 
 def seconds(text: str) -> float:
-    """A time [s] from the text of an option."""
+    """Parse a time [s]."""
     return _read(text, float, "a number of seconds")
 
 
 def number(text: str) -> float:
-    """A number from the text of an option."""
+    """Parse a number."""
     return _read(text, float, "a number")
 
 
 def whole(text: str) -> int:
-    """A whole number from the text of an option."""
+    """Parse an integer."""
     return _read(text, int, "a whole number")
 
 
 def positive(text: str) -> int:
-    """A whole number above zero from the text of an option."""
-    found = _read(text, int, "a whole number above 0")
-    if found < 1:
+    """Parse an integer above zero."""
+    value = _read(text, int, "a whole number above 0")
+    if value < 1:
         raise typer.BadParameter(f"expected a whole number above 0, got {text!r}")
-    return found
+    return value
 
 
-def _read(text: str, kind: Callable[[str], T], expected: str) -> T:
+def _read(text: str, convert: Callable[[str], T], expected: str) -> T:
     try:
-        return kind(text)
+        return convert(text)
     except ValueError:
         raise typer.BadParameter(f"expected {expected}, got {text!r}") from None
 
@@ -97,12 +97,12 @@ def swaps(texts: Iterable[str]) -> dict[str, str]:
 
 def factors(texts: Iterable[str]) -> dict[str, int]:
     """{component: steps} from the texts 'component=steps'."""
-    expected = "component=N, N steps of it in each communication step"
-    found = assignments(texts, "--factor", expected)
-    for name, text in found.items():
+    expected = "component=N, the number of steps in each communication step"
+    counts = assignments(texts, "--factor", expected)
+    for name, text in counts.items():
         if not text.isdecimal():
             raise Problem(f"--factor {name}={text}: expected {expected}")
-    return {name: int(text) for name, text in found.items()}
+    return {name: int(text) for name, text in counts.items()}
 
 
 def assignments(
@@ -115,7 +115,7 @@ def assignments(
         if not equals or not name:
             raise Problem(f"{option} {text}: expected {expected}")
         if values.setdefault(name, value) != value:
-            raise Problem(f"{option} {text}: {name} is {values[name]} already, expected one value")
+            raise Problem(f"{option} {text}: expected one value of {name}, got {values[name]} as well")
     return values
 
 
@@ -126,8 +126,8 @@ Swap = Annotated[
     list[str] | None,
     typer.Option(
         metavar="COMPONENT=FMU",
-        help="Another FMU in the place of a component: the name of a variant, such as boom_stick=detailed,"
-        " or a path, boom_stick=FILE.fmu; repeatable.",
+        help="Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a file,"
+        " boom_stick=FILE.fmu; repeatable.",
     ),
 ]
 
@@ -137,7 +137,7 @@ Parameters = Annotated[
         "--parameters",
         "--pose",
         metavar="SET",
-        help="Parameter set: the name of one in the system, such as reach, or a FILE.ssv; repeatable.",
+        help="Parameter set of the system, such as reach, or a file FILE.ssv; repeatable.",
     ),
 ]
 Set = Annotated[
@@ -145,22 +145,22 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Start value of a COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs of a"
-        " name (supply_pressure sets both drives); repeatable.",
+        help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
+        " this name (supply_pressure sets both drives); repeatable.",
     ),
 ]
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is run."""
+    """The run: scenario, time span, variants, parameters, connections."""
 
     scenario: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: what the system plays by itself,"
-            " for the harvester the work cycle.",
+            help="Inputs over time (.csv, .parquet); default: the scenario in the system, for the harvester"
+            " the work cycle.",
         ),
     ] = None
     start: Start = None
@@ -172,12 +172,12 @@ class Case:
         list[str] | None,
         typer.Option(
             metavar="TARGET",
-            help="Leave out the connections to these inputs, such as '*_rate'; repeatable.",
+            help="Remove the connections to these inputs, such as '*_rate'; repeatable.",
         ),
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """As the functions of the commands take them, but the scenario."""
+        """Keyword arguments of the functions that the commands call, without the scenario."""
         return {
             "start": self.start,
             "stop": self.stop,
@@ -190,7 +190,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Steps:
-    """How long the steps are, and what is recorded of them."""
+    """Communication step, and time between recorded points."""
 
     step: Annotated[
         float | None,
@@ -212,7 +212,7 @@ class Steps:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """As the functions of the commands take them."""
+        """Keyword arguments of the functions that the commands call."""
         return {"step": self.step, "record_step": self.record_step}
 
 
@@ -241,7 +241,7 @@ class Coupled:
         int | None,
         typer.Option(
             metavar="N",
-            help="hermite: compute a step at most so many times; default: 8.",
+            help="hermite: largest number of passes over a step; default: 8.",
             parser=whole,
         ),
     ] = None
@@ -249,14 +249,14 @@ class Coupled:
         float | None,
         typer.Option(
             metavar="TOL",
-            help="hermite: compute a step again while a signal is off by more than TOL of its magnitude;"
+            help="hermite: repeat a step while a signal changes by more than TOL times its nominal value;"
             " default: 1e-5, with --adaptive 0.3 of its TOL.",
             parser=number,
         ),
     ] = None
     correct: Annotated[
         bool,
-        typer.Option("--correct", help="Give inputs back what extrapolation lost over the step before."),
+        typer.Option("--correct", help="Correct inputs by the extrapolation error of the previous step."),
     ] = False
     lag: Annotated[
         int | None,
@@ -270,14 +270,14 @@ class Coupled:
         list[str] | None,
         typer.Option(
             metavar="COMPONENT=N",
-            help="The component takes N steps in each communication step; repeatable.",
+            help="The component makes N steps in each communication step; repeatable.",
         ),
     ] = None
     adaptive: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="Let the steps be as long as their error allows, TOL of the magnitude of each signal,"
+            help="Adapt the step so that the error of each signal stays below TOL times its nominal value;"
             " such as 1e-3.",
             parser=number,
         ),
@@ -286,15 +286,16 @@ class Coupled:
         str | None,
         typer.Option(
             metavar="WHAT",
-            help="With --adaptive: what TOL is of: error of the signals (default), or energy of power bonds.",
+            help="With --adaptive: TOL limits the error of the signals (default) or the energy error of power"
+            " bonds.",
         ),
     ] = None
     guard: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="Equal steps: divide one whose estimated error is above TOL, where the components can go"
-            " back; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
+            help="Without --adaptive: divide a step whose estimated error exceeds TOL, if all components can"
+            " restore their state; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
             parser=number,
         ),
     ] = None
@@ -308,9 +309,9 @@ class Coupled:
     ] = None
 
     def given(self) -> dict[str, Any]:
-        """What the user says, named like the fields of `Coupling`."""
-        found = {f.name: getattr(self, f.name) for f in fields(self)}
-        found["tolerance"] = found.pop("coupling_tolerance")
-        found["factors"] = factors(found.pop("factor") or []) or None
-        found["correct"] = self.correct or None
-        return {name: value for name, value in found.items() if value is not None}
+        """The options that were given, by the field names of `Coupling`."""
+        options = {f.name: getattr(self, f.name) for f in fields(self)}
+        options["tolerance"] = options.pop("coupling_tolerance")
+        options["factors"] = factors(options.pop("factor") or []) or None
+        options["correct"] = self.correct or None
+        return {name: value for name, value in options.items() if value is not None}

@@ -1,4 +1,4 @@
-"""`harvester rig`: the experiments of the paper on a virtual test rig."""
+"""`harvester rig`: record the experiments of the paper on a virtual test rig."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ from orchestrator.cli.options import app
 
 @app.command()
 def rig(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recordings go.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the recordings.")],
     machine: Annotated[
-        str, typer.Option(metavar="NAME", help="lumped, the set of the paper, or detailed.")
+        str,
+        typer.Option(
+            metavar="NAME", help="Variants that are recorded: lumped, as in the paper, or detailed."
+        ),
     ] = "detailed",
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the noise; equal seeds give equal files.")] = 0,
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Seed of the noise; equal seeds give equal files.")
+    ] = 0,
 ) -> None:
     """Record the paper's experiments on a virtual test rig.
 
-    CSV files as of a real one, but simulated.
+    Writes CSV files like those of a real test rig, from simulations.
     """
     from fmus.rig import write_all
 

@@ -1,4 +1,4 @@
-"""`harvester run`: co-simulate and record."""
+"""`harvester run`: co-simulate a system and record its signals."""
 
 from __future__ import annotations
 
@@ -17,21 +17,19 @@ def run(
     system: System = SYSTEM,
     case: Case,
     steps: Steps,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Where the trace goes (.csv or .parquet).")
-    ] = BUILD / "trace.csv",
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the trace (.csv or .parquet).")] = BUILD
+    / "trace.csv",
     error_estimate: Annotated[
         bool,
         typer.Option(
             "--error-estimate",
-            help="Run again at half and at twice the step, or at a tenth of the tolerance of --adaptive;"
-            " tell change and order.",
+            help="Repeat the run at half and at twice the step, or at a tenth of the tolerance of --adaptive;"
+            " print the change of the signals and the order.",
         ),
     ] = False,
     coupled: Coupled,
 ) -> None:
     """Co-simulate a system and record its signals."""
-
     from orchestrator.engine.run import run_to_file
 
     options = case.options() | steps.options() | {"error_estimate": error_estimate}

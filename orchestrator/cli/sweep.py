@@ -1,4 +1,4 @@
-"""`harvester sweep`: a parameter study."""
+"""`harvester sweep`: run a parameter study."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from orchestrator.cli.options import app, positive
 
 @app.command()
 def sweep(
-    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="What is varied, run and kept.")],
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="Declares what is varied, run and kept.")
+    ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Where the results go; default: build/sweeps/ and the file's name."),
+        typer.Option(metavar="DIR", help="Folder of the results; default: build/sweeps/STUDY."),
     ] = None,
     workers: Annotated[
         int | None,
@@ -28,18 +30,22 @@ def sweep(
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="A Dask cluster to run on instead, such as tcp://host:8786."),
+        typer.Option(metavar="URL", help="Run on this Dask cluster instead, such as tcp://host:8786."),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Delete what DIR holds of a study, begin anew.")
+        bool, typer.Option("--fresh", help="Delete the results of a study in DIR and start again.")
     ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Leave out the page report.html.")] = False,
 ) -> None:
-    """Run a study on all cores; started again it goes on. Exit status 1 if no run came to its end."""
+    """Run a parameter study on all cores.
 
+    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
+    """
     from orchestrator.studies.parameter_study import run
 
     if workers and scheduler:
-        raise Problem("--workers: expected none with --scheduler, which runs on the workers that it has")
+        raise Problem(
+            "--workers: expected none with --scheduler, whose cluster determines the number of workers"
+        )
     if not run(study, out, workers, scheduler, fresh, report=not no_report):
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""`harvester track`: the tip along paths."""
+"""`harvester track`: move the tip along paths, and measure the tracking error."""
 
 from __future__ import annotations
 
@@ -41,56 +41,59 @@ def track(
         list[str] | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Straight from point to point instead: forward, to the left, up [m]; repeatable.",
+            help="Straight lines through these points instead: forward, left, up [m]; repeatable.",
         ),
     ] = None,
     speed: Annotated[
         float,
         typer.Option(
             metavar="V",
-            help="With --through: speed [m/s], where the way is long enough to get there.",
+            help="With --through: speed along the path [m/s], if the path is long enough to reach it.",
             parser=number,
         ),
     ] = 0.5,
     swap: Swap = None,
     set_: Set = None,
     compare: Annotated[
-        bool, typer.Option("--compare/--no-compare", help="Run without the controller's feedback, too.")
+        bool, typer.Option("--compare/--no-compare", help="Also run without the controller's feedback.")
     ] = True,
     limit: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="Exit status 1 if the tip is farther off [mm].", parser=number),
+        typer.Option(
+            metavar="MM",
+            help="Largest tracking error allowed [mm]; above it the exit status is 1.",
+            parser=number,
+        ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where tracking.png and tracking.json go.")
+        Path, typer.Option(metavar="DIR", help="Folder of tracking.png and tracking.json.")
     ] = BUILD,
 ) -> None:
-    """Draw paths with the tip, and tell how far off it is.
+    """Move the tip along paths and measure the tracking error, with and without the controller's feedback.
 
-    With the controller's feedback and without.
-
-    By the machine as built and by the detailed one; with --swap by that one alone. A value of --set must be
-    there in each: with supply.pressure_setting=15e6 comes --swap supply=ideal.
+    Runs the machine as built and the detailed one; with --swap only the machine with these variants. A
+    variable of --set must exist in each machine, so --set supply.pressure_setting=15e6 needs
+    --swap supply=ideal.
     """
     from fmus.controller.paths import course, route
-    from fmus.controller.paths import through as reached
+    from fmus.controller.paths import through as through_points
     from orchestrator.studies.path_following import beginning
-    from orchestrator.studies.path_study import track as tracked
+    from orchestrator.studies.path_study import track as run_study
 
     if path and through:
         raise Problem("--path and --through: expected one of them")
     if through:
         file, highest = route(through, speed, out)
-        paths = [(file, partial(reached, through))]
+        paths = [(file, partial(through_points, through))]
         if highest < speed:
-            print(f"note: --speed {speed:g}: up to {highest:.2g} m/s, the way is too short for more")
+            print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
         paths = [(file, partial(course, str(file), beginning(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
-    most = None if limit is None else limit / 1e3
-    if not tracked(system, paths, machines, out, modes, most, set=assignments(set_ or [])):
+    allowed = None if limit is None else limit / 1e3
+    if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
         raise typer.Exit(1)
 
 

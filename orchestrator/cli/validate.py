@@ -1,4 +1,4 @@
-"""`harvester validate`: co-simulate and compare with a reference."""
+"""`harvester validate`: co-simulate a system and compare it with a reference."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ def validate(
     reference: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Reference or measurement, .csv with .toml; default: the work cycle."
+            metavar="FILE", help="Reference or measurement (.csv with .toml); default: the work cycle."
         ),
     ] = None,
     layout: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What the report shows (.toml).")
+        Path | None, typer.Option(metavar="FILE", help="Declares the figures of the report (.toml).")
     ] = None,
     play: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="Signals of the reference that go into the run beside its commands, such as"
+            help="Signals of the reference that drive the run in addition to its commands, such as"
             " '*.supply_pressure'; repeatable.",
         ),
     ] = None,
     case: Case,
     steps: Steps,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where run.csv and the report go.")] = BUILD,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of run.csv and the report.")] = BUILD,
     coupled: Coupled,
 ) -> None:
-    """Co-simulate and compare with a reference.
+    """Co-simulate a system and compare it with a reference.
 
-    Writes a report; exit status 1 if a limit is missed.
+    Writes a report. The exit status is 1 if a limit is exceeded.
     """
     from fmus.machine.build import data
     from orchestrator.results.validate_system import validate_system
 
-    usual = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
+    defaults = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
-    if not validate_system(system, case.scenario, reference, layout, out, usual=usual, **options):
+    if not validate_system(system, case.scenario, reference, layout, out, usual=defaults, **options):
         raise typer.Exit(1)

@@ -25,34 +25,40 @@ def view(
         ),
     ] = None,
     replay: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Show a result file (.csv, .parquet) first.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Start with the replay of this result file (.csv, .parquet)."),
     ] = None,
     pose: Annotated[
         str, typer.Option(metavar="NAME", help="Pose to start from, such as reach; default: the system's.")
     ] = "",
     swap: Swap = None,
     set_: Set = None,
-    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="0 takes a free one.")] = 8080,
+    port: Annotated[
+        int, typer.Option(metavar="N", min=0, max=65535, help="TCP port; 0 selects a free one.")
+    ] = 8080,
     host: Annotated[
         str,
         typer.Option(
-            metavar="H", help="Address to listen on; another one than this computer's own needs a token."
+            metavar="H", help="Address to listen on; any other than a loopback address requires a token."
         ),
     ] = "127.0.0.1",
     token: Annotated[
-        str, typer.Option(metavar="TEXT", help="The token, 16 characters or more; default: a fresh one.")
+        str, typer.Option(metavar="TEXT", help="Token, at least 16 characters; default: a random one.")
     ] = "",
     open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
     results: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where result files to replay lie, and sessions go.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the results that can be replayed, and of recorded sessions."
+        ),
     ] = BUILD,
 ) -> None:
-    """Watch and drive the machine in a browser, in real time; or replay a result file."""
+    """Watch and drive the machine in a browser, in real time, or replay a result file."""
     from orchestrator.view.server import serve
 
     swapped = swaps(swap or [])
     serve(
-        system or _usual(swapped),
+        system or _default_system(swapped),
         replay,
         pose,
         swapped,
@@ -65,8 +71,11 @@ def view(
     )
 
 
-def _usual(swapped: Mapping[str, str]) -> Path:
-    """The system with the controller, else the one without; refuses a swap that only the latter takes."""
+def _default_system(swapped: Mapping[str, str]) -> Path:
+    """The system with the controller if it exists, else the one without.
+
+    Raises `Problem` for a swap that only the system without controller accepts.
+    """
     if not CONTROL.exists():
         return SYSTEM
     from orchestrator.ssp.load import load
@@ -76,14 +85,16 @@ def _usual(swapped: Mapping[str, str]) -> Path:
         try:
             with_swaps(load(CONTROL), swapped)
         except Problem as problem:
-            if SYSTEM.exists() and _takes(SYSTEM, swapped):
-                text = f"{problem}; {SYSTEM} has no controller and takes it: harvester view {SYSTEM}"
-                raise Problem(f"{text} {' '.join(f'--swap {n}={f}' for n, f in swapped.items())}") from None
+            if SYSTEM.exists() and _accepts(SYSTEM, swapped):
+                message = f"{problem}; {SYSTEM} has no controller and accepts it: harvester view {SYSTEM}"
+                raise Problem(
+                    f"{message} {' '.join(f'--swap {n}={f}' for n, f in swapped.items())}"
+                ) from None
             raise
     return CONTROL
 
 
-def _takes(system: Path, swapped: Mapping[str, str]) -> bool:
+def _accepts(system: Path, swapped: Mapping[str, str]) -> bool:
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
 

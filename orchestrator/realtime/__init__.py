@@ -1,1 +1,1 @@
-"""A machine that runs in real time in a process of its own, driven while it runs."""
+"""A machine that runs in real time in a separate process, and takes commands while it runs."""

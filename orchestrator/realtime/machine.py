@@ -1,4 +1,4 @@
-"""A machine in real time as its user sees it: commands go to its process, frames come from shared memory."""
+"""The machine in real time, seen from the parent process: it sends commands and reads frames."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from orchestrator.realtime.shared_memory import (
 )
 from orchestrator.worker.process import Worker
 
-KEPT = 1800.0  # [s] of frames that are kept
-MOST = 256 << 20  # bytes that they may take
-MARGIN = 200  # of the oldest frames, which may be overwritten while they are read
-SILENT = 5.0  # [s] without a sign of life: an FMU does not return
-TIMEOUT = 3.0  # [s] for an orderly end, then the process is killed
+KEPT = 1800.0  # [s]; frames of this time are kept
+MOST = 256 << 20  # bytes of memory for frames, at most
+MARGIN = 200  # oldest frames that are not read, because they may be overwritten meanwhile
+SILENT = 5.0  # [s] without a heartbeat, after which an FMU counts as hanging
+TIMEOUT = 3.0  # [s] for an orderly end, after which the process is killed
 
 
 class MachineProcess:
-    """The process of one start of a machine. Memory for all of its frames is reserved, and taken as it fills.
+    """The process of one start of a machine, with shared memory for its frames.
 
-    shared    the shared memory, which stays readable when the process has ended
-    closed   it was ended on purpose
+    shared   the shared memory; readable even after the process has ended
+    closed   True after `close`
     """
 
     def __init__(self, setup: Setup, first: int, serial: int) -> None:
@@ -50,7 +50,7 @@ class MachineProcess:
         rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
         memory = Memory(size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
-        target = "orchestrator.realtime.child:main"
+        target = "orchestrator.realtime.stepping:main"
         self._worker = Worker(target, "live", TIMEOUT, descriptors=memory.descriptors)
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
@@ -63,17 +63,17 @@ class MachineProcess:
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
+        """Identifier of the process."""
         return self._worker.pid
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Of axes and signals; empty until the machine is ready."""
+        """Units of axes and signals; empty until the machine is ready."""
         return dict(_details(self.shared.status()).get("units", {}))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How it runs, what it could not keep up with, and what is no longer kept."""
+        """Remarks on the run, on lost time, and on frames that are no longer kept."""
         status = self.shared.status()
         notes = [str(note) for note in _details(status).get("notes", ())]
         if status.slipped > 0:
@@ -83,11 +83,11 @@ class MachineProcess:
         return tuple(notes)
 
     def latest(self) -> Frame:
-        """What is known now."""
+        """The latest frame; NaN before the first one."""
         status, n = self.shared.status(), len(self.axes)
-        known = status.last >= self.first
-        row = self._row(status.last) if known else np.full(self.shared.rows.shape[1], np.nan)
-        number = status.last if known else self.first - 1
+        begun = status.last >= self.first
+        row = self._row(status.last) if begun else np.full(self.shared.rows.shape[1], np.nan)
+        number = status.last if begun else self.first - 1
         state, message = self._state(status)
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
         return Frame(number, float(row[TIME]), axes, values, state, message, _timing(status))
@@ -97,13 +97,13 @@ class MachineProcess:
         status, rows, n = self.shared.status(), self.shared.rows, len(self.axes)
         begin = max(number + 1, self._oldest(status))
         numbers = np.arange(begin, max(status.last + 1, begin))
-        found = rows[numbers % len(rows)]
-        kept = found[:, NUMBER] == numbers  # but for those that were overwritten in the meantime
-        found = found[kept]
-        return numbers[kept], found[:, TIME], found[:, HEAD : HEAD + n], found[:, HEAD + n :]
+        frames = rows[numbers % len(rows)]
+        valid = frames[:, NUMBER] == numbers  # False if overwritten in the meantime
+        frames = frames[valid]
+        return numbers[valid], frames[:, TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
 
     def trace(self) -> Trace:
-        """All frames that are in memory: axes and signals over time."""
+        """Axes and signals over time, of all frames in memory."""
         _, times, axes, values = self.since(-1)
         table = dict(zip(self.axes, np.ascontiguousarray(axes.T), strict=True))
         table |= dict(zip(self.setup.signals, np.ascontiguousarray(values.T), strict=True))
@@ -113,13 +113,13 @@ class MachineProcess:
         return np.array(self.shared.rows[number % len(self.shared.rows)])
 
     def _oldest(self, status: MachineStatus) -> int:
-        """Number of the first frame that is in memory."""
+        """Number of the oldest frame in memory."""
         room = len(self.shared.rows)
         full = status.last - self.first >= room
         return status.last - room + 1 + min(MARGIN, room // 4) if full else self.first
 
     def _state(self, status: MachineStatus) -> tuple[str, str]:
-        """The state, and why it failed: it says so itself, or it ended, or it is silent."""
+        """State and message. A process that has ended or has no heartbeat has failed."""
         if status.state == "failed":
             return "failed", str(_details(status).get("message", ""))
         if self.closed:
@@ -135,7 +135,7 @@ class MachineProcess:
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
-    """What the process details of itself; nothing if it died over it."""
+    """Details that the process has published; empty if it died while writing them."""
     try:
         return dict(json.loads(status.text or "{}"))
     except ValueError:
@@ -143,20 +143,19 @@ def _details(status: MachineStatus) -> dict[str, Any]:
 
 
 def _timing(status: MachineStatus) -> Timing:
-    middle, most = (min(latency_quantile(status.latencies, share), status.worst) for share in (0.5, 0.99))
-    return Timing(status.frames, status.missed, (middle, most, status.worst), status.load)
+    median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
+    return Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
 
 
-APART = (
-    10_000  # frames between the numbers of two starts: the old process goes on while the new one is started
-)
-POLL = 2e-3  # [s] between two looks at a machine that is awaited
+# distance of the frame numbers of two starts, because the old process may go on while the new one starts
+APART = 10_000
+POLL = 2e-3  # [s] between two readings of the state while waiting for the start
 
 
 class RealTimeMachine:
-    """A machine in real time, see `setup.Machine`.
+    """A machine that runs in real time; implements `setup.Machine`.
 
-    Every start or restart has a process and memory of its own. Numbers of frames go on counting.
+    Each start or restart has its own process and memory. The frame numbers continue over restarts.
     """
 
     drives = True
@@ -179,7 +178,7 @@ class RealTimeMachine:
 
     @property
     def setup(self) -> Setup:
-        """What runs now."""
+        """The setup that runs now."""
         return self._process.setup
 
     @property
@@ -192,49 +191,49 @@ class RealTimeMachine:
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Of axes and signals; empty until the machine is ready."""
+        """Units of axes and signals; empty until the machine is ready."""
         return self._process.units
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on how it runs."""
+        """Remarks on the run."""
         return self._process.notes
 
     @property
     def pid(self) -> int:
-        """Number of the process that steps the machine."""
+        """Identifier of the process that steps the machine."""
         return self._process.pid
 
     # ---- driving
 
     def command(self, values: Mapping[str, float]) -> None:
-        """New values by axis; what is not named goes to rest. They expire after `timeout`."""
+        """Command new values by axis; other axes go to rest. The command expires after `timeout`."""
         with self._lock:
-            wanted = {axis.name: float(axis.rest) for axis in self.setup.axes}
+            commanded = {axis.name: float(axis.rest) for axis in self.setup.axes}
             for name, value in values.items():
-                if name not in wanted:
-                    raise Problem(f"unknown axis {str(name)[:40]!r}{suggest(str(name)[:40], wanted)}")
-                wanted[name] = _number(name, value)
+                if name not in commanded:
+                    raise Problem(f"unknown axis {str(name)[:40]!r}{suggest(str(name)[:40], commanded)}")
+                commanded[name] = _number(name, value)
             self._serial += 1
-            self._wanted = np.array([*wanted.values()], dtype=np.float64)
+            self._commanded = np.array([*commanded.values()], dtype=np.float64)
             self._send(self._process)
 
     def play(self) -> None:
-        """Go on."""
+        """Continue."""
         self._set(True, self._speed)
 
     def pause(self) -> None:
-        """Stand still; nothing is forgotten."""
+        """Stop, and keep the state."""
         self._set(False, self._speed)
 
     def speed(self, factor: float) -> None:
-        """How many times as fast as real time, 0.1 to 10."""
+        """Set the speed relative to real time, 0.1 to 10."""
         self._set(self._playing, speed_factor(factor))
 
     def restart(self, setup: Setup | None = None) -> None:
-        """From the beginning, perhaps with another setup; returns at once, the state is "starting".
+        """Start again, optionally with another setup. Returns at once, in the state "starting".
 
-        It plays or stays paused as before. A setup that does not work makes the state "failed".
+        The machine runs or is paused as before. A setup with a mistake leads to the state "failed".
         """
         with self._lock:
             old = self._process
@@ -255,22 +254,22 @@ class RealTimeMachine:
     # ---- watching
 
     def latest(self) -> Frame:
-        """What is known now; before the first frame of a start the numbers in it are NaN."""
+        """The latest frame; its values are NaN before the first frame of a start."""
         return self._process.latest()
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number.
 
-        Of this start only; what is no longer in memory is left out.
+        Only frames of the current start that are still in memory.
         """
         return self._process.since(number)
 
     def trace(self) -> Trace:
-        """The session, as far as it is in memory (see `notes`): axes and signals over time."""
+        """Axes and signals over time since the start, as far as they are in memory (see `notes`)."""
         return self._process.trace()
 
     def ready(self, timeout: float = 60.0) -> Frame:
-        """Wait until the machine has started, or failed to; at most `timeout` [s]."""
+        """Wait at most `timeout` [s] until the machine has started or failed to start."""
         until = time.monotonic() + timeout
         while (frame := self.latest()).state == "starting":
             if time.monotonic() > until:
@@ -281,11 +280,11 @@ class RealTimeMachine:
     # ---- inside
 
     def _open(self, setup: Setup, before: int) -> MachineProcess:
-        """A new process; `before` is the number of what is shown before its first frame."""
+        """Start a process. before: frame number that is shown until its first frame."""
         plain = _plain(setup)
         plain.check()
         process = MachineProcess(plain, before + 1, self._serial)
-        self._wanted = np.array([axis.rest for axis in plain.axes], dtype=np.float64)
+        self._commanded = np.array([axis.rest for axis in plain.axes], dtype=np.float64)
         self._send(process)
         return process
 
@@ -295,14 +294,14 @@ class RealTimeMachine:
             self._send(self._process)
 
     def _send(self, process: MachineProcess) -> None:
-        process.shared.write_command(Command(self._playing, self._speed, self._serial, self._wanted))
+        process.shared.write_command(Command(self._playing, self._speed, self._serial, self._commanded))
 
 
 Station = RealTimeMachine  # its name in 0.1
 
 
 def _plain(setup: Setup) -> Setup:
-    """The same setup in types that any process reads."""
+    """The setup with plain types, so that it can be pickled."""
     return replace(
         setup,
         system=str(setup.system),
@@ -315,7 +314,7 @@ def _plain(setup: Setup) -> Setup:
 
 
 def _number(name: str, value: Any) -> float:
-    """A finite number, or a Problem."""
+    """Convert to a finite number. Raises `Problem`."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""A result file played in real time, with the interface of a live machine."""
+"""Replay of a result file in real time, with the interface of a live machine."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ FRAME = 0.01  # [s]
 
 
 class Replay:
-    """A trace as a machine that takes no commands, see `setup.Machine`.
+    """A trace as a machine without commands; implements `setup.Machine`.
 
-    Nothing runs in the background: where it stands follows from the clock when somebody looks. Its frames lie
-    `frame` [s] apart; between the samples of the file they are interpolated.
+    Nothing runs in the background: the position follows from the clock at each call. The frames are
+    `frame` [s] apart, interpolated between the samples of the file.
     """
 
     drives = False
@@ -35,7 +35,7 @@ class Replay:
         speed: float = 1.0,
         frame: float = FRAME,
     ) -> None:
-        """file: a .csv or .parquet trace; signals: what to show of it, default: all."""
+        """file: a .csv or .parquet trace; signals: default: all."""
         whole = file if isinstance(file, Trace) else read(file)
         self._trace = whole if signals is None else whole.select(signals)
         if not len(whole.time):
@@ -45,45 +45,45 @@ class Replay:
         self.begin, self.end = float(whole.time[0]), float(whole.time[-1])
         self._frame, self._last = frame, int((self.end - self.begin) / frame + 1e-6)
         self._speed, self._playing = speed_factor(speed), playing
-        self._first, self._origin = 1, 0  # number and place of the first frame since the last jump
-        self._at, self._since = 0.0, time.monotonic()  # frames that had passed at a time
+        self._first, self._origin = 1, 0  # number and position of the first frame since the last jump
+        self._at, self._since = 0.0, time.monotonic()  # position at this time, in frames
 
     # ---- driving
 
     def command(self, values: Mapping[str, float]) -> None:
-        """There is nothing to drive: Problem for any name."""
+        """Raises `Problem` for any name: there are no axes."""
         for name in values:
             raise Problem(f"unknown axis {name!r}: a replay takes no commands")
 
     def play(self) -> None:
-        """Go on."""
+        """Continue."""
         self._hold()
         self._playing = True
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop at the current position."""
         self._hold()
         self._playing = False
 
     def speed(self, factor: float) -> None:
-        """How many times as fast as real time, 0.1 to 10."""
+        """Set the speed relative to real time, 0.1 to 10."""
         factor = speed_factor(factor)
         self._hold()
         self._speed = factor
 
     def restart(self, setup: Setup | None = None) -> None:
-        """From the beginning."""
+        """Go to the first frame."""
         if setup is not None:
-            raise Problem("a replay shows what is in its file: expected no other setup, got one")
+            raise Problem("a replay has no setup: expected None, got one")
         self.seek(self.begin)
 
     def seek(self, t: float) -> None:
-        """Go to the frame at time t [s], or to the end of the file that is nearer."""
+        """Go to the frame at time t [s], limited to the time span of the file."""
         if not np.isfinite(t):
             raise Problem(f"replay: expected a finite time, got {t:g} s")
         self._first = self._number() + 1
-        place = round((min(max(t, self.begin), self.end) - self.begin) / self._frame)
-        self._origin = min(place, self._last)
+        position = round((min(max(t, self.begin), self.end) - self.begin) / self._frame)
+        self._origin = min(position, self._last)
         self._at, self._since = float(self._origin), time.monotonic()
 
     def close(self) -> None:
@@ -92,15 +92,15 @@ class Replay:
     # ---- watching
 
     def latest(self) -> Frame:
-        """What the file holds at this moment."""
-        place = self._place()
-        times, values = self._values(np.array([place]))
-        state = "ended" if place == self._last else "running" if self._playing else "paused"
-        number = self._first + place - self._origin
+        """The current frame."""
+        position = self._position()
+        times, values = self._values(np.array([position]))
+        state = "ended" if position == self._last else "running" if self._playing else "paused"
+        number = self._first + position - self._origin
         return Frame(number, float(times[0]), np.zeros(0), values[0], state, "", Timing())
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-        """The frames after this number and after the last jump."""
+        """The frames after this number since the last jump."""
         last = self._number()
         numbers = np.arange(min(max(number + 1, self._first), last + 1), last + 1)
         times, values = self._values(numbers - self._first + self._origin)
@@ -113,22 +113,22 @@ class Replay:
     # ---- inside
 
     def _passed(self) -> float:
-        """Frames of the file that have passed, with their fraction."""
-        ran = (time.monotonic() - self._since) * self._speed / self._frame if self._playing else 0.0
-        return min(self._at + ran, float(self._last))
+        """Current position in frames, with fraction."""
+        elapsed = (time.monotonic() - self._since) * self._speed / self._frame if self._playing else 0.0
+        return min(self._at + elapsed, float(self._last))
 
-    def _place(self) -> int:
+    def _position(self) -> int:
         return int(self._passed())
 
     def _number(self) -> int:
-        return self._first + self._place() - self._origin
+        return self._first + self._position() - self._origin
 
     def _hold(self) -> None:
-        """Go on from where it is now."""
+        """Restart the clock at the current position."""
         self._at, self._since = self._passed(), time.monotonic()
 
-    def _values(self, places: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Times (n,) and values (n, signals) of frames."""
-        times = np.minimum(self.begin + places * self._frame, self.end)
+    def _values(self, positions: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Times (n,) and values (n, signals) of the frames at these positions."""
+        times = np.minimum(self.begin + positions * self._frame, self.end)
         columns = [np.interp(times, self._trace.time, v) for v in self._trace.signals.values()]
         return times, np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))

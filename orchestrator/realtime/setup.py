@@ -1,4 +1,4 @@
-"""What runs in real time and what is known of it: setup, frames, and the interface that a page drives."""
+"""Setup of a machine in real time, its frames, and the interface `Machine` that a page uses."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Axis:
-    """An input that is driven while the machine runs.
+    """An input that takes commands while the machine runs.
 
-    name        as a column of a scenario: an input of the system, `component.variable`, or a bare name
-    limit       largest magnitude, in the unit of the FMU; what is beyond is cut off
-    rate        largest change per second in that unit, also towards rest
-    rest        what it goes to when nobody commands
-    rest_delay  how long it stays where it is before it goes to rest [s of simulated time]: what brakes the
-                others, such as a controller that is engaged, has to stay longer than they
+    name        as for a column of a scenario: an input of the system, `component.variable`, or the name of a
+                variable
+    limit       largest magnitude, in the unit of the FMU; commands are clipped
+    rate        largest change per second, in that unit, also towards rest
+    rest        value without a command
+    rest_delay  time for which the axis keeps its value before it goes to rest [s of simulated time]; longer
+                for an axis that the others need in order to stop, such as `engaged` of a controller
     """
 
     name: str
@@ -35,7 +36,7 @@ class Axis:
     rest_delay: float = 0.0
 
     def check(self) -> None:
-        """Refuse an axis that cannot move, that rests beyond its limit, or never."""
+        """Raise `Problem` for a limit, rate, rest or rest delay without sense."""
         for name, value in (("limit", self.limit), ("rate", self.rate)):
             if not (isfinite(value) and value > 0):
                 raise Problem(f"axis {self.name}: expected a positive {name}, got {value:g}")
@@ -49,15 +50,15 @@ class Axis:
 
 @dataclass(frozen=True)
 class Setup:
-    """A machine that can be sent to another process.
+    """Declaration of a machine in real time; can be pickled.
 
     system       path of an .ssp or .fmu file
-    axes         what is driven
-    signals      what is shown, `component.variable`
-    swap, parameters, set   as of `run`
-    step         communication step [s]; default: what the system suggests
-    frame        interval between two looks at the commands [s]: the deadline
-    timeout     commands that are older than this go to rest [s]
+    axes         inputs that take commands
+    signals      recorded signals, `component.variable`
+    swap, parameters, set   as for `run`
+    step         communication step [s]; default: the suggestion of the system
+    frame        time between two readings of the command, and the deadline [s]
+    timeout      age at which a command expires and the axes go to rest [s]
     """
 
     system: str
@@ -71,25 +72,25 @@ class Setup:
     timeout: float = 0.25
 
     def check(self) -> None:
-        """Refuse a setup that is wrong for any machine."""
+        """Raise `Problem` for values that are wrong for any machine."""
         for name, value in (("frame", self.frame), ("timeout", self.timeout)):
             if not (isfinite(value) and value > 0):
                 raise Problem(f"{name}: expected a positive time, got {value:g} s")
-        for what, names in (("axis", [a.name for a in self.axes]), ("signal", list(self.signals))):
+        for noun, names in (("axis", [a.name for a in self.axes]), ("signal", list(self.signals))):
             if twice := [n for i, n in enumerate(names) if n in names[:i]]:
-                raise Problem(f"{what} {twice[0]}: expected it once, got it twice")
+                raise Problem(f"{noun} {twice[0]}: expected it once, got it twice")
         for axis in self.axes:
             axis.check()
 
 
 @dataclass(frozen=True)
 class Task:
-    """What the process of a machine gets through its pipe.
+    """Message that starts the process of a machine.
 
-    address   of the shared memory
-    rows      frames that it holds
+    address   address of the shared memory
+    rows      number of frames in the shared memory
     first     number of the first frame
-    serial    of the last command that is not for this process
+    serial    number of the last command that is not for this process
     """
 
     setup: Setup
@@ -101,12 +102,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Timing:
-    """How well real time is held, since the last start or restart.
+    """Statistics of the deadlines since the last start or restart.
 
-    frames     how many there were
-    missed     those that were ready later than one frame after they were due
-    latency    from the due time of a frame to the moment its values can be read: median, 99 %, worst [s]
-    load       computing time per frame, share of the frame: mean over the last second
+    frames     number of frames
+    missed     number of frames that were ready more than one frame after they were due
+    latency    time from the deadline of a frame until it can be read: median, 99 %, largest [s]
+    load       computing time relative to the length of the frame, mean over the last second
     """
 
     frames: int = 0
@@ -117,14 +118,14 @@ class Timing:
 
 @dataclass(frozen=True)
 class Frame:
-    """What is known of the machine at one instant.
+    """Values and state of the machine at one instant.
 
     number     counts up; equal numbers are the same frame
     t          simulated time [s]
-    axes       the values that drive the machine now, shape (axes,)
-    values     of the signals, shape (signals,)
+    axes       values of the axes after limits, shape (axes,)
+    values     values of the signals, shape (signals,)
     state      "starting", "running", "paused", "ended" (a replay at its end), "failed"
-    message    why it failed, else empty
+    message    reason of a failure, else empty
     """
 
     number: int
@@ -137,15 +138,16 @@ class Frame:
 
 
 class Machine(Protocol):
-    """What a page shows and drives: simulated (`machine.RealTimeMachine`) or a replay (`replay.Replay`).
+    """Interface of a machine that a page shows: simulated (`machine.RealTimeMachine`) or `replay.Replay`.
 
-    axes, signals, units   names and units of what `Frame` holds
-    drives     it takes commands
-    command    new values by axis; what is not named goes to rest; Problem if one is not finite; they expire
-    since      the frames after this number: numbers (n,), times (n,), axes (n, axes), values (n, signals);
-               of long ago only what is still in memory
-    trace      the whole session, with the axes among the signals
-    restart    from the beginning, perhaps with another setup
+    axes, signals, units   names and units of the values in `Frame`
+    drives     True if it takes commands
+    command    command new values by axis; other axes go to rest; raises `Problem` for a value that is not
+               finite; a command expires
+    since      frames after this number that are in memory: numbers (n,), times (n,), axes (n, axes), values
+               (n, signals)
+    trace      all of the session that is in memory, with the axes among the signals
+    restart    start again, optionally with another setup
     """
 
     @property

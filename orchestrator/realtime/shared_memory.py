@@ -1,12 +1,12 @@
-"""Memory that the process of a machine shares with its parent: commands, status, and all frames.
+"""Shared memory of a machine's process and its parent: command, status, and frames.
 
-The memory has no name that outlives both processes. On POSIX it is a file that is deleted already (on Linux
-one that never was on a disk), handed to the child as an open descriptor; on Windows it is a named mapping,
-which goes with its last user.
+The memory disappears with the last process that uses it. On POSIX it is a deleted file (on Linux a memory
+file), which the child inherits as an open descriptor. On Windows it is a named mapping.
 
-Each part has one writer. It makes the sequence number odd, writes, and makes it even; a reader that sees it
-odd or changed reads again. So nobody waits for anybody, and whoever dies leaves nothing locked. Commands
-carry a checksum, too: half of a command must not move a machine.
+Each part has one writer and a sequence number (a seqlock). The writer makes the number odd, writes, and makes
+it even. A reader that finds an odd or a changed number reads again. No process waits for another, and a
+process that dies leaves no lock. The command also has a checksum, because half a command must not move a
+machine.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from orchestrator.realtime.setup import Array
 
 
 class Memory:
-    """A piece of shared memory, zero at first.
+    """A block of shared memory, initially zero.
 
-    address       what `attach` needs in the other process
-    descriptors   that the other process has to inherit
+    address       argument of `attach` in the other process
+    descriptors   file descriptors that the other process must inherit
     """
 
     def __init__(self, size: int) -> None:
@@ -50,18 +50,18 @@ class Memory:
         self.map = mmap.mmap(descriptor, size)
 
     def handed_over(self) -> None:
-        """The other process has the descriptor; this one does not need it any more."""
+        """Close the descriptors, after the other process has inherited them."""
         for descriptor in self.descriptors:
             os.close(descriptor)
         self.descriptors = ()
 
 
 def attach(address: str) -> mmap.mmap:
-    """The memory that another process has made."""
-    where, _, size = address.partition(":")
+    """Map the memory that another process has created."""
+    name, _, size = address.partition(":")
     if sys.platform == "win32":
-        return mmap.mmap(-1, int(size), tagname=where)
-    descriptor = int(where)
+        return mmap.mmap(-1, int(size), tagname=name)
+    descriptor = int(name)
     try:
         return mmap.mmap(descriptor, int(size))
     finally:
@@ -69,7 +69,7 @@ def attach(address: str) -> mmap.mmap:
 
 
 def _nameless() -> int:
-    """A file without a name."""
+    """Open a file without a name."""
     if sys.platform == "linux":
         return os.memfd_create("harvester")
     with tempfile.TemporaryFile() as file:
@@ -77,16 +77,16 @@ def _nameless() -> int:
 
 
 STATES = ("starting", "running", "paused", "ended", "failed")
-TEXT = 1 << 20  # bytes
-TRIES = 1000  # to read while the other one writes, which takes it microseconds
-SEQUENCE, CHECK, PLAYING, SERIAL = range(4)  # of the command, then the speed and the values
-STATE, LAST, HEARTBEAT, FRAMES, MISSED, LENGTH = range(1, 7)  # of the status
-LOAD, WORST, SLIPPED = range(3)
+TEXT = 1 << 20  # bytes of the details
+TRIES = 1000  # readings while the writer writes, which takes microseconds
+SEQUENCE, CHECK, PLAYING, SERIAL = range(4)  # integers of the command; speed and values follow as reals
+STATE, LAST, HEARTBEAT, FRAMES, MISSED, LENGTH = range(1, 7)  # integers of the status, after the sequence
+LOAD, WORST, SLIPPED = range(3)  # reals of the status
 NUMBER, TIME, HEAD = range(3)  # columns of a frame; axes and signals follow
 
 
 class Command(NamedTuple):
-    """What the machine shall do; serial counts the new values of the axes."""
+    """A command to the machine. serial: counts the commands with new values of the axes."""
 
     playing: bool
     speed: float
@@ -95,7 +95,7 @@ class Command(NamedTuple):
 
 
 class MachineStatus(NamedTuple):
-    """What the process says of itself. last: number of the latest frame; heartbeat: counts its loops."""
+    """Status of the process. last: number of the latest frame; heartbeat: counts its loops."""
 
     state: str
     last: int
@@ -110,27 +110,27 @@ class MachineStatus(NamedTuple):
 
 
 def size(axes: int, signals: int, rows: int) -> int:
-    """Bytes that a `SharedState` takes."""
+    """Size of a `SharedState` in bytes."""
     return 8 * (8 + 1 + axes + 16 + 8 + BINS + TEXT // 8 + rows * (HEAD + axes + signals))
 
 
 class SharedState:
-    """Views of one piece of shared memory.
+    """Typed views of a block of shared memory.
 
-    rows    the latest frames, shape (rows, 2 + axes + signals): frame n is in row n modulo their number
+    rows    latest frames, shape (rows, 2 + axes + signals): frame n is in row n modulo rows
     """
 
     def __init__(self, memory: mmap_of_mmap, axes: int, signals: int, rows: int) -> None:
-        self.axes, self._memory, self._place = axes, memory, 0
-        self._command, self._wanted = self._integers(8), self._floats(1 + axes)
+        self.axes, self._memory, self._position = axes, memory, 0
+        self._command, self._command_reals = self._integers(8), self._floats(1 + axes)
         self._counts, self._reals, self.latencies = self._integers(16), self._floats(8), self._integers(BINS)
         self._text = self._integers(TEXT // 8).view(np.uint8)
         self.rows = self._floats(rows * (HEAD + axes + signals)).reshape(rows, -1)
 
     def _integers(self, count: int) -> NDArray[np.int64]:
-        """The next numbers of the memory."""
-        self._place += 8 * count
-        return np.frombuffer(self._memory, np.int64, count, self._place - 8 * count)
+        """View of the next integers of the memory."""
+        self._position += 8 * count
+        return np.frombuffer(self._memory, np.int64, count, self._position - 8 * count)
 
     def _floats(self, count: int) -> Array:
         return self._integers(count).view(np.float64)
@@ -138,27 +138,27 @@ class SharedState:
     # ---- command
 
     def write_command(self, command: Command) -> None:
-        """Write a command; by the parent only."""
-        o = self._command
-        o[SEQUENCE] += 1
-        o[PLAYING], o[SERIAL] = command.playing, command.serial
-        self._wanted[0], self._wanted[1:] = command.speed, command.values
-        o[CHECK] = _check(o, self._wanted)
-        o[SEQUENCE] += 1
+        """Write a command. Only the parent does so."""
+        integers = self._command
+        integers[SEQUENCE] += 1
+        integers[PLAYING], integers[SERIAL] = command.playing, command.serial
+        self._command_reals[0], self._command_reals[1:] = command.speed, command.values
+        integers[CHECK] = _check(integers, self._command_reals)
+        integers[SEQUENCE] += 1
 
     def read_command(self) -> Command | None:
         """The command; None while it is being written."""
-        o = self._command.copy()
-        wanted = self._wanted.copy()
-        if o[SEQUENCE] % 2 or o[SEQUENCE] != self._command[SEQUENCE] or o[CHECK] != _check(o, wanted):
+        integers, reals = self._command.copy(), self._command_reals.copy()
+        sequence = integers[SEQUENCE]
+        if sequence % 2 or sequence != self._command[SEQUENCE] or integers[CHECK] != _check(integers, reals):
             return None
-        return Command(bool(o[PLAYING]), float(wanted[0]), int(o[SERIAL]), wanted[1:])
+        return Command(bool(integers[PLAYING]), float(reals[0]), int(integers[SERIAL]), reals[1:])
 
     # ---- status
 
     @contextmanager
     def writing(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Write the status; by the child only."""
+        """Context for writing the status. Only the child does so."""
         self._counts[SEQUENCE] += 1
         try:
             yield self._counts, self._reals
@@ -166,25 +166,25 @@ class SharedState:
             self._counts[SEQUENCE] += 1
 
     def write_frame(self, number: int, t: float, axes: Array, values: Array) -> None:
-        """Write a frame, which nobody reads before the status has its number."""
+        """Write a frame. Readers ignore it until the status has its number."""
         row = self.rows[number % len(self.rows)]
         row[NUMBER], row[TIME] = number, t
         row[HEAD : HEAD + self.axes] = axes
         row[HEAD + self.axes :] = values
 
     def set_state(self, state: str, text: str) -> None:
-        """A change of state, and a text that goes with it."""
+        """Publish a state, with its details as text."""
         data = text.encode("utf-8")[:TEXT]
         with self.writing() as (counts, _):
             self._text[: len(data)] = np.frombuffer(data, np.uint8)
             counts[LENGTH], counts[STATE] = len(data), STATES.index(state)
 
     def heartbeat(self) -> None:
-        """A sign of life; one number, so it needs no sequence."""
+        """Count the heartbeat: a single number, which needs no sequence number."""
         self._counts[HEARTBEAT] += 1
 
     def status(self) -> MachineStatus:
-        """The status; if the writer died while writing, what there is of it."""
+        """Read the status. If the writer died while writing, the status may be inconsistent."""
         for _ in range(TRIES):
             n, reals = self._counts.copy(), self._reals.copy()
             latencies, text = self.latencies.copy(), self._text[: n[LENGTH]].tobytes()
@@ -192,12 +192,12 @@ class SharedState:
                 break
         last, heartbeat, frames, missed = (int(n[i]) for i in (LAST, HEARTBEAT, FRAMES, MISSED))
         load, worst, slipped = (float(r) for r in reals[:3])
-        words = text.decode("utf-8", "replace")
+        details = text.decode("utf-8", "replace")
         return MachineStatus(
-            STATES[n[STATE]], last, heartbeat, frames, missed, load, worst, slipped, words, latencies
+            STATES[n[STATE]], last, heartbeat, frames, missed, load, worst, slipped, details, latencies
         )
 
 
-def _check(command: NDArray[np.int64], wanted: Array) -> int:
-    """A checksum of a command."""
-    return zlib.crc32(wanted.tobytes(), zlib.crc32(command[PLAYING : SERIAL + 1].tobytes()))
+def _check(integers: NDArray[np.int64], reals: Array) -> int:
+    """Checksum of a command."""
+    return zlib.crc32(reals.tobytes(), zlib.crc32(integers[PLAYING : SERIAL + 1].tobytes()))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, Problem, Trace, load, run
-from orchestrator.realtime import child
-from orchestrator.realtime.child import FrameStepper
+from orchestrator.realtime import stepping
+from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.realtime.setup import Axis, Setup
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
@@ -91,7 +91,7 @@ MASTERS = {
 def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
     """Half a second under each of them, steps of their own choice included."""
     suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
-    monkeypatch.setattr(child, "load", lambda _: suggested)
+    monkeypatch.setattr(stepping, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 50, random_walk(2, 3))
     same_as_run(setup, live, suggested)

@@ -119,7 +119,7 @@ def test_it_does_not_outlive_its_parent(drift, tmp_path, how):
 def test_priority_can_be_declined(opened, drift, monkeypatch):
     """By an environment variable; the notes say how the process is scheduled."""
     monkeypatch.setenv("HARVESTER_PRIORITY", "ordinary")
-    assert opened(drift).notes[-1] == "ordinary scheduling, as wished"
+    assert opened(drift).notes[-1] == "ordinary scheduling, as HARVESTER_PRIORITY asks for"
 
 
 def test_closing(opened, drift):

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from orchestrator import Problem, Trace
 from orchestrator.engine.scenario import ScenarioTable
 from orchestrator.realtime import shared_memory
-from orchestrator.realtime.child import CommandWatchdog, Ramp, RateLimiter, RestDelay
+from orchestrator.realtime.stepping import CommandWatchdog, Ramp, RateLimiter, RestDelay
 from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach
@@ -103,11 +103,11 @@ def test_the_watchdog_lets_go_of_old_commands():
     """A command holds for the timeout after it was seen; the same one seen again is no younger."""
     watchdog = CommandWatchdog(np.array([7.0]), timeout=0.25, serial=3)
     old, new = (Command(True, 1.0, serial, np.array([float(serial)])) for serial in (3, 4))
-    assert watchdog.wanted(old, 10.0) == 7.0  # of the session before
-    assert watchdog.wanted(new, 10.1) == 4.0
-    assert watchdog.wanted(new, 10.35) == 4.0
-    assert watchdog.wanted(new, 10.36) == 7.0
-    assert watchdog.wanted(new._replace(serial=5), 10.4) == 4.0
+    assert watchdog.commanded(old, 10.0) == 7.0  # of the session before
+    assert watchdog.commanded(new, 10.1) == 4.0
+    assert watchdog.commanded(new, 10.35) == 4.0
+    assert watchdog.commanded(new, 10.36) == 7.0
+    assert watchdog.commanded(new._replace(serial=5), 10.4) == 4.0
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def test_half_an_order_is_none(shared):
     assert child.read_command() is None
     parent._command[shared_memory.SEQUENCE] += 1
     assert child.read_command() is not None
-    parent._wanted[2] = 3.0
+    parent._command_reals[2] = 3.0
     assert child.read_command() is None
 
 

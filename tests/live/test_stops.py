@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.realtime.child import FrameStepper, RateLimiter, RestDelay
+from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.realtime.setup import Array
 from orchestrator.view.choice import MachineChoice, plan
 from orchestrator.view.driving.sticks import CraneFunctions, commands

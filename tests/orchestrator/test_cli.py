@@ -259,9 +259,15 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
             "'--order': expected a whole number, got 'second'; see harvester run --help",
         ),
         (["run", "--adaptive", "x"], "'--adaptive': expected a number, got 'x'; see harvester run --help"),
-        (["run", "--factor", "g"], "harvester: --factor g: expected component=N, N steps of it in each"),
+        (
+            ["run", "--factor", "g"],
+            "harvester: --factor g: expected component=N, the number of steps in each",
+        ),
         (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
-        (["run", "--factor", "g=2", "--factor", "g=3"], "harvester: --factor g=3: g is 2 already"),
+        (
+            ["run", "--factor", "g=2", "--factor", "g=3"],
+            "harvester: --factor g=3: expected one value of g, got 2 as well",
+        ),
         (["run", "--factor", "h=2"], "harvester: factor of h: no component of that name; there are g"),
         (
             ["validate", "--master", "jacobi", "--coupling-tolerance", "1e-3"],

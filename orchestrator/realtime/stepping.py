@@ -1,9 +1,8 @@
-"""The process that steps a machine in real time: commands in, frames out, each by its deadline.
+"""The process that steps a machine in real time: it reads commands and writes frames, each by its deadline.
 
-One frame: the command is read (`CommandWatchdog`), limited to what each axis may do (`RestDelay`,
-`RateLimiter`), and the inputs move to it at straight lines while `FrameStepper` takes the communication
-steps. Loop, masters and FMUs are those of `run`: a scenario with a row at each frame gives the same numbers
-to the last bit.
+In each frame the command is read (`CommandWatchdog`) and limited to what each axis may do (`RestDelay`,
+`RateLimiter`). The inputs move linearly to the command while `FrameStepper` makes the communication steps.
+Loop, masters and FMUs are those of `run`: a scenario with a row at each frame gives bit-equal results.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import Recorder
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
-from orchestrator.realtime import shared_memory as b
+from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Array, Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
@@ -40,26 +39,28 @@ from orchestrator.worker.main import Channel
 GRACE = 2.0  # [s] for the last frame and for closing the FMUs
 POLL = 0.01  # [s] between two readings of the command while the machine is paused
 LOAD_SPAN = 1.0  # [s] over which the load is averaged
-NEVER = 1 << 40  # steps, more than anybody waits for
+NEVER = 1 << 40  # steps: more than any session has
 
 
 def main(channel: Channel) -> None:
-    """Run until the parent does not need this process any more."""
+    """Run until the parent closes the channel."""
     task: Task = channel.get()
     channel.grace = GRACE
     tempfile.tempdir = str(channel.folder)  # where the FMUs are unpacked
-    shared = b.SharedState(attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows)
+    shared = memory.SharedState(
+        attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows
+    )
     details: dict[str, Any] = {}
     try:
         _open_and_run(task, shared, details, lambda: not channel.ended.is_set())
     except Exception as problem:
-        text = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
-        shared.set_state("failed", json.dumps(details | {"message": " ".join(text.split())}))
+        message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
+        shared.set_state("failed", json.dumps(details | {"message": " ".join(message.split())}))
     channel.ended.wait()
 
 
 def _open_and_run(
-    task: Task, shared: b.SharedState, details: dict[str, Any], needed: Callable[[], bool]
+    task: Task, shared: memory.SharedState, details: dict[str, Any], needed: Callable[[], bool]
 ) -> None:
     """Open the FMUs, publish the first frame, and run while the process is needed."""
     stepper = FrameStepper(task.setup)
@@ -67,7 +68,7 @@ def _open_and_run(
         details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
         shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
         with shared.writing() as (counts, _):
-            counts[b.LAST] = task.first
+            counts[memory.LAST] = task.first
         shared.set_state("paused", json.dumps(details))
         _loop(stepper, task, shared, json.dumps(details), needed)
     finally:
@@ -75,12 +76,12 @@ def _open_and_run(
 
 
 def _loop(
-    stepper: FrameStepper, task: Task, shared: b.SharedState, details: str, needed: Callable[[], bool]
+    stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, needed: Callable[[], bool]
 ) -> None:
-    """One frame after the other, each when it is due."""
+    """Make one frame after the other, each when it is due."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
-    command = b.Command(False, 1.0, 0, limiter.rest)
+    command = memory.Command(False, 1.0, 0, limiter.rest)
     watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
     while needed():
         if running:
@@ -90,42 +91,44 @@ def _loop(
         began = time.monotonic()
         command = shared.read_command() or command  # none while it is being written
         shared.heartbeat()
-        wanted, length = watchdog.wanted(command, began), setup.frame / command.speed
+        commanded, length = watchdog.commanded(command, began), setup.frame / command.speed
         if command.playing != running:
             running = command.playing
             shared.set_state("running" if running else "paused", details)
             clock.begin(length)
         elif running:
             now = stepper.axes
-            stepper.advance(limiter.toward(now, rest_delay.delayed(now, wanted)))
+            stepper.advance(limiter.toward(now, rest_delay.delayed(now, commanded)))
             number += 1
             shared.write_frame(number, stepper.t, stepper.axes, stepper.values)
             _publish(shared, number, clock, began, length)
             clock.done(length)
 
 
-def _publish(shared: b.SharedState, number: int, clock: DeadlineClock, began: float, length: float) -> None:
-    """Let the frame be read, and record its latency and load."""
+def _publish(
+    shared: memory.SharedState, number: int, clock: DeadlineClock, began: float, length: float
+) -> None:
+    """Make the frame visible to readers, and record its latency and load."""
     with shared.writing() as (counts, reals):
         now = time.monotonic()
         latency, load = now - clock.due, (now - began) / length
         shared.latencies[latency_bin(latency)] += 1
-        counts[b.LAST] = number
-        counts[b.FRAMES] += 1
-        counts[b.MISSED] += latency > length
-        reals[b.LOAD] += (load - reals[b.LOAD]) * min(length / LOAD_SPAN, 1.0)
-        reals[b.WORST], reals[b.SLIPPED] = max(reals[b.WORST], latency), clock.slipped
+        counts[memory.LAST] = number
+        counts[memory.FRAMES] += 1
+        counts[memory.MISSED] += latency > length
+        reals[memory.LOAD] += (load - reals[memory.LOAD]) * min(length / LOAD_SPAN, 1.0)
+        reals[memory.WORST], reals[memory.SLIPPED] = max(reals[memory.WORST], latency), clock.slipped
 
 
 class Ramp(ScenarioTable):
-    """A table of two rows that is written anew for each frame, in place, because C has its address."""
+    """A scenario table of one frame. It is updated in place, because the C loop holds its address."""
 
     def __init__(self, begin: float, end: float, values: Array) -> None:
         """values, shape (axes,), hold from `begin` to `end` [s]."""
         super().__init__(np.array([begin, end]), np.stack([values, values]))
 
     def aim(self, begin: float, end: float, values: Array) -> None:
-        """From the values at the end of the last frame to these, between two times [s]."""
+        """Set the frame from `begin` to `end` [s]: from the last values of the previous frame to `values`."""
         times, base, slopes, anchor = self.arrays
         base[0] = base[1] = base[2]
         base[2] = values
@@ -136,18 +139,18 @@ class Ramp(ScenarioTable):
 
 
 class CommandWatchdog:
-    """Without a new command for `timeout` [s] all axes shall go to rest.
+    """Commands rest for all axes if there is no new command for `timeout` [s].
 
-    Age counts from when a command was first seen, on the clock of the one who looks.
+    The age of a command counts from when this process first read it, so clocks of processes are not compared.
     """
 
     def __init__(self, rest: Array, timeout: float, serial: int) -> None:
-        """serial: of a command that is too old already."""
+        """serial: number of the last command that is already too old."""
         self._rest, self._timeout, self._serial = rest, timeout, serial
         self._values, self._seen = rest, -inf
 
-    def wanted(self, command: Command, now: float) -> Array:
-        """Values of the axes, shape (axes,), at `now` [s]."""
+    def commanded(self, command: Command, now: float) -> Array:
+        """Commanded values of the axes, shape (axes,), at `now` [s]."""
         if command.serial != self._serial:
             self._serial, self._values, self._seen = command.serial, command.values, now
         return self._values if now - self._seen <= self._timeout else self._rest
@@ -156,7 +159,7 @@ class CommandWatchdog:
 class RateLimiter:
     """Keeps each axis within its limit and its rate of change.
 
-    rest   where they go when nobody commands, shape (axes,)
+    rest   values without a command, shape (axes,)
     """
 
     def __init__(self, axes: Sequence[Axis], frame: float) -> None:
@@ -165,15 +168,15 @@ class RateLimiter:
         self._limit = np.array([axis.limit for axis in axes], dtype=np.float64)
         self._reach = frame * np.array([axis.rate for axis in axes], dtype=np.float64)
 
-    def toward(self, now: Array, wanted: Array) -> Array:
-        """One frame from `now` in the direction of `wanted`; NaN counts as rest."""
-        sane = np.where(np.isnan(wanted), self.rest, wanted)
-        move = np.clip(np.clip(sane, -self._limit, self._limit) - now, -self._reach, self._reach)
+    def toward(self, now: Array, commanded: Array) -> Array:
+        """Values one frame after `now`, moved towards `commanded`; NaN counts as rest."""
+        target = np.where(np.isnan(commanded), self.rest, commanded)
+        move = np.clip(np.clip(target, -self._limit, self._limit) - now, -self._reach, self._reach)
         return np.clip(now + move, -self._limit, self._limit)
 
 
 class RestDelay:
-    """Keeps axes where they are until rest has been wanted of them for their `rest_delay`."""
+    """Holds the value of each axis until rest has been commanded for its `rest_delay`."""
 
     def __init__(self, axes: Sequence[Axis], frame: float) -> None:
         """frame: [s]"""
@@ -181,15 +184,15 @@ class RestDelay:
         self._frames = np.array([round(axis.rest_delay / frame) for axis in axes])
         self._left = np.zeros_like(self._frames)
 
-    def delayed(self, now: Array, wanted: Array) -> Array:
-        """What is wanted of this frame; to be called once in each. NaN counts as rest."""
-        resting = np.isnan(wanted) | (wanted == self._rest)
+    def delayed(self, now: Array, commanded: Array) -> Array:
+        """Commanded values of this frame. Call it once per frame. NaN counts as rest."""
+        resting = np.isnan(commanded) | (commanded == self._rest)
         self._left = np.where(resting, np.maximum(self._left - 1, -1), self._frames)
-        return np.where(resting & (self._left >= 0), now, wanted)
+        return np.where(resting & (self._left >= 0), now, commanded)
 
 
 class LatestRecorder(Recorder):
-    """Keeps the values of the latest communication point only: `values`, in the order of the ports."""
+    """Keeps only the values of the latest communication point: `values`, in the order of the ports."""
 
     def __init__(self, network: Network, times: Grid, chosen: Sequence[Port] | None = None) -> None:
         super().__init__(network, replace(times, steps=1), chosen)
@@ -205,13 +208,13 @@ class LatestRecorder(Recorder):
 
 
 class FrameStepper:
-    """Steps a system of FMUs, one frame at a call.
+    """Steps a system of FMUs frame by frame.
 
     t        simulated time [s]
-    axes     what drives it at t, shape (axes,)
-    values   of the signals at t, shape (signals,)
-    units    of axes and signals, where they have one
-    notes    remarks on how it runs
+    axes     values of the axes at t, shape (axes,)
+    values   values of the signals at t, shape (signals,)
+    units    units of axes and signals, without those that have none
+    notes    remarks on the run
     """
 
     def __init__(self, setup: Setup, open: Opener = open_slave) -> None:
@@ -241,7 +244,7 @@ class FrameStepper:
         self.values = self._latest.values
 
     def advance(self, axes: Array) -> None:
-        """One frame, in which the axes move at straight lines to these values, shape (axes,)."""
+        """Step one frame, in which the axes move linearly to these values, shape (axes,)."""
         state = self._loop.state
         state.total = state.done + self._steps
         self._ramp.aim(self.t, self._at(self._times, state.total), axes)
@@ -260,7 +263,7 @@ class FrameStepper:
 
 
 def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
-    """The communication points, without end, and how many of them are a frame."""
+    """The communication points, and the number of them in a frame."""
     start, step = system.start or 0.0, step_length(system, setup.step)
     if not (isfinite(step) and step > 0):
         raise Problem(f"step: expected a positive time, got {step:g} s")
@@ -279,13 +282,13 @@ def _drive(system: System, setup: Setup, ramp: Ramp) -> Scenario | None:
     """The axes bound to the inputs that they drive."""
     if not setup.axes:
         return None
-    still = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
-    bound = drive(system, Trace(ramp.arrays[0].copy(), still), "axes")
+    at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
+    bound = drive(system, Trace(ramp.arrays[0].copy(), at_rest), "axes")
     return replace(bound, table=ramp)
 
 
 def _units(system: System, setup: Setup) -> Mapping[str, str]:
-    """Of the axes those that commands are given in, of the signals those of the FMUs."""
+    """Units of the axes, as commands use them, and of the signals, as the FMUs declare them."""
     units = {}
     for axis in setup.axes:
         inlet = system.inputs.get(axis.name)
