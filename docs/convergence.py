@@ -14,16 +14,15 @@ import tempfile
 from pathlib import Path
 
 from orchestrator.base.plotting import png
-from orchestrator.studies.convergence import ConvergenceStudy
-from orchestrator.studies.convergence_report import (
-    cost,
-    draw_error,
-    draw_work,
-    maximum,
-    nrmse,
-    own_steps,
+from orchestrator.studies.convergence.command import convergence
+from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
+from orchestrator.studies.convergence.runs import ConvergenceStudy
+from orchestrator.studies.convergence.tables import (
+    adaptive_table,
+    cost_table,
+    error_table,
+    maximum_table,
 )
-from orchestrator.studies.convergence_study import convergence
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
@@ -55,20 +54,20 @@ def main() -> None:
     pictures("work-cycle", cycle)
     pictures("m1", benchmark)
     for group in ("speed", "pressure"):
-        fill(PAGE, f"work cycle, {group}", nrmse(cycle, group).markdown())
-    fill(PAGE, "work cycle, cost", cost(cycle).markdown())
+        fill(PAGE, f"work cycle, {group}", error_table(cycle, group).markdown())
+    fill(PAGE, "work cycle, cost", cost_table(cycle).markdown())
     for name, study in (("work cycle", cycle), ("M1", benchmark)):
-        if chosen := own_steps(study):
-            fill(PAGE, f"{name}, own steps", chosen.markdown())
+        if chosen := adaptive_table(study):
+            fill(PAGE, f"{name}, adaptive step size", chosen.markdown())
     for document in (PAGE, EXAMPLE / "README.md"):
-        fill(document, "M1, pressure", nrmse(benchmark, "pressure").markdown())
-        fill(document, "M1, length", maximum(benchmark, "position").markdown())
+        fill(document, "M1, pressure", error_table(benchmark, "pressure").markdown())
+        fill(document, "M1, length", maximum_table(benchmark, "position").markdown())
 
 
 def pictures(name: str, study: ConvergenceStudy) -> None:
     """Error over step, and error over wall time."""
     IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw_error(study), DPI))
-    IMAGES.joinpath(f"convergence-{name}-cost.png").write_bytes(png(draw_work(study), DPI))
+    IMAGES.joinpath(f"convergence-{name}-cost.png").write_bytes(png(draw_work_precision(study), DPI))
 
 
 def fill(document: Path, name: str, table: str) -> None:

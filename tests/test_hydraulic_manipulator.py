@@ -22,7 +22,7 @@ from orchestrator import read
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
-from orchestrator.studies.convergence import choose
+from orchestrator.studies.convergence.settings import choose
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"

@@ -17,21 +17,16 @@ from run import M1, REFERENCE
 from orchestrator import load, read, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
-from orchestrator.studies.convergence import (
-    SETTINGS,
-    ConvergenceStudy,
-    Setting,
-    Truth,
-    from_run,
-    run_settings,
-)
-from orchestrator.studies.convergence_report import maximum
-from orchestrator.studies.convergence_study import report, watched
+from orchestrator.studies.convergence.command import report, with_progress
+from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
+from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
+from orchestrator.studies.convergence.settings import SETTINGS, Setting
+from orchestrator.studies.convergence.tables import maximum_table
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]
 REPEATS = 9  # a run takes milliseconds
-BARE = tuple(target for _, target in RATES)
+RATE_INPUTS = tuple(target for _, target in RATES)
 SIGNALS = ("hydraulics.p_1", "hydraulics.p_2", "arm.s1")  # the first quantity is drawn
 DRAWN = {
     "Jacobi, held, 10 ms": ("held", Coupling("jacobi"), 10e-3),
@@ -44,7 +39,7 @@ PUBLISHED = {
 }
 
 
-def truth() -> Truth:
+def ode_solution() -> ReferenceSolution:
     """The joined ODE at every millisecond."""
     return from_run("the joined ODE", solve(read(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
 
@@ -56,9 +51,10 @@ def manipulator(
     repeats: int = REPEATS,
 ) -> ConvergenceStudy:
     """All masters at all steps."""
-    against = truth()
-    rows = run_settings(load(system), against, settings, steps, repeats, BARE, scenario=M1)
-    return ConvergenceStudy(against, tuple(watched(rows, sum(len(s.own) or len(steps) for s in settings))))
+    solution = ode_solution()
+    runs = run_settings(load(system), solution, settings, steps, repeats, RATE_INPUTS, scenario=M1)
+    total = sum(len(s.cases) or len(steps) for s in settings)
+    return ConvergenceStudy(solution, tuple(with_progress(runs, total)))
 
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
@@ -75,9 +71,9 @@ def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
 def main() -> None:
     """Print the tables, write numbers and pictures."""
     systems = build(FOLDER)
-    found = manipulator(systems["rates"])
-    maximum(found, "position").print(Console())
-    report(found, FOLDER)
+    study = manipulator(systems["rates"])
+    maximum_table(study, "position").print(Console())
+    report(study, FOLDER)
     print(beside_the_published(systems, FOLDER / "steps.png"))
 
 

@@ -54,8 +54,8 @@ def convergence(
     Prints tables, and writes them as CSV with figures.
     """
     from fmus.machine.build import data
-    from orchestrator.studies.convergence_study import convergence as study
+    from orchestrator.studies.convergence.command import convergence as study
 
     work_cycle = data("reference/work_cycle.csv")
-    options = case.options() | {"scenario": case.scenario, "usually": work_cycle}
+    options = case.options() | {"scenario": case.scenario, "default_reference": work_cycle}
     study(system, reference, out, steps, masters, signals or (), repeats, **options)

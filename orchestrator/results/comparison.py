@@ -89,10 +89,10 @@ def _with_units(runs: list[Run]) -> list[Run]:
 QUANTITIES = {"speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m"}
 QUANTITIES |= {"acceleration": "m/s2", "angular acceleration": "rad/s2"}
 QUANTITIES |= {"force": "N", "torque": "N.m", "flow": "m3/s", "power": "W", "voltage": "V"}
-USUAL = ("speed", "pressure", "angle")
+DEFAULT_QUANTITIES = ("speed", "pressure", "angle")
 # A signal that moves less than this share of the widest of its quantity is at rest: a difference over its
 # range says nothing about the machine.
-REST = 1e-3
+AT_REST = 1e-3
 CONSTANT = "reference constant"
 
 
@@ -132,7 +132,7 @@ class Comparison:
         """
         rows = [row for row in self.against[label].rows if row.group == quantity]
         ranges = [_range(values) for row in rows for values in (row.reference, row.simulation)]
-        least = max(REST * max(ranges, default=0.0), FLOOR)
+        least = max(AT_REST * max(ranges, default=0.0), FLOOR)
         moving = [found for row in rows if (found := _moving(row, least))]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
 
@@ -241,7 +241,7 @@ def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str])
         return tuple(name for name in common if any(fnmatchcase(name, p) for p in wanted))
     units, inputs = runs[0].trace.units, frozenset[str]().union(*(run.inputs for run in runs))
     outputs = [name for name in common if name not in inputs]
-    usual = [n for q in USUAL for n in outputs if quantity(units.get(n, "")) == q]
+    usual = [n for q in DEFAULT_QUANTITIES for n in outputs if quantity(units.get(n, "")) == q]
     return tuple(usual or outputs or common)
 
 

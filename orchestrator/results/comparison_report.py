@@ -17,7 +17,7 @@ from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, d
 from orchestrator.base.text import NONE, TextTable, finer, number, share
 from orchestrator.base.units import convert, linear, shown
 from orchestrator.engine.result import RunMetadata
-from orchestrator.results.comparison import CONSTANT, USUAL, Comparison, Run
+from orchestrator.results.comparison import CONSTANT, DEFAULT_QUANTITIES, Comparison, Run
 from orchestrator.results.validation import ValidatedSignal
 
 PANELS = 6  # more rows than these do not fit on a page
@@ -162,7 +162,9 @@ def _named(label: str, known: RunMetadata) -> str:
 def _worst(comparison: Comparison, label: str) -> list[str]:
     """The worst signals of each quantity, of all signals: speeds, pressures and angles first."""
     groups = comparison.quantities()
-    order = [q for q in USUAL if q in groups] + [q for q in groups if q not in USUAL]
+    order = [q for q in DEFAULT_QUANTITIES if q in groups] + [
+        q for q in groups if q not in DEFAULT_QUANTITIES
+    ]
     rows = []
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)

@@ -12,17 +12,10 @@ from orchestrator.__main__ import main
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
-from orchestrator.studies.convergence import (
-    SETTINGS,
-    ConvergenceStudy,
-    Setting,
-    choose,
-    from_reference,
-    from_run,
-    rates,
-    run_settings,
-)
-from orchestrator.studies.convergence_report import UNSTABLE, ends, nrmse, own_steps
+from orchestrator.studies.convergence.reference_solution import finest_run, from_recording, from_run
+from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
+from orchestrator.studies.convergence.settings import SETTINGS, Setting, choose, rate_inputs
+from orchestrator.studies.convergence.tables import UNSTABLE, adaptive_table, error_table, failures
 
 SSD = """<SystemStructureDescription version="1.0" name="two"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="two"><Elements>
@@ -85,7 +78,7 @@ def test_orders_of_convergence(moving, truth, label):
     found = ConvergenceStudy(truth, rows)
     # at 0.13 rad of the fast oscillation per step the next term of the error expansion is felt
     assert found.order(rows[1], "position") == pytest.approx(ORDERS[label], abs=0.2)
-    (line,) = nrmse(found, "position").rows
+    (line,) = error_table(found, "position").rows
     assert line[0] == label
     assert float(line[2].split()[1]) == pytest.approx(ORDERS[label], abs=0.2)  # the same, printed
 
@@ -98,33 +91,33 @@ def test_converged_hermite_has_order_four(moving, truth):
     assert ConvergenceStudy(truth, rows).order(rows[1], "position") == pytest.approx(4, abs=0.3)
 
 
-def test_runs_that_leave_the_truth_are_unstable(moving, truth):
-    """An error that grows beyond the range of the signal is no number to compare, and is told."""
+def test_runs_that_leave_the_reference_are_unstable(moving, truth):
+    """An error that grows beyond the range of the signal is reported as unstable instead of as a number."""
     rows = tuple(run_settings(moving, truth, choose(["jacobi order 2"]), (1e-3, 5e-2), 1, stop=1.0))
     found = ConvergenceStudy(truth, rows)
     assert [row.stable for row in rows] == [True, False]
-    assert nrmse(found, "position").rows[0][2] == UNSTABLE
-    assert f"**{UNSTABLE}**" in nrmse(found, "position").markdown()
-    (told,) = ends(found)
-    assert told.startswith("jacobi order 2: unstable at 50 ms: ran to the end")
+    assert error_table(found, "position").rows[0][2] == UNSTABLE
+    assert f"**{UNSTABLE}**" in error_table(found, "position").markdown()
+    (failure,) = failures(found)
+    assert failure.startswith("jacobi order 2: unstable at 50 ms: completed, but")
     assert found.order(rows[1], "position") is None
 
 
 def test_runs_that_fail_are_rows(fmus):
     """A step that fails ends its run only; the reason is kept."""
     system = assemble({"s": fmus["source"], "f": fmus["fails"]}, ["s.y -> f.u"], {"f.how": 3, "f.when": 0.5})
-    whole = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
+    sine = from_run("sine", Trace(np.arange(101) * 0.01, {"s.y": np.sin(np.arange(101) * 0.01)}))
     rows = tuple(
-        run_settings(system, whole, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0)
+        run_settings(system, sine, choose(["jacobi order 0", "gauss-seidel order 0"]), (0.01,), stop=1.0)
     )
     assert [row.stable for row in rows] == [False, False]
     assert [row.simulated for row in rows] == [pytest.approx(0.5)] * 2  # rounding of 50 steps
-    assert all("the pump broke" in line for line in ends(ConvergenceStudy(whole, rows)))
+    assert all("the pump broke" in line for line in failures(ConvergenceStudy(sine, rows)))
     assert len(rows[0].walls) == 1  # nobody wants to know how long it takes to fail
 
 
-def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
-    """A master that the FMUs cannot serve is a row; if nothing runs at all it is a mistake."""
+def test_a_master_that_the_fmus_do_not_support_is_a_row(moving, truth):
+    """A master that the FMUs do not support is a row; if nothing runs at all, the user made a mistake."""
     from orchestrator.engine.run import open_slave
 
     opened = []
@@ -138,33 +131,33 @@ def test_what_a_master_lacks_is_told_beside_the_others(moving, truth):
     chosen = choose(["jacobi order 0", "gauss-seidel order 0"])
     first, second = run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging)
     assert first.stable
-    assert second.refused == "no second run"
-    assert list(ends(ConvergenceStudy(truth, (second,)))) == [
+    assert second.refusal == "no second run"
+    assert list(failures(ConvergenceStudy(truth, (second,)))) == [
         "gauss-seidel order 0: not possible: no second run"
     ]
     with pytest.raises(Problem, match="no second run"):
         list(run_settings(moving, truth, chosen, (1e-2,), 1, stop=1.0, open=grudging))
 
 
-def test_settings_that_choose_their_steps_stand_in_a_table_of_their_own(moving, truth):
-    """A line for each case, with the steps it took; the tables over given steps do not know them."""
-    own = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
-    chosen = [Setting("free", Coupling("jacobi"), own=own), *choose(["jacobi order 0"])]
+def test_adaptive_settings_have_a_table_of_their_own(moving, truth):
+    """The table has a row for each case with its number of steps; the tables over steps leave them out."""
+    cases = {"coarse": Coupling("jacobi", factors={"a": 2}), "fine": Coupling("jacobi", 1)}
+    chosen = [Setting("free", Coupling("jacobi"), cases=cases), *choose(["jacobi order 0"])]
     found = ConvergenceStudy(truth, tuple(run_settings(moving, truth, chosen, (5e-3,), 1, stop=1.0)))
-    assert len(nrmse(found, "position").rows) == 1
-    table = own_steps(found)
+    assert len(error_table(found, "position").rows) == 1
+    table = adaptive_table(found)
     assert [line[0] for line in table.rows] == ["free coarse", "free fine"]
     assert [line[1:3] for line in table.rows] == [("200", "5 ms")] * 2
-    assert found.rows[1].error("position") < found.rows[2].error("position")  # order 1 is better than 0
-    assert own_steps(ConvergenceStudy(truth, tuple(row for row in found.rows if not row.case))) is None
+    assert found.runs[1].error("position") < found.runs[2].error("position")  # order 1 is better than 0
+    assert adaptive_table(ConvergenceStudy(truth, tuple(row for row in found.runs if not row.case))) is None
 
 
 def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving):
     """Steps of 3 ms meet samples every 20 ms at each 60 ms; the error is that of these instants alone."""
-    against = from_reference(read_recording(folder / "exact.csv"))
-    (row,) = run_settings(moving, against, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
+    reference = from_recording(read_recording(folder / "exact.csv"))
+    (row,) = run_settings(moving, reference, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
-    every = against.groups["position"][0].values
+    every = reference.groups["position"][0].values
     apart = trace["a.x"][::20] - every[::3]
     share = np.sqrt(np.mean(apart**2)) / np.ptp(every)
     found = {e.signal: e.nrmse for e in row.errors["position"]}
@@ -202,12 +195,12 @@ def test_signals_at_rest_are_left_out():
     assert found.notes == ("not compared, at rest: a.y",)
 
 
-def test_bare_settings_go_without_rate_wires(fmus):
-    """A plain master has the same system without the wires of rate ports; without such there is none."""
+def test_plain_settings_leave_out_rate_connections(fmus):
+    """A plain master gets the system without the connections of rate ports."""
     slope = fmus.make("source", "slope_source", units={"y": "m/s"})
     files = {"s": fmus["source"], "r": slope, "d": fmus["drift"]}
     system = assemble(files, ["s.y -> d.u", "r.y -> d.u_rate"])
-    assert rates(system) == ("d.u_rate",)
+    assert rate_inputs(system) == ("d.u_rate",)
     time = np.arange(101) * 0.01
     ramp = from_run("sum", Trace(time, {"d.y": 1 - np.cos(time)}))
     plain, wired = run_settings(
@@ -221,12 +214,12 @@ def test_bare_settings_go_without_rate_wires(fmus):
 
 @pytest.mark.usefixtures("folder")
 def test_the_command_prints_and_writes(capsys):
-    """Tables on paper, a line of the CSV for each run, all signals in the JSON, two pictures."""
+    """It prints tables; the CSV has a row for each run, the JSON all signals; there are two figures."""
     options = ["--reference", "exact.csv", "--steps", "0.01,0.005", "--masters", "jacobi", "--repeats", "2"]
     assert main(["convergence", "two.ssp", *options]) == 0
     printed = capsys.readouterr().out
     assert "position: worst NRMSE against exact" in printed
-    assert "wall time [ms] for each second simulated" in printed
+    assert "wall time per simulated second [ms]" in printed
     with Path("build/convergence/convergence.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
     assert [(line["setting"], float(line["step [s]"])) for line in lines] == [
@@ -235,7 +228,7 @@ def test_the_command_prints_and_writes(capsys):
     found = numbers()
     assert found["groups"] == {"position": ["a.x", "b.x"]}
     assert len(found["runs"][0]["walls [s]"]) == 2
-    order = found["runs"][1]["errors"]["position"]["order"]
+    order = found["runs"][1]["errors"]["position"]["order of convergence"]
     assert order == pytest.approx(1, abs=0.3)  # 0.33 rad of the fast oscillation per step
     for name in ("convergence.png", "work_precision.png"):
         assert Path("build/convergence", name).read_bytes().startswith(b"\x89PNG")
@@ -243,7 +236,7 @@ def test_the_command_prints_and_writes(capsys):
 
 @pytest.mark.usefixtures("folder")
 def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
-    """It is told, and its errors are those from the exact solution but for its own."""
+    """A note names that run; errors against it are about those against the exact solution."""
     options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
     assert main(["convergence", *options]) == 0
     assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out
@@ -277,8 +270,11 @@ def test_options_of_a_run_reach_the_runs():
             ["--reference", "none.csv"],
             "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file",
         ),
-        (["--reference", "exact.csv", "--signals", "*q"], "signals *q: no signal fits; there are a.x, b.x"),
-        (["--signals", "a.y"], "signals a.y: no signal fits; did you mean"),
+        (
+            ["--reference", "exact.csv", "--signals", "*q"],
+            "signals *q: no signal matches; there are a.x, b.x",
+        ),
+        (["--signals", "a.y"], "signals a.y: no signal matches; did you mean"),
         (
             ["--reference", "exact.csv", "--steps", "0.0137"],
             "step 0.0137 s: expected 10 or more instants in common with exact, got 1",
@@ -290,9 +286,9 @@ def test_options_of_a_run_reach_the_runs():
 def test_mistakes_are_one_line(capsys, options, message):
     """Exit status 2, and a line that names what was expected and found."""
     assert main(["convergence", "two.ssp", *options]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"harvester: {message}")
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"harvester: {message}")
+    assert printed.count("\n") == 1
 
 
 @pytest.mark.usefixtures("folder")
@@ -310,16 +306,16 @@ def test_every_setting_has_a_name_of_its_own():
 
 
 @pytest.mark.parametrize("group", ["position", "velocity"])
-def test_pictures_name_every_line(moving, group):
-    """Each stable setting is named once, also where several share a line; lost ones have a cross."""
-    from orchestrator.studies.convergence import finest
-    from orchestrator.studies.convergence_report import draw_error, draw_work
+def test_figures_label_every_curve(moving, group):
+    """Each stable setting is in a label, also if several share a curve; unstable runs have a cross."""
+    from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 
-    whole = finest(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
+    solution = finest_run(moving, ["b.x", "b.v"], (5e-2,), stop=1.0)
     found = ConvergenceStudy(
-        whole, tuple(run_settings(moving, whole, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0))
+        solution,
+        tuple(run_settings(moving, solution, choose(["jacobi", "hermite"]), (5e-3, 5e-2), 1, stop=1.0)),
     )
-    for figure in (draw_error(found, group), draw_work(found, group)):
+    for figure in (draw_error(found, group), draw_work_precision(found, group)):
         (axes,) = figure.axes
         named = " ".join(text.get_text() for text in axes.texts)
         assert all(f"order {n}" in named for n in range(3))

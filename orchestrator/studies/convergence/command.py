@@ -1,0 +1,196 @@
+"""`harvester convergence`: choose settings, steps and reference, run, print tables, write files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import folder, there
+from orchestrator.base.html_page import plain, write_json
+from orchestrator.base.plotting import png
+from orchestrator.data.recording import read_recording
+from orchestrator.results.validate_system import another_model
+from orchestrator.ssp.load import load
+from orchestrator.ssp.swap import with_swaps
+from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
+from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording
+from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun, run_settings
+from orchestrator.studies.convergence.settings import applicable, choose, rate_inputs
+from orchestrator.studies.convergence.tables import failures, milliseconds, tables
+
+OTHER_RUN = ("scenario", "parameters", "set", "swap")  # options with which the default reference does not fit
+DPI = 110
+
+
+def convergence(
+    system: Path,
+    reference: Path | None,
+    out: Path,
+    steps: str,
+    masters: str,
+    signals: Sequence[str],
+    repeats: int,
+    default_reference: Path,
+    cut: Sequence[str] = (),
+    swap: Mapping[str, str] | None = None,
+    **options: Any,
+) -> ConvergenceStudy:
+    """Run, print and write a study; after an interrupt the finished runs are printed and written.
+
+    steps              times [s], separated by commas
+    masters            names separated by commas, as of `choose`
+    default_reference  used if no reference is given, and if it fits this system and this run
+    options            of `run`
+    """
+    if repeats < 1:
+        raise Problem(f"repeats: expected at least 1, got {repeats}")
+    settings, step_list = choose(_items(masters)), read_steps(steps)
+    coupled = with_swaps(load(there(system)).without(*cut), swap or {})
+    if not coupled.connections:
+        raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
+    folder(out)
+    given = {name: value for name, value in options.items() if value not in (None, (), {})}
+    if reference is None and not swap and not given.keys() & set(OTHER_RUN):
+        names = from_recording(read_recording(default_reference)).names
+        reference = default_reference if set(names) <= set(coupled.names()) else None
+    if reference:
+        recording = read_recording(reference)
+        solution, note = from_recording(recording, signals), another_model(coupled, recording)
+    else:
+        solution = finest_run(coupled, default_signals(coupled, signals), step_list, **given)
+        note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
+    rates, runs = rate_inputs(coupled), list[SettingRun]()
+    chosen = applicable(settings, rates)
+    plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}"
+    notes = [note, *solution.notes, plain_note if any(s.without_rates for s in chosen) else ""]
+    try:
+        running = run_settings(coupled, solution, chosen, step_list, repeats, rates, **given)
+        for setting_run in with_progress(running, sum(len(s.cases) or len(step_list) for s in chosen)):
+            runs.append(setting_run)
+    finally:
+        study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, notes)))
+        if runs:
+            report(study, out)
+    return study
+
+
+def read_steps(text: str) -> list[float]:
+    """Steps [s] from a list with commas, the smallest first."""
+    steps = []
+    for item in _items(text):
+        try:
+            steps.append(float(item))
+        except ValueError:
+            raise Problem(f"steps {text}: expected numbers of seconds with commas, got {item!r}") from None
+        if not (steps[-1] > 0 and isfinite(steps[-1])):
+            raise Problem(f"steps {text}: expected positive times, got {item}")
+    if not steps:
+        raise Problem("steps: expected at least one, got none")
+    return sorted(set(steps))
+
+
+def _items(text: str) -> list[str]:
+    """The items of a list with commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def with_progress(runs: Iterable[SettingRun], total: int) -> Iterator[SettingRun]:
+    """The runs as they come, with a progress bar."""
+    text = TextColumn("{task.completed} of {task.total}  {task.description}")
+    console = Console(stderr=True)
+    with Progress(text, BarColumn(), console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=total)
+        for run in runs:
+            description = f"{run.setting.label}, {run.case or milliseconds(run.step)}"
+            bar.update(task, advance=1, description=description)
+            yield run
+
+
+def report(study: ConvergenceStudy, out: Path) -> None:
+    """Print the tables and notes, write the files."""
+    console = Console()
+    for table in tables(study):
+        table.print(console)
+    lines = [*failures(study), *(f"note: {note}" for note in study.notes)]
+    print("\n".join([*lines, "", *map(str, write(study, out))]))
+
+
+def write(study: ConvergenceStudy, folder: str | Path) -> list[Path]:
+    """Write convergence.csv, .json, .png and work_precision.png to a folder; figures of the first group."""
+    home = Path(folder)
+    home.mkdir(parents=True, exist_ok=True)
+    csv_path, json_path = home / "convergence.csv", home / "convergence.json"
+    with csv_path.open("w", newline="", encoding="utf-8") as file:
+        rows = [_csv_row(study, run) for run in study.runs]
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    write_json(json_path, as_dict(study))
+    figures = {"convergence.png": draw_error(study), "work_precision.png": draw_work_precision(study)}
+    for name, figure in figures.items():
+        (home / name).write_bytes(png(figure, DPI))
+    return [csv_path, json_path, *(home / name for name in figures)]
+
+
+def as_dict(study: ConvergenceStudy) -> Mapping[str, Any]:
+    """The study for convergence.json: reference, signals by group, notes, and all runs with all errors."""
+    return {
+        "reference": study.reference.title,
+        "groups": {group: [s.name for s in signals] for group, signals in study.reference.groups.items()},
+        "notes": list(study.notes),
+        "runs": [_json_run(study, run) for run in study.runs],
+    }
+
+
+def _columns(run: SettingRun) -> dict[str, Any]:
+    """What the CSV and the JSON file contain of a run, except for its errors."""
+    coupling = run.setting.cases.get(run.case, run.setting.coupling)
+    return {
+        "setting": run.setting.label,
+        "master": coupling.master,
+        "extrapolation order": coupling.extrapolation,
+        "most passes": coupling.rounds,
+        "without rate connections": run.setting.without_rates,
+        "case": run.case,
+        "step [s]": run.step,
+        "mean step [s]": run.mean_step,
+        "steps": run.steps,
+        "simulated [s]": run.simulated,
+        "stable": run.stable,
+        "wall [s]": plain(run.wall),
+        "wall time over simulated time [1]": plain(run.cost),
+        "ended": run.failure or run.refusal,
+    }
+
+
+def _json_run(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
+    errors = {
+        group: {
+            "order of convergence": study.order(run, group),
+            "signals": {
+                e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations
+            },
+        }
+        for group, deviations in run.errors.items()
+    }
+    return {**_columns(run), "walls [s]": list(run.walls), "errors": errors}
+
+
+def _csv_row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
+    """A row of the CSV: of each group its worst signal."""
+    row = _columns(run)
+    for group in study.reference.groups:
+        worst = run.errors[group][0] if run.errors else None
+        row |= {
+            f"{group} nrmse": worst.nrmse if worst else None,
+            f"{group} worst signal": worst.signal if worst else None,
+            f"{group} order of convergence": study.order(run, group),
+        }
+    return row

@@ -1,0 +1,163 @@
+"""Runs of a convergence study: every setting at every communication step, with its error and wall time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import log
+from statistics import median
+from typing import Any
+
+from orchestrator.base.errors import Problem
+from orchestrator.engine.result import RunFailed
+from orchestrator.engine.run import run
+from orchestrator.ssp.system import System
+from orchestrator.studies.convergence.reference_solution import ReferenceSolution, SignalDeviation
+from orchestrator.studies.convergence.settings import Setting, applicable, rate_inputs
+
+UNSTABLE_ERROR = 1.0  # relative to the range of a signal: a run with a larger error is unstable
+ROUNDING = 1e-12  # NRMSE below which rounding errors hide the order of convergence
+
+
+@dataclass(frozen=True)
+class SettingRun:
+    """The run of one setting at one step. Times in [s].
+
+    step     communication step; of an adaptive run the first one to try
+    case     of an adaptive run: its name in `Setting.cases`
+    errors   group -> errors of its signals, the largest first; empty if the run ended early or was refused
+    steps    number of communication steps
+    walls    wall times, one for each repetition of the run
+    failure  why the run ended early; empty if it did not
+    refusal  why there was no run: what the FMUs lack for this master
+    """
+
+    setting: Setting
+    step: float
+    case: str = ""
+    errors: Mapping[str, tuple[SignalDeviation, ...]] = field(default_factory=dict)
+    steps: int = 0
+    simulated: float = 0.0
+    walls: tuple[float, ...] = ()
+    failure: str = ""
+    refusal: str = ""
+
+    @property
+    def mean_step(self) -> float:
+        """Simulated time over number of steps [s]; `step` if there was none."""
+        return self.simulated / self.steps if self.steps else self.step
+
+    @property
+    def wall(self) -> float:
+        """Median over the repetitions [s]."""
+        return median(self.walls) if self.walls else float("nan")
+
+    @property
+    def cost(self) -> float:
+        """Wall time over simulated time."""
+        return self.wall / self.simulated if self.simulated else float("nan")
+
+    @property
+    def stable(self) -> bool:
+        """The run came to the end, and no error was ever larger than the range of its signal."""
+        errors = [e for group in self.errors.values() for e in group]
+        return bool(errors) and all(e.maximum < UNSTABLE_ERROR * e.span for e in errors)
+
+    def error(self, group: str) -> float:
+        """NRMSE of the worst signal of a group."""
+        return self.errors[group][0].nrmse
+
+    def maximum(self, group: str) -> SignalDeviation:
+        """The signal of a group with the largest difference."""
+        return max(self.errors[group], key=lambda e: e.maximum)
+
+
+@dataclass(frozen=True)
+class ConvergenceStudy:
+    """All runs of a study, by setting with increasing steps."""
+
+    reference: ReferenceSolution
+    runs: tuple[SettingRun, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> list[float]:
+        """The communication steps of the study [s], the smallest first."""
+        return sorted({r.step for r in self.runs if not r.case})
+
+    @property
+    def settings(self) -> list[Setting]:
+        """All settings, in their order."""
+        return list({r.setting.label: r.setting for r in self.runs}.values())
+
+    def of(self, setting: Setting) -> list[SettingRun]:
+        """The runs of a setting, the smallest step first."""
+        runs = (r for r in self.runs if r.setting.label == setting.label)
+        return sorted(runs, key=lambda r: r.mean_step if r.case else r.step)
+
+    def order(self, setting_run: SettingRun, group: str) -> float | None:
+        """Observed order of convergence against the next smaller step; None unless both runs are stable."""
+        finer = [r for r in self.of(setting_run.setting) if r.step < setting_run.step]
+        if not finer or not finer[-1].stable or not setting_run.stable:
+            return None
+        small, large = finer[-1].error(group), setting_run.error(group)
+        if min(small, large) < ROUNDING:
+            return None
+        return log(large / small) / log(setting_run.mean_step / finer[-1].mean_step)
+
+
+def run_settings(
+    system: System,
+    reference: ReferenceSolution,
+    settings: Sequence[Setting],
+    steps: Sequence[float],
+    repeats: int = 3,
+    rates: Sequence[str] | None = None,
+    **options: Any,
+) -> Iterator[SettingRun]:
+    """Run every setting at every step.
+
+    repeats  how often a stable run is repeated; its wall time is the median
+    rates    inputs whose connections a plain setting leaves out; default: those of rate ports
+    options  of `run`, such as scenario, start, stop
+    """
+    reference.check(system)
+    rates = rate_inputs(system) if rates is None else tuple(rates)
+    start = float(next((t for t in (options.get("start"), system.start) if t is not None), 0.0))
+    sorted_steps = sorted(steps)
+    record_steps = {h: reference.record_step(start, options.get("stop"), h) for h in sorted_steps}
+    ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
+    options = {"record": list(dict.fromkeys(ports))} | options
+    any_run = False
+    for setting in applicable(settings, rates):
+        coupled = system.without(*rates) if setting.without_rates else system
+        planned = [SettingRun(setting, step) for step in sorted_steps]
+        if setting.cases:
+            planned = [SettingRun(setting, sorted_steps[0], case) for case in setting.cases]
+        for plan in planned:
+            coupling = setting.cases.get(plan.case, setting.coupling)
+            record_step = reference.adaptive_record_step(start) if plan.case else record_steps[plan.step]
+            run_options = {"master": coupling, "step": plan.step, "record_step": record_step} | options
+            try:
+                done = _run(plan, reference, coupled, repeats, run_options)
+            except Problem as problem:
+                if not any_run:  # then nothing runs at all: the user's mistake, not a limit of the FMUs
+                    raise
+                done = replace(plan, refusal=str(problem))
+            any_run = True
+            yield done
+
+
+def _run(
+    plan: SettingRun, reference: ReferenceSolution, system: System, repeats: int, options: Mapping[str, Any]
+) -> SettingRun:
+    """One run, repeated for its wall time if it was stable."""
+    try:
+        result, failure = run(system, **options), ""
+    except RunFailed as failed:
+        result, failure = failed.result, str(failed)
+    card = result.card
+    errors = {} if failure else reference.errors(result.trace, plan.step)
+    done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)
+    more = repeats - 1 if done.stable else 0
+    return replace(done, walls=(card.wall, *(run(system, **options).card.wall for _ in range(more))))
