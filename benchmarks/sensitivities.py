@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.played import Fmu
-from fmus.identification.refinement.simulation import CompiledModel
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.parameters import values

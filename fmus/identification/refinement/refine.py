@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.estimate import Estimate, confidence_interval, coverage_factor
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.gauss_newton import (
     INTERRUPTED,
@@ -27,7 +28,7 @@ from fmus.identification.refinement.gauss_newton import (
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.residuals import Traces, Whiteness, simulated, whiteness
 from fmus.identification.refinement.shooting import Shooting, cut, parallel
-from fmus.identification.refinement.simulation import CompiledModel, SimulationFailed, Simulator
+from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from fmus.identification.refinement.statistics import (
     VAGUE,
     Statistics,

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.data import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun, free_parameters
-from fmus.identification.refinement.simulation import CompiledModel
 from fmus.parameters import Values
 from orchestrator.data.recording import Recording, Sensor
 

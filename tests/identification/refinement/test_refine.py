@@ -12,7 +12,7 @@ from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem
 from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.gauss_newton import Iteration, Options
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.simulation import BlackBox, Differences
+from fmus.identification.refinement.simulation import BlackBox, FiniteDifferences
 from orchestrator.base.errors import Problem
 
 SENSOR_ONLY = Options(model_error=False)
@@ -114,7 +114,7 @@ def test_differences_lead_to_the_same_optimum(kind: str) -> None:
     task = problem(run(recording()))
     exact = compiled(task, 1e-9)
     inputs = input_matrix(task.training[0], exact)
-    other = Differences(exact)
+    other = FiniteDifferences(exact)
     if kind == "black box":
         other = BlackBox(
             lambda p, time, u: exact.segment(np.array(list(start.values())), p, time, u, False).y,

@@ -11,8 +11,8 @@ import pytest
 from fmus.contract import quantities
 from fmus.identification import machine
 from fmus.identification.machine import nominal, parameters, signals
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.refine import Refined, compiled, refine
-from fmus.identification.refinement.simulation import CompiledModel
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.parameters import values

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from fmus.contract import Quantity, Scalar, Subsystem
-from fmus.identification.refinement.simulation import CompiledModel, SimulationFailed
+from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
@@ -210,29 +211,29 @@ def test_failure_tells_the_time_and_the_reason() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outputs", "free", "told"),
+    ("outputs", "free", "message"),
     [
-        (("speed",), (), "toy: speed is no output, expected one of lag, total, square"),
-        (("lag",), ("mass",), "toy: mass is no parameter, expected one of delay, gain, "),
-        (("lag",), ("gain", "gain"), "toy: parameter gain is asked for twice, expected once"),
+        (("speed",), (), "toy: speed is not an output; expected one of lag, total, square"),
+        (("lag",), ("mass",), "toy: mass is not a parameter; expected one of delay, gain, "),
+        (("lag",), ("gain", "gain"), "toy: parameter gain: expected once, got 2 times"),
     ],
 )
-def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], told: str) -> None:
-    """Names that are not there are told with those that are."""
-    with pytest.raises(Problem, match=told):
+def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], message: str) -> None:
+    """An unknown name is refused with a message that lists the declared ones."""
+    with pytest.raises(Problem, match=message):
         CompiledModel(TOY, outputs, free, NUMBERS)
 
 
 def test_samples_are_checked() -> None:
     """Arrays of another shape, which C would read beyond, and clocks that stand still are refused."""
     toy, x0 = model(), np.array([0.1, 0.8])
-    with pytest.raises(Problem, match=r"inputs have the shape \(35, 2\), expected \(35, 1\), of drive"):
+    with pytest.raises(Problem, match=r"inputs: expected shape \(35, 1\) \(drive\), got \(35, 2\)"):
         toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
-    with pytest.raises(Problem, match=r"states have the shape \(1,\), expected \(2,\), of lag, size"):
+    with pytest.raises(Problem, match=r"states: expected shape \(2,\) \(lag, size\), got \(1,\)"):
         toy.segment(x0[:1], toy.p0, TIME, DRIVE[:, None])
-    with pytest.raises(Problem, match=r"parameters have the shape \(4,\), expected \(5,\), of seed"):
+    with pytest.raises(Problem, match=r"parameters: expected shape \(5,\) \(seed, .*, got \(4,\)"):
         toy.segment(x0, toy.p0[:4], TIME, DRIVE[:, None])
-    with pytest.raises(Problem, match="do not increase"):
+    with pytest.raises(Problem, match="each later than the one before"):
         toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])
 
 

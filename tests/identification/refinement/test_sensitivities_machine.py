@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from properties import examples
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.refinement.simulation import CompiledModel, SegmentSolution
+from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.identification.refinement.simulation import SegmentSolution
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import breakpoints

@@ -1,19 +1,19 @@
-/* The states and outputs of a model over recorded samples, and their derivatives by parameters and by the states
-   at the start. Columns: parameters that act, then states, then what fills the last block.
+/* States and outputs of a model over recorded samples, and their forward sensitivities with respect to
+   parameters and initial states. Columns: dynamic parameters, then states, then padding to a whole block.
 
-   The solver is that of the FMU. After each step that it accepted, the step is differentiated: slopes.c. */
+   The solver is that of the FMU. Each step is differentiated after the solver has accepted it: sens.c. */
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-#include "slopes.h"
+#include "sens.h"
 #include "solver.h"
 
 #ifdef _WIN32
-#define SHOWN __declspec(dllexport)
+#define EXPORTED __declspec(dllexport)
 #else
-#define SHOWN __attribute__((visibility("default")))
+#define EXPORTED __attribute__((visibility("default")))
 #endif
 
 #pragma clang fp contract(fast)
@@ -21,59 +21,60 @@
 enum {
     COLUMNS = NQ + NX,
     BLOCKS = (COLUMNS + WIDTH - 1) / WIDTH,
-    DIRECT_BLOCKS = (NQ + WIDTH - 1) / WIDTH, /* the blocks that hold parameters */
+    PARAMETER_BLOCKS = (NQ + WIDTH - 1) / WIDTH,
     NOT_REQUIRED = TOO_MANY_STEPS + 1,
     OUTPUT_NOT_FINITE
 };
 
 typedef struct {
-    const double *p, *c, *d;
+    const double *p, *d;
     const Motion *motion;
     Work work;
-    int with; /* derivatives? */
+    int sensitivities; /* whether to compute them */
     int steps;
-    double tau;         /* where the step starts */
-    double x[ROOM(NX)]; /* states there */
-    Columns s[ROOM(BLOCKS)][ROOM(NX)];
-    Columns direct[STAGES][ROOM(DIRECT_BLOCKS)][ROOM(NX)]; /* zero where nothing is ever written */
-} Track;
+    double tau;         /* start of the step */
+    double x[ROOM(NX)]; /* states at the start of the step */
+    Columns dx[ROOM(BLOCKS)][ROOM(NX)];
+    Columns f_q[STAGES][ROOM(PARAMETER_BLOCKS)][ROOM(NX)]; /* zero outside the pattern F_Q */
+} Trajectory;
 
-static void put(double *columns, int stride, const int place[2], double value) {
-    const int block = place[1] / WIDTH, lane = place[1] % WIDTH;
-    columns[(block * stride + place[0]) * WIDTH + lane] = value;
+static void put(double *columns, int rows, const int entry[2], double value) {
+    const int block = entry[1] / WIDTH, lane = entry[1] % WIDTH;
+    columns[(block * rows + entry[0]) * WIDTH + lane] = value;
 }
 
-/* All columns of one block over the step. */
-static void advance(Track *t, int b, double h, double jac[STAGES][ROOM(NJ)], double bent[STAGES][ROOM(NBENT)]) {
-    Columns k[STAGES][ROOM(NX)], at[ROOM(NX)], r[ROOM(NX)];
-    Columns *from = t->s[b];
+/* All columns of block b over the step. */
+static void advance(Trajectory *t, int b, double h, double jac[STAGES][ROOM(NJ)],
+                    double product[STAGES][ROOM(NPRODUCT)]) {
+    Columns dk[STAGES][ROOM(NX)], dX[ROOM(NX)], r[ROOM(NX)];
+    Columns *dx = t->dx[b];
     for (int s = 0; s < STAGES; s++) {
         for (int i = 0; i < NX; i++) {
-            Columns point = from[i], right = b < DIRECT_BLOCKS ? t->direct[s][b][i] : (Columns)0.0;
+            Columns stage = dx[i], right = b < PARAMETER_BLOCKS ? t->f_q[s][b][i] : (Columns)0.0;
             for (int j = 0; j < s; j++) {
-                point += A[s][j] * k[j][i];
-                right += C[s][j] / h * k[j][i];
+                stage += A[s][j] * dk[j][i];
+                right += C[s][j] / h * dk[j][i];
             }
-            at[i] = point;
+            dX[i] = stage;
             r[i] = right;
         }
-        columns_stage(jac[s], bent[s], t->work.lu, at, from, r, k[s]);
+        sens_stage_columns(jac[s], product[s], t->work.lu, dX, dx, r, dk[s]);
     }
-    for (int i = 0; i < NX; i++) from[i] = at[i] + k[STAGES - 1][i];
+    for (int i = 0; i < NX; i++) dx[i] = dX[i] + dk[STAGES - 1][i];
 }
 
-/* After a step that ends at tau. */
-static double follow(void *owner, double tau, double length) {
-    Track *t = owner;
+/* Called by the solver after each accepted step, which ends at tau. */
+static double after_step(void *owner, double tau, double length) {
+    Trajectory *t = owner;
     t->steps++;
-    if (!t->with) return length;
+    if (!t->sensitivities) return length;
     const double h = tau - t->tau;
-    double bends[ROOM(NBENDS)], jac[STAGES][ROOM(NJ)], bent[STAGES][ROOM(NBENT)], direct[ROOM(NDIRECT)];
+    double hessian[ROOM(NHESSIAN)], jac[STAGES][ROOM(NJ)], product[STAGES][ROOM(NPRODUCT)], f_q[ROOM(NF_Q)];
     double u[ROOM(NU)], du[ROOM(NU)], x[ROOM(NX)];
     Work *w = &t->work;
     motion_slope(t->motion, t->tau, du);
     motion_value(t->motion, t->tau, u);
-    slopes_bends(t->x, u, t->p, t->d, bends);
+    sens_hessian(t->x, u, t->p, t->d, hessian);
     for (int s = 0; s < STAGES; s++) {
         double h_du[ROOM(NU)];
         for (int i = 0; i < NU; i++) h_du[i] = G[s] * h * du[i];
@@ -82,65 +83,72 @@ static double follow(void *owner, double tau, double length) {
             for (int j = 0; j < s; j++) x[i] += A[s][j] * w->k[j][i];
         }
         motion_move(t->motion, t->tau + ALPHA[s] * h, u);
-        slopes_stage(x, u, t->p, t->d, bends, w->k[s], h_du, jac[s], bent[s], direct);
-        for (int e = 0; e < NDIRECT; e++) put((double *)t->direct[s], NX, DIRECT[e], direct[e]);
+        sens_stage(x, u, t->p, t->d, hessian, w->k[s], h_du, jac[s], product[s], f_q);
+        for (int e = 0; e < NF_Q; e++) put((double *)t->f_q[s], NX, F_Q[e], f_q[e]);
     }
-    for (int b = 0; b < BLOCKS; b++) advance(t, b, h, jac, bent);
+    for (int b = 0; b < BLOCKS; b++) advance(t, b, h, jac, product);
     for (int i = 0; i < NX; i++) t->x[i] = x[i] + w->k[STAGES - 1][i];
     t->tau = tau;
     return length;
 }
 
-/* Outputs at a sample, and with `slopes` their derivatives, (NOUT, BLOCKS WIDTH); is all finite? */
-static int observe(const Track *t, const double *x, const double *u, double *y, double *slopes) {
-    double sum = 0.0;
-    slopes_observe(x, u, t->p, t->d, y);
+/* Outputs at a sample, and their sensitivities dy, (NOUT, BLOCKS WIDTH), if asked for; returns whether all of
+   them are finite. */
+static int observe(const Trajectory *t, const double *x, const double *u, double *y, double *dy) {
+    double sum = 0.0; /* of products with zero, which are NaN for what is not finite */
+    sens_outputs(x, u, t->p, t->d, y);
     for (int i = 0; i < NOUT; i++) sum += 0.0 * y[i];
-    if (t->with) {
-        double y_x[ROOM(NYX)], y_q[ROOM(NYQ)];
-        Columns out[ROOM(NOUT)], total = 0.0;
-        slopes_observed(x, u, t->p, t->d, y_x, y_q);
+    if (t->sensitivities) {
+        double y_x[ROOM(NY_X)], y_q[ROOM(NY_Q)];
+        Columns columns[ROOM(NOUT)], column_sum = 0.0;
+        sens_output_jacobians(x, u, t->p, t->d, y_x, y_q);
         for (int b = 0; b < BLOCKS; b++) {
-            columns_observe(y_x, t->s[b], out);
+            sens_output_columns(y_x, t->dx[b], columns);
             for (int i = 0; i < NOUT; i++) {
-                total += 0.0 * out[i];
-                memcpy(slopes + (i * BLOCKS + b) * WIDTH, &out[i], sizeof out[i]);
+                column_sum += 0.0 * columns[i];
+                memcpy(dy + (i * BLOCKS + b) * WIDTH, &columns[i], sizeof columns[i]);
             }
         }
-        for (int e = 0; e < NYQ; e++) {
-            slopes[OBSERVED[e][0] * BLOCKS * WIDTH + OBSERVED[e][1]] += y_q[e];
+        for (int e = 0; e < NY_Q; e++) {
+            dy[Y_Q[e][0] * BLOCKS * WIDTH + Y_Q[e][1]] += y_q[e];
             sum += 0.0 * y_q[e];
         }
-        for (int i = 0; i < WIDTH; i++) sum += total[i];
+        for (int i = 0; i < WIDTH; i++) sum += column_sum[i];
     }
     return sum == 0.0;
 }
 
-/* Samples n of time and of inputs, (n, NU), linear between them; x becomes the states at the last sample.
-   y (n, NOUT), slopes (n, NOUT, BLOCKS WIDTH) and ends (NX, BLOCKS WIDTH) if `with`.
-   told: time reached, number of steps, index of what is to blame. */
-SHOWN int refine(int n, const double *time, const double *inputs, double *x, const double *p, double tolerance,
-                 int with, double *y, double *slopes, double *ends, double *told) {
+/* Simulates from the states x over n samples of time and of inputs, (n, NU), linear between them.
+
+   x        becomes the states at the last sample
+   y        outputs, (n, NOUT)
+   dy, dx   sensitivities of the outputs, (n, NOUT, BLOCKS WIDTH), and of the last states, (NX, BLOCKS WIDTH),
+            written if `sensitivities`
+   report   time reached, number of steps, index of the state or requirement that failed
+
+   Returns an Outcome, NOT_REQUIRED or OUTPUT_NOT_FINITE. */
+EXPORTED int simulate(int n, const double *time, const double *inputs, double *x, const double *p,
+                      double tolerance, int sensitivities, double *y, double *dy, double *dx, double *report) {
     double c[ROOM(NC)], d[ROOM(ND)];
     Motion motion = {.count = 0};
-    Track t = {.p = p, .c = c, .d = d, .motion = &motion, .with = with};
+    Trajectory t = {.p = p, .d = d, .motion = &motion, .sensitivities = sensitivities};
     Pace pace = {0};
-    const Between between = {follow, &t};
+    const Between between = {after_step, &t};
     model_prepare(p, c);
-    slopes_prepare(p, d);
-    for (int i = 0; i < NX; i++) put((double *)t.s, NX, (int[2]){i, NQ + i}, 1.0);
+    sens_prepare(p, d);
+    for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
     for (int k = 0; k < n; k++) {
         const double *u = inputs + k * NU;
         double none[1], require[ROOM(NREQUIRE)];
-        told[0] = time[k];
-        told[1] = t.steps;
+        report[0] = time[k];
+        report[1] = t.steps;
         model_observe(x, u, p, c, none, require);
         for (int i = 0; i < NREQUIRE; i++)
             if (!(require[i] > 0.0)) {
-                told[2] = i;
+                report[2] = i;
                 return NOT_REQUIRED;
             }
-        if (!observe(&t, x, u, y + k * NOUT, with ? slopes + (long)k * NOUT * BLOCKS * WIDTH : 0))
+        if (!observe(&t, x, u, y + k * NOUT, sensitivities ? dy + (long)k * NOUT * BLOCKS * WIDTH : 0))
             return OUTPUT_NOT_FINITE;
         if (k == n - 1) break;
         const double length = time[k + 1] - time[k];
@@ -152,16 +160,17 @@ SHOWN int refine(int n, const double *time, const double *inputs, double *x, con
         }
         memcpy(t.x, x, NX * sizeof *x);
         t.tau = 0.0;
-        const Report report = solve(x, p, c, &motion, length, tolerance, fmax(1e-14 * length, DBL_MIN), &between,
-                                    &pace, &t.work);
-        if (report.outcome != SOLVED) {
-            told[0] += report.tau;
-            told[2] = report.worst;
-            return (int)report.outcome;
+        const double smallest = fmax(1e-14 * length, DBL_MIN);
+        const Report solution = solve(x, p, c, &motion, length, tolerance, smallest, &between, &pace, &t.work);
+        if (solution.outcome != SOLVED) {
+            report[0] += solution.tau;
+            report[2] = solution.worst;
+            return (int)solution.outcome;
         }
     }
-    if (with)
+    if (sensitivities)
         for (int i = 0; i < NX; i++)
-            for (int b = 0; b < BLOCKS; b++) memcpy(ends + (i * BLOCKS + b) * WIDTH, &t.s[b][i], sizeof t.s[b][i]);
+            for (int b = 0; b < BLOCKS; b++)
+                memcpy(dx + (i * BLOCKS + b) * WIDTH, &t.dx[b][i], sizeof t.dx[b][i]);
     return SOLVED;
 }

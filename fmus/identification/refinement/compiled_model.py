@@ -1,0 +1,226 @@
+"""A subsystem compiled to C for output-error identification: its FMU's model and forward sensitivities."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.contract import Quantity, Subsystem
+from fmus.export.c_code import generated, native_sources, routine
+from fmus.export.interface import Interface, Kind, Variable, assembled
+from fmus.identification.refinement.model_reduction import ReducedModel, reduce_model
+from fmus.identification.refinement.sensitivity_equations import sensitivity_code
+from fmus.identification.refinement.simulation import SegmentSolution, SimulationFailed
+from fmus.parameters import Values
+from fmus.parameters import values as default_values
+from orchestrator.base.compiler import SUFFIX, shared_library
+from orchestrator.base.errors import Problem
+
+Array = NDArray[np.float64]
+
+WIDTH = 8  # sensitivity columns per vector: a cache line, one to four registers of current processors
+COMPILER_FLAGS = (
+    "-std=gnu11",
+    "-O2",
+    "-g0",
+    "-fPIC",
+    "-shared",
+    "-fvisibility=hidden",
+    # the model must give the floating-point results of the FMU; sens.c itself allows contraction
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-mcpu=native",  # widest vector registers; the build cache is keyed by processor
+)
+C_FILES = ("model.c", "motion.c", "rosenbrock.c", "kutta.c", "solver.c", "sens.c", "sensitivities.c")
+SENS_H = """/* Lengths. Generated. */
+
+#ifndef SENS_H
+#define SENS_H
+
+#include "model.h"
+
+enum {{
+{lengths}
+}};
+
+typedef double Columns __attribute__((ext_vector_type(WIDTH)));
+
+#endif
+"""
+SENS_C_HEAD = """/* Derivatives. Generated. */
+
+#include <math.h>
+
+#include "sens.h"
+
+#pragma clang fp contract(fast)
+"""
+
+_POINTER = ctypes.POINTER(ctypes.c_double)
+_REQUIREMENT = 5
+_MESSAGES = (  # by the status of native/solver.h and native/sensitivities.c
+    "",
+    "the derivative of {} is not finite",
+    "the Jacobian is singular",
+    "steps become too small, the error is largest in {}",
+    "too many steps between two samples",
+    'requirement "{}" is violated',
+    "an output or its sensitivity is not finite",
+)
+
+
+class CompiledModel:
+    """A simulator (`simulation.Simulator`) in C with exact sensitivities of the solver's steps.
+
+    states, inputs   names of those that the outputs depend on: the others are left out
+    """
+
+    def __init__(
+        self,
+        sub: Subsystem,
+        outputs: Sequence[str],
+        free: Sequence[str],
+        values: Values | None = None,
+        tolerance: float = 1e-6,
+    ) -> None:
+        values = values or default_values(sub)
+        model = reduce_model(sub, outputs, free)
+        self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
+        self.free = model.estimated
+        self.nominal = np.array([model.quantities[name].nominal for name in model.states])
+        self._p = np.array([values.p[name] for name in model.parameters])
+        self._indices = np.array([model.parameters.index(name) for name in free], dtype=np.intp)
+        self.p0 = self._p[self._indices]
+        self._dynamic = np.array(model.dynamic, dtype=np.intp)
+        self._statements = model.equations.statements
+        self._tolerance = tolerance
+        self._all_x = np.array(list(values.x.values()))
+        eqs, start_p = model.equations, ca.densify(ca.jacobian(model.start, model.q))
+        self._start = ca.Function("start", [model.all_x, eqs.u, eqs.p], [model.start, start_p])
+        self._simulate = library(sources(model)).simulate
+        self._simulate.restype = ctypes.c_int
+        arrays = [_POINTER] * 4
+        self._simulate.argtypes = [ctypes.c_int, *arrays, ctypes.c_double, ctypes.c_int, *arrays]
+
+    def start(self, p: Array, u0: Array) -> tuple[Array, Array]:
+        """Initial states by the subsystem's `initial`, (nx,), and their derivatives by p, (nx, np)."""
+        x, x_p = self._start(self._all_x, u0, self._all_parameters(p))
+        return x.full()[:, 0], x_p.full()
+
+    def segment(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
+    ) -> SegmentSolution:
+        """The trajectory from the states x at time[0] to time[-1].
+
+        time    of the samples [s], increasing, shape (n,)
+        inputs  at the samples, linear between them, shape (n, nu)
+
+        Raises SimulationFailed. Thread-safe; the C code runs without Python's global lock.
+        """
+        time, inputs = (np.ascontiguousarray(a, dtype=np.float64) for a in (time, inputs))
+        n, nx, ny = time.size, len(self.states), len(self.outputs)
+        self._check(x, p, time, inputs)
+        columns = -(-(self._dynamic.size + nx) // WIDTH) * WIDTH if sensitivities else 0
+        x, y, report = np.array(x, dtype=np.float64), np.empty((n, ny)), np.zeros(3)
+        dy, dx = np.empty((n, ny, columns)), np.empty((nx, columns))
+        arguments = [a.ctypes.data_as(_POINTER) for a in (time, inputs, x, self._all_parameters(p))]
+        results = [a.ctypes.data_as(_POINTER) for a in (y, dy, dx, report)]
+        status = self._simulate(n, *arguments, self._tolerance, int(sensitivities), *results)
+        if status:
+            names = self._statements if status == _REQUIREMENT else self.states
+            raise SimulationFailed(_MESSAGES[status].format(names[int(report[2])]), report[0])
+        return SegmentSolution(y, x, *self._split(dy), *self._split(dx), int(report[1]))
+
+    def _check(self, x: Array, p: Array, time: Array, inputs: Array) -> None:
+        """Check the shapes, beyond which C would read."""
+        for argument, array, expected, names in (
+            ("inputs", inputs, (time.size, len(self.inputs)), self.inputs),
+            ("states", x, (len(self.states),), self.states),
+            ("parameters", p, (len(self.free),), self.free),
+        ):
+            if np.shape(array) != expected:
+                listed = f" ({', '.join(names)})" if names else ""
+                raise Problem(f"{argument}: expected shape {expected}{listed}, got {np.shape(array)}")
+        if time.ndim != 1 or time.size == 0 or not (np.diff(time) > 0).all():
+            raise Problem("times of the samples: expected one or more, each later than the one before")
+
+    def _all_parameters(self, p: Array) -> Array:
+        """Values of all parameters, in the order of their declaration."""
+        values = self._p.copy()
+        values[self._indices] = p
+        return values
+
+    def _split(self, columns: Array) -> tuple[Array, Array]:
+        """Derivatives by the states and by all free parameters; zero for those that are not dynamic."""
+        dynamic, nx = self._dynamic.size, len(self.states)
+        if columns.shape[-1] == 0:
+            return columns, columns
+        by_states, by_dynamic = columns[..., dynamic : dynamic + nx], columns[..., :dynamic]
+        if dynamic == len(self.free):
+            return by_states, by_dynamic
+        by_p = np.zeros((*columns.shape[:-1], len(self.free)))
+        by_p[..., self._dynamic] = by_dynamic
+        return by_states, by_p
+
+
+def sources(model: ReducedModel) -> dict[str, str]:
+    """Generated files by name: sizes.h and model.c as in an FMU, sens.h and sens.c."""
+    code = sensitivity_code(model)
+    names = {"x": list(model.states), "u": list(model.inputs), "p": list(model.parameters)}
+    tables = []
+    for name, pattern in code.patterns.items():
+        rows = [f"    {{{i}, {j}}}," for i, j in pattern] or ["    {0, 0},"]
+        tables += [f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""]
+    lengths = {**code.lengths, "WIDTH": WIDTH}
+    return generated(_interface(model), "", 2) | {
+        "sens.h": SENS_H.format(lengths="\n".join(f"    {name} = {n}," for name, n in lengths.items())),
+        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(routine(r, names) for r in code.routines)]),
+    }
+
+
+def _interface(model: ReducedModel) -> Interface:
+    """The model in the form of an FMU interface, without start values: one library serves all values."""
+
+    def variables(kind: Kind, names: Sequence[str], prefix: str = "") -> list[Variable]:
+        declared = [model.quantities[name] for name in names]
+        bare = [Quantity(q.unit, q.text, q.nominal) for q in declared]
+        return [Variable(prefix + name, kind, q, None) for name, q in zip(names, bare, strict=True)]
+
+    groups = [
+        variables("FIXED", model.parameters),
+        variables("INPUT", model.inputs),
+        variables("STATE", model.states),
+        variables("DERIVATIVE", model.states, "der_"),
+        [],  # outputs are in sens.c only
+    ]
+    equations = replace(model.equations, y=ca.SX(0, 1))
+    # declared stiff by default, so that only the implicit method is used; only that one has sensitivities
+    return assembled("refined", "A model for output error", groups, equations, ca.SX(0, 1))
+
+
+def library(generated_files: Mapping[str, str]) -> ctypes.CDLL:
+    """The shared library of a model from generated and hand-written files."""
+    code = {name: text for name, text in native_sources(2).items() if name in C_FILES or name.endswith(".h")}
+    native = files("fmus.identification.refinement") / "native" / "sensitivities.c"
+    code |= {"sensitivities.c": native.read_text(encoding="utf-8"), **generated_files}
+    code["all.c"] = "".join(f'#include "{name}"\n' for name in C_FILES)
+    encoded = {name: text.encode() for name, text in code.items()}
+    arguments = [*COMPILER_FLAGS, "all.c", "-lm"]
+    return ctypes.CDLL(str(shared_library(f"refined{SUFFIX}", encoded, arguments, [_cpu_description()])))
+
+
+@cache
+def _cpu_description() -> bytes:
+    """The compiler's description of this processor, for the key of the build cache."""
+    command = [sys.executable, "-m", "ziglang", "build-exe", "--show-builtin"]
+    return subprocess.run(command, capture_output=True, check=False).stdout
