@@ -1,4 +1,4 @@
-"""Coordinated control of the tip."""
+"""Controller: coordinated control of the tip (the end of the stick)."""
 
 from fmus.controller.model import CONTROLLER, controller
 

@@ -1,17 +1,17 @@
-"""One actuator: from reference and measurements to a command.
+"""Control law of one actuator: from reference speed and measured pressures to a valve command.
 
-    v   = (1 + h) v_ref + kp e - g (F - F_load)/k        what the valve is asked for
-    h'  = (ki e - (v - v_possible)/T) v_ref/(v_ref^2 + v_0^2)        bounded, as is h
+    v   = (1 + h) v_ref + kp e - g (F - F_load)/k        commanded speed
+    h'  = (ki e - (v - v_possible)/T) v_ref/(v_ref^2 + v_0^2)        h and h' are bounded
     F_load' = (F - F_load)/T_load
 
-v_ref is the reference speed, taken ahead by the lag of amplifier, valve and oil; e the position error, k the
-stiffness of the oil. h integrates the error of the feedforward as a share of it: what an area, a pressure or
-a density does that is not as assumed. It turns round with the direction and does nothing at rest, where a
-plain integrator would hold the valve at one edge of its dead band and have to run to the other before the
-next move. At constant speed both are the same.
+v_ref is the reference speed with a lead that compensates the lag of amplifier, valve and oil; e is the
+position error, k the stiffness of the oil. h integrates the relative error of the feedforward, which a wrong
+area, pressure or density causes. h changes its effect with the direction of motion and is constant at rest. A
+plain integrator would hold the valve at one edge of its dead band at rest and would have to cross the dead
+band before the next motion. At constant speed both are the same.
 
-The pressure feedback lets the force of an oscillation decay with the rate g, whatever mass swings; the load
-passes, as its slow part is taken off.
+The pressure feedback damps oscillations of the force at the rate g for any inertia. The steady load F_load is
+subtracted, so the feedback does not act on it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from fmus.contract import Scalar
 from fmus.controller import valve
 from fmus.controller.valve import Actuator
 
-FASTEST = 2.0  # 1/s: largest rate of the correction, far above that of any number that is off
+LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong parameter value causes
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What is known of one actuator: pressures of head (A) and rod (B) side, supply and tank [Pa]."""
+class MeasuredPressures:
+    """Measured pressures of one actuator [Pa]: head side (A), rod side (B), supply and tank."""
 
     head: Scalar
     rod: Scalar
@@ -40,8 +40,8 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Demand:
-    """Speed that the reference asks for, position error, and the speed limit, which scales what is slow."""
+class Setpoint:
+    """Reference speed, position error, and speed limit, to which v_0 is proportional."""
 
     speed: Scalar
     error: Scalar
@@ -49,8 +49,8 @@ class Demand:
 
 
 @dataclass(frozen=True)
-class Loop:
-    """Of a drive: kp [1/s], ki [1/s2], rate g at which a force decays [1/s], time of a steady load [s]."""
+class LoopGains:
+    """kp [1/s], ki [1/s2], damping rate g of force oscillations [1/s], time constant T_load [s]."""
 
     position_gain: Scalar
     integral_gain: Scalar
@@ -59,49 +59,49 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Action:
-    """Command [V] and the rates of the gain and of the steady load."""
+class ActuatorCommand:
+    """Valve command [V], h' [1/s] and F_load'."""
 
     command: Scalar
     gain_rate: Scalar
     load_rate: Scalar
 
 
-def force(a: Actuator, m: Measured) -> Scalar:
+def force(a: Actuator, m: MeasuredPressures) -> Scalar:
     """Force or torque of the actuator."""
     return a.head * m.head - a.rod * m.rod
 
 
-def action(
+def actuator_command(
     a: Actuator,
-    m: Measured,
-    task: Demand,
-    loop: Loop,
+    m: MeasuredPressures,
+    setpoint: Setpoint,
+    loop: LoopGains,
     gain: Scalar,
     load: Scalar,
     nominal_load: Scalar,
     p: Any,
-) -> Action:
-    """What the drive does."""
-    swinging = force(a, m) - load
-    damping = loop.damping_rate * swinging / a.stiffness
-    corrected = loop.position_gain * task.error + gain * task.speed - damping
-    wanted = task.speed + p.feedback * corrected
+) -> ActuatorCommand:
+    """The equations above; gain: h, load: F_load, nominal_load: the load assumed without feedback."""
+    oscillation = force(a, m) - load
+    damping = loop.damping_rate * oscillation / a.stiffness
+    correction = loop.position_gain * setpoint.error + gain * setpoint.speed - damping
+    commanded = setpoint.speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
-    known = valve.full_speeds(a, *valve.steadied(a, m.head, m.rod, load), m.supply, m.tank)
-    full = tuple(n + p.feedback * (k - n) for n, k in zip(nominal, known, strict=True))
-    up, down = valve.carried(a, load, m.supply, m.tank)
-    shares = 1 + p.feedback * (up - 1), 1 + p.feedback * (down - 1)
-    opening = valve.opening_for(a, wanted, (full[0], full[1]), p.foot_share, shares)
+    actual = valve.full_speeds(a, *valve.pressures_at_load(a, m.head, m.rod, load), m.supply, m.tank)
+    full = tuple(n + p.feedback * (k - n) for n, k in zip(nominal, actual, strict=True))
+    up, down = valve.supply_margins(a, load, m.supply, m.tank)
+    factors = 1 + p.feedback * (up - 1), 1 + p.feedback * (down - 1)
+    opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, factors)
     possible = valve.limited(opening)
-    beyond = (opening - possible) * (full[0] + full[1]) / 2
-    slow = p.learning_share * task.limit
-    moving = task.speed / (task.speed**2 + slow**2)
-    largest = p.gain_limit
-    learnt = (loop.integral_gain * task.error - beyond / p.unwinding_time) * moving
-    over = ramp(gain - largest, largest / 10) - ramp(-gain - largest, largest / 10)
-    return Action(
+    excess = (opening - possible) * (full[0] + full[1]) / 2
+    slow = p.learning_share * setpoint.limit
+    weight = setpoint.speed / (setpoint.speed**2 + slow**2)
+    limit = p.gain_limit
+    rate = (loop.integral_gain * setpoint.error - excess / p.unwinding_time) * weight
+    beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
+    return ActuatorCommand(
         command=valve.command(a.valve, possible, p.foot_share),
-        gain_rate=learnt / ca.sqrt(1 + (learnt / FASTEST) ** 2) - over / p.unwinding_time,
-        load_rate=swinging / loop.load_time,
+        gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
+        load_rate=oscillation / loop.load_time,
     )

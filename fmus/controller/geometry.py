@@ -1,12 +1,14 @@
-"""The arm as the controller sees it: tip, pistons, damped inverse of the tip's Jacobian, and joint angles.
+"""Kinematics of the arm for the controller: tip position and velocity, piston strokes, and their inverses.
+
+Inverse velocity kinematics by damped least squares (Nakamura and Hanafusa 1986), J the Jacobian of the tip:
 
     (r', h') = J(q) (boom', stick')        (boom', stick') = J^T (J J^T + l^2 I)^(-1) (r', h')
 
-The damping l is zero where the links are more than `singular_share` out of line (sine of the angle between
-them) and rises smoothly to `singular_damping` where they are in line (Nakamura and Hanafusa 1986).
+The damping l is zero if the sine of the angle between the links exceeds `singular_share`, and rises smoothly
+to `singular_damping` in the singular position, with collinear links.
 
-Joint angles for a place of the stick end follow from cosines in the triangle of both links. The stick hangs
-below the line from the boom pivot to the tip (angle < 0), as its cylinder has it.
+Inverse position kinematics by the law of cosines, in the triangle of boom pivot, elbow and tip. The elbow is
+above the line from the boom pivot to the tip; the stick cylinder cannot reach the other solution.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from orchestrator.base.errors import Problem
 
 @dataclass(frozen=True)
 class Joints:
-    """Joint angles [rad] and speeds [rad/s], named as those of the manipulator."""
+    """Joint angles [rad] and speeds [rad/s], named like those of the manipulator."""
 
     swing_angle: Scalar
     boom_angle: Scalar
@@ -36,60 +38,60 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class Tip:
-    """The stick end in cylinder coordinates [m, m, rad]; also its velocity."""
+class Cylindrical:
+    """Position [m, m, rad] or velocity [m/s, m/s, rad/s] in cylindrical coordinates about the swing axis."""
 
     radius: Scalar
     height: Scalar
     angle: Scalar
 
 
-def tip(q: Joints, p: Any) -> Tip:
-    """Where the stick end is."""
+def tip_position(q: Joints, p: Any) -> Cylindrical:
+    """Position of the tip."""
     _, (radius, height) = arm.points(q, p)
-    return Tip(radius, height, q.swing_angle)
+    return Cylindrical(radius, height, q.swing_angle)
 
 
-def tip_velocity(q: Joints, p: Any) -> Tip:
-    """How it moves."""
-    return Tip(*arm.tip_velocity(q, p), q.swing_speed)
+def tip_velocity(q: Joints, p: Any) -> Cylindrical:
+    """Velocity of the tip."""
+    return Cylindrical(*arm.tip_velocity(q, p), q.swing_speed)
 
 
-def distance(a: Tip, b: Tip) -> Scalar:
-    """Distance in space [m], exact up to a micrometre; rounded where it is zero, to have a slope there."""
+def distance(a: Cylindrical, b: Cylindrical) -> Scalar:
+    """Distance [m] of two positions, smoothed near zero so that it is differentiable; error below 1 um."""
     square = (a.radius - b.radius) ** 2 + (a.height - b.height) ** 2
     square += 4 * a.radius * b.radius * ca.sin((a.angle - b.angle) / 2) ** 2
-    tiny = 1e-6
-    return ca.sqrt(square + tiny**2) - tiny
+    smoothing = 1e-6
+    return ca.sqrt(square + smoothing**2) - smoothing
 
 
-def pistons(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+def piston_strokes(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     """(position [m], moment arm dx/dq [m]) of the boom and of the stick piston."""
     boom, stick = arm.triangles(q, p)
     return (boom.length - p.boom_closed_length, boom.arm), (stick.length - p.stick_closed_length, stick.arm)
 
 
-def joint_speeds(q: Joints, velocity: Tip, p: Any) -> tuple[Scalar, Scalar, Scalar]:
-    """Speeds [rad/s] of swing, boom and stick that move the tip as wanted, damped near a singularity."""
-    elbow, end = arm.points(q, p)
+def joint_speeds(q: Joints, velocity: Cylindrical, p: Any) -> tuple[Scalar, Scalar, Scalar]:
+    """Speeds [rad/s] of swing, boom and stick that give the tip a velocity; damped near a singularity."""
+    elbow, tip = arm.points(q, p)
     upper = elbow[0] - p.boom_pivot_x, elbow[1] - p.boom_pivot_z
-    lower = end[0] - elbow[0], end[1] - elbow[1]
-    # rows r, h; columns boom, stick
+    lower = tip[0] - elbow[0], tip[1] - elbow[1]
+    # J = [a b; c d]: rows r, h; columns boom, stick
     a, b, c, d = -upper[1] - lower[1], -lower[1], upper[0] + lower[0], lower[0]
     determinant = a * d - b * c  # = |upper| |lower| sin(angle between them)
     sine_square = determinant**2 / ((upper[0] ** 2 + upper[1] ** 2) * (lower[0] ** 2 + lower[1] ** 2))
-    near = ca.fmax(0, 1 - sine_square / (p.singular_share**2 + 1e-12))
-    square = p.singular_damping**2 * near**2
-    # (J J^T + l^2 I) y = v, then J^T y
-    m11, m12, m22 = a**2 + b**2 + square, a * c + b * d, c**2 + d**2 + square
-    size = determinant**2 + square * (a**2 + b**2 + c**2 + d**2) + square**2
-    y1 = (m22 * velocity.radius - m12 * velocity.height) / size
-    y2 = (m11 * velocity.height - m12 * velocity.radius) / size
+    singularity = ca.fmax(0, 1 - sine_square / (p.singular_share**2 + 1e-12))
+    damping_square = p.singular_damping**2 * singularity**2
+    # (J J^T + l^2 I) y = v by Cramer's rule, then J^T y
+    m11, m12, m22 = a**2 + b**2 + damping_square, a * c + b * d, c**2 + d**2 + damping_square
+    damped_determinant = determinant**2 + damping_square * (a**2 + b**2 + c**2 + d**2) + damping_square**2
+    y1 = (m22 * velocity.radius - m12 * velocity.height) / damped_determinant
+    y2 = (m11 * velocity.height - m12 * velocity.radius) / damped_determinant
     return velocity.angle, a * y1 + c * y2, b * y1 + d * y2
 
 
-def joints(radius: float, height: float, p: Mapping[str, float]) -> tuple[float, float]:
-    """Boom and stick angle [rad] that bring the stick end to (radius, height) [m]; p by name."""
+def arm_angles(radius: float, height: float, p: Mapping[str, float]) -> tuple[float, float]:
+    """Boom and stick angle [rad] for the tip at (radius, height) [m]; p: parameter values by name."""
     x, z = radius - p["boom_pivot_x"], height - p["boom_pivot_z"]
     upper, lower = math.hypot(p["stick_pivot_x"], p["stick_pivot_z"]), p["stick_length"]
     reach = math.hypot(x, z)
@@ -98,11 +100,8 @@ def joints(radius: float, height: float, p: Mapping[str, float]) -> tuple[float,
             f"tip at radius {radius:g} m, height {height:g} m is {reach:.3g} m from the boom pivot,"
             f" expected {abs(upper - lower):.3g} to {upper + lower:.3g} m"
         )
-    inner = math.acos(_within((upper**2 + reach**2 - lower**2) / (2 * upper * reach)))
-    bend = math.acos(_within((reach**2 - upper**2 - lower**2) / (2 * upper * lower)))
-    crank = math.atan2(p["stick_pivot_z"], p["stick_pivot_x"])  # of the upper link in the boom's frame
-    return math.atan2(z, x) + inner - crank, crank - bend
-
-
-def _within(cosine: float) -> float:
-    return max(-1.0, min(1.0, cosine))
+    cos_pivot = (upper**2 + reach**2 - lower**2) / (2 * upper * reach)
+    cos_elbow = (reach**2 - upper**2 - lower**2) / (2 * upper * lower)
+    pivot_angle, elbow_angle = (math.acos(max(-1.0, min(1.0, c))) for c in (cos_pivot, cos_elbow))
+    upper_link_offset = math.atan2(p["stick_pivot_z"], p["stick_pivot_x"])  # its angle in the boom's frame
+    return math.atan2(z, x) + pivot_angle - upper_link_offset, upper_link_offset - elbow_angle

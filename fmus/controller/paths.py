@@ -1,8 +1,8 @@
 """Paths of the tip over time: straight segments in space, as inputs of the controller.
 
-Each segment begins and ends at rest and changes its acceleration at a constant jerk: a jump of acceleration
-would ask the oil for a jump of pressure. There are paths for experiments with the controller alone, and those
-that a user gives on the command line, from point to point.
+Each segment begins and ends at rest and changes its acceleration at a constant jerk, because a jump of the
+acceleration would require a jump of the oil pressures. Paths are predefined (PATHS) or given by waypoints on
+the command line.
 
 `python -m fmus.controller.paths` writes line.csv and square.csv to data/scenarios.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.controller.geometry import joints
+from fmus.controller.geometry import arm_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
@@ -28,37 +28,47 @@ from orchestrator.base.files import write_columns
 Array = NDArray[np.float64]
 
 
-def spells(time: Array) -> dict[str, Array]:
-    """Inputs by name over time [s]: engaged twice, the second time along a path, else at the levers."""
-    half = np.round(np.sin(np.pi * time), 3)  # few digits: they go into a file
+def experiment_inputs(time: Array) -> dict[str, Array]:
+    """Inputs of the reference experiment at `time` [s]: engaged by velocity, later along a path."""
+    sine = np.round(np.sin(np.pi * time), 3)  # few digits, because the samples are written to a file
     first, second = (time >= 2) & (time < 4), (time >= 6) & (time < 7.5)
-    wanted = {
+    samples = {
         "engaged": first | second,
         "follow": second,
-        "radial_velocity": 0.3 * half,
-        "vertical_velocity": 0.2 * half,
-        "swing_velocity": 0.1 * half,
-        "path_radius": 4.5 + 0.1 * half,
-        "path_height": 0.2 * half,
-        "path_angle": 0.4 + 0.05 * half,
+        "radial_velocity": 0.3 * sine,
+        "vertical_velocity": 0.2 * sine,
+        "swing_velocity": 0.1 * sine,
+        "path_radius": 4.5 + 0.1 * sine,
+        "path_height": 0.2 * sine,
+        "path_angle": 0.4 + 0.05 * sine,
     }
-    return {n: np.round(samples.astype(np.float64), 6) for n, samples in wanted.items()}
+    return {n: np.round(values.astype(np.float64), 6) for n, values in samples.items()}
 
 
 Point = tuple[float, float, float]  # x forward, y to the left, z up, from the foot of the column [m]
-RATE = 200.0  # samples per second
-NEAREST = 0.1  # m, to the swing axis, where the swing angle would jump
+SAMPLE_RATE = 200.0  # Hz
+SMALLEST_RADIUS = 0.1  # m; the swing angle jumps at the swing axis
 COLUMNS = (
-    *("radial_velocity", "vertical_velocity", "swing_velocity"),
-    *("path_radius", "path_height", "path_angle", "follow", "engaged"),
+    "radial_velocity",
+    "vertical_velocity",
+    "swing_velocity",
+    "path_radius",
+    "path_height",
+    "path_angle",
+    "follow",
+    "engaged",
 )
 
 
 @dataclass(frozen=True)
 class Route:
-    """Waypoints [m] and how they are passed: speed [m/s], acceleration [m/s2], time to reach it [s].
+    """Waypoints of a path and the limits of its motion.
 
-    wait   rest before the first segment and at each waypoint [s]
+    points         waypoints [m]
+    speed          largest speed [m/s]
+    acceleration   largest acceleration [m/s2]
+    rise           time from zero to the largest acceleration [s]
+    wait           rest before the first segment and at each waypoint [s]
     """
 
     points: tuple[Point, ...]
@@ -83,13 +93,13 @@ PATHS: Mapping[str, Route] = {
 
 
 def start(path: Route) -> Point:
-    """Radius [m], height [m] and swing angle [rad] of the first point."""
+    """Radius [m], height [m] and swing angle [rad] of the first waypoint."""
     x, y, z = path.points[0]
     return math.hypot(x, y), z, math.atan2(y, x)
 
 
-def travel(length: float, path: Route) -> tuple[float, Array, Array, Array]:
-    """One segment from rest to rest: duration [s], corners [s], phases [s], jerks in them [m/s3].
+def segment_profile(length: float, path: Route) -> tuple[float, Array, Array, Array]:
+    """One segment from rest to rest: duration [s]; starts [s], durations [s] and jerks [m/s3] of its phases.
 
     Seven phases of constant jerk, acceleration or speed; the speed of a short segment is lower.
     """
@@ -114,63 +124,63 @@ def _reachable(length: float, path: Route) -> float:
     return a * (-r + math.sqrt(r**2 + 4 * length / a)) / 2  # v (v/a + r) = length
 
 
-def fastest(path: Route) -> float:
-    """Highest speed [m/s] on any of its segments."""
+def highest_speed(path: Route) -> float:
+    """Highest speed [m/s] on any segment of the path."""
     return max(min(path.speed, _reachable(math.dist(a, b), path)) for a, b in pairwise(path.points))
 
 
-def moved(time: Array, length: float, path: Route) -> tuple[Array, Array]:
-    """Way [m] and speed [m/s] at `time` [s] after the start of a segment."""
-    duration, corners, phases, jerks = travel(length, path)
+def segment_motion(time: Array, length: float, path: Route) -> tuple[Array, Array]:
+    """Distance [m] and speed [m/s] at `time` [s] after the start of a segment."""
+    duration, starts, phases, jerks = segment_profile(length, path)
     t = np.clip(time, 0.0, duration)
-    way, speed = np.zeros_like(t), np.zeros_like(t)
+    distance, speed = np.zeros_like(t), np.zeros_like(t)
     s = v = a = 0.0
-    for begin, phase, jerk in zip(corners, phases, jerks, strict=False):
+    for begin, phase, jerk in zip(starts, phases, jerks, strict=False):
         h = t - begin
         inside = h >= 0
-        way = np.where(inside, s + v * h + a * h**2 / 2 + jerk * h**3 / 6, way)
+        distance = np.where(inside, s + v * h + a * h**2 / 2 + jerk * h**3 / 6, distance)
         speed = np.where(inside, v + a * h + jerk * h**2 / 2, speed)
         s, v, a = (
             s + v * phase + a * phase**2 / 2 + jerk * phase**3 / 6,
             v + a * phase + jerk * phase**2 / 2,
             a + jerk * phase,
         )
-    ended = time >= duration
-    return np.where(ended, length, way), np.where(ended, 0.0, speed)
+    finished = time >= duration
+    return np.where(finished, length, distance), np.where(finished, 0.0, speed)
 
 
 def sample(path: Route) -> tuple[Array, Array, Array]:
     """Time (n,) [s] at 200 Hz, points (n, 3) [m] and velocities (n, 3) [m/s] in space, rests included."""
-    pieces: list[tuple[float, Point, Point, float]] = []
+    segments: list[tuple[float, Point, Point, float]] = []
     clock = path.wait
     for a, b in pairwise(path.points):
         length = math.dist(a, b)
         if length == 0:
-            raise Problem(f"path: two waypoints at {a}, expected a distance")
-        pieces.append((clock, a, b, length))
-        clock += math.ceil(travel(length, path)[0] * RATE) / RATE + path.wait
-    time = np.arange(round(clock * RATE) + 1) / RATE
+            raise Problem(f"path: two waypoints in a row at {a}, expected different ones")
+        segments.append((clock, a, b, length))
+        clock += math.ceil(segment_profile(length, path)[0] * SAMPLE_RATE) / SAMPLE_RATE + path.wait
+    time = np.arange(round(clock * SAMPLE_RATE) + 1) / SAMPLE_RATE
     points, velocities = np.tile(path.points[0], (time.size, 1)), np.zeros((time.size, 3))
-    for begin, a, b, length in pieces:
-        way, speed = moved(time - begin, length, path)
-        ahead = (np.array(b) - a) / length
-        now = time >= begin
-        points[now] = (np.array(a) + way[:, None] * ahead)[now]
-        velocities[now] = (speed[:, None] * ahead)[now]
+    for begin, a, b, length in segments:
+        distance, speed = segment_motion(time - begin, length, path)
+        direction = (np.array(b) - a) / length
+        after = time >= begin
+        points[after] = (np.array(a) + distance[:, None] * direction)[after]
+        velocities[after] = (speed[:, None] * direction)[after]
     return time, points, velocities
 
 
-def inputs(points: Array, velocities: Array) -> Array:
+def controller_inputs(points: Array, velocities: Array) -> Array:
     """The controller's inputs (n, 8) in the order of COLUMNS, engaged and following from the start."""
     x, y, z = points.T
     radius, angle = np.hypot(x, y), np.unwrap(np.arctan2(y, x))
-    if (least := float(radius.min())) < NEAREST:
-        raise Problem(f"path: comes to {least:.2g} m from the swing axis, expected at least {NEAREST:g} m")
+    if (smallest := float(radius.min())) < SMALLEST_RADIUS:
+        raise Problem(f"path: {smallest:.2g} m from the swing axis, expected at least {SMALLEST_RADIUS:g} m")
     out, left = np.cos(angle), np.sin(angle)
     radial = velocities[:, 0] * out + velocities[:, 1] * left
-    turning = (velocities[:, 1] * out - velocities[:, 0] * left) / radius
-    on = np.ones_like(radius)
-    return np.column_stack([radial, velocities[:, 2], turning, radius, z, angle, on, on])
+    swing = (velocities[:, 1] * out - velocities[:, 0] * left) / radius
+    ones = np.ones_like(radius)
+    return np.column_stack([radial, velocities[:, 2], swing, radius, z, angle, ones, ones])
 
 
 def write(folder: Path, paths: Mapping[str, Route] = PATHS) -> list[Path]:
@@ -178,26 +188,16 @@ def write(folder: Path, paths: Mapping[str, Route] = PATHS) -> list[Path]:
     written: list[Path] = []
     for name, path in paths.items():
         time, points, velocities = sample(path)
-        rows = np.column_stack([time, inputs(points, velocities)])
+        rows = np.column_stack([time, controller_inputs(points, velocities)])
         written.append(folder / f"{name}.csv")
         write_columns(written[-1], ("time", *COLUMNS), rows, 10)
     return written
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Write the scenarios to the folder named, by default data/scenarios."""
-    for path in write(Path(arguments[0] if arguments else "data/scenarios")):
-        print(path)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
-
-
-def route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path, float]:
+def write_route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path, float]:
     """Write route.csv, the scenario through the points 'x,y,z' [m] at a speed [m/s].
 
-    Returns its path and the highest speed [m/s], which is lower where the way is short.
+    Returns the file and the highest speed [m/s], which is below `speed` if all segments are short.
     """
     points = tuple(_point(text) for text in texts)
     if len(points) < 2:
@@ -206,7 +206,7 @@ def route(texts: Sequence[str], speed: float, folder: Path) -> tuple[Path, float
         raise Problem(f"--speed {speed:g}: expected more than 0 m/s")
     folder.mkdir(parents=True, exist_ok=True)
     path = Route(points, speed=speed)
-    return write(folder, {"route": path})[0], fastest(path)
+    return write(folder, {"route": path})[0], highest_speed(path)
 
 
 def _point(text: str) -> Point:
@@ -217,22 +217,33 @@ def _point(text: str) -> Point:
     return x, y, z
 
 
-def through(texts: Sequence[str], arm: Mapping[str, float]) -> dict[str, float]:
-    """The start angles of `course` at the first of the points 'x,y,z' [m], all of which the arm reaches."""
-    each = [course(f"--through {text}", start(Route((_point(text),))), arm) for text in texts]
-    return each[0]
+def route_start_angles(texts: Sequence[str], arm: Mapping[str, float]) -> dict[str, float]:
+    """`start_angles` for the first of the points 'x,y,z' [m]; Problem if one is out of reach of the arm."""
+    angles = [start_angles(f"--through {text}", start(Route((_point(text),))), arm) for text in texts]
+    return angles[0]
 
 
-def course(label: str, place: Point, arm: Mapping[str, float]) -> dict[str, float]:
-    """Start angles [rad] that put the tip to a place, by `component.variable`.
+def start_angles(label: str, tip: Point, arm: Mapping[str, float]) -> dict[str, float]:
+    """Start angles [rad] for a position of the tip, by `component.variable`.
 
-    place (radius, height, angle) [m, m, rad]
-    arm   lengths and pivots of the machine, by the names of the manipulator; the usual ones where it has none
+    label   first words of the message if the arm cannot reach the position
+    tip     (radius, height, angle) [m, m, rad]
+    arm     parameters of the manipulator that replace those of the rigid one
     """
-    radius, height, angle = place
+    radius, height, angle = tip
     try:
-        boom, stick = joints(radius, height, {**values(MANIPULATOR).p, **arm})
+        boom, stick = arm_angles(radius, height, {**values(MANIPULATOR).p, **arm})
     except Problem as error:
         raise Problem(f"{label}: {error}") from None
     angles = {"swing": angle, "boom": boom, "stick": stick}
     return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Write the scenarios to the folder of the first argument, by default data/scenarios."""
+    for path in write(Path(arguments[0] if arguments else "data/scenarios")):
+        print(path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

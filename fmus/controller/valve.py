@@ -1,16 +1,16 @@
-"""From a speed to a command: the valve and the oil of `fmus.components` the other way round.
+"""Inverse of valve and oil: from the commanded speed of an actuator to its valve command.
 
 Speed of a piston at full opening, for chambers at P_h, P_r with capacitances C_h, C_r and areas A_h, A_r,
-when the force on the piston stays (A_h dP_h = A_r dP_r) while the oil flows through both edges:
+at constant force on the piston (A_h dP_h = A_r dP_r) while oil flows through both edges:
 
     W = K (A_h/C_h sqrt(P_s - P_h) + A_r/C_r sqrt(P_r - P_t)) / (A_h^2/C_h + A_r^2/C_r)        extending
     W = K (A_h/C_h sqrt(P_h - P_t) + A_r/C_r sqrt(P_s - P_r)) / (A_h^2/C_h + A_r^2/C_r)        retracting
 
-This holds while the pressures settle after a change of direction and not only when they have; its limit is
-v^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - A_r P_t - F), used where no pressure is measured. The swing motor is a
-cylinder with A_h = A_r = D. With the hose in series (C_R), v = W a/sqrt(1 + C_R K^2 a^2). Small flows are
-laminar in the edges: with the mean flow Q of both ports a grows by ((Q^2 + Q_t^2)/Q^2)^(1/4), from eq. (1) as
-it is rounded.
+This is also valid while the pressures settle after a change of direction. Its limit for settled pressures,
+v^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - A_r P_t - F), is used without pressure feedback. The swing motor is a
+cylinder with A_h = A_r = D. With the hose in series (C_R), v = W a/sqrt(1 + C_R K^2 a^2), a the opening.
+Small flows are laminar in the edges, so with the mean flow Q of both ports a grows by
+((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from the rounded eq. (1).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from fmus.components.smooth import capped, direction, positive, ramp, s_curve
 from fmus.components.spool_valve import Valve, flow_gain
 from fmus.contract import Scalar
 
-ROUNDING = 2e5  # Pa: keeps a root real where a pressure is beyond that behind the edge
-SPARE = 5e5  # Pa of the supply above what the load takes, at which the valve may open as far as asked
+ROUNDING = 2e5  # Pa: keeps the root real if the pressure drop over an edge is negative
+MARGIN = 5e5  # Pa: supply pressure above that which the load needs, at which the valve may open fully
 CAP = 0.1  # width over which the opening is limited to 1
-SLOW = 1e-4  # m/s or rad/s: width over which the two directions go over
+SLOW = 1e-4  # m/s or rad/s: speed below which the two directions are blended
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,12 @@ class Actuator:
         return flow_gain(self.valve.area, self.valve.discharge_coefficient, self.density)
 
 
-def steadied(a: Actuator, head: Scalar, rod: Scalar, load: Scalar) -> tuple[Scalar, Scalar]:
-    """The pressures there would be with another force `load`, the piston moving and no oil passing the valve.
+def pressures_at_load(a: Actuator, head: Scalar, rod: Scalar, load: Scalar) -> tuple[Scalar, Scalar]:
+    """Pressures [Pa] after a motion of the piston that changes the force to `load`, with the valve closed.
 
-    L = P_h C_h/A_h + P_r C_r/A_r does not depend on the motion of the piston, only on the oil let in. So a
-    filtered load and this L let the swinging of the force be without losing how the pressures settle.
+    L = P_h C_h/A_h + P_r C_r/A_r does not depend on the motion of the piston, only on the oil that the valve
+    lets in. Pressures from L and a filtered load therefore follow the settling of the pressures, but not the
+    oscillation of the force.
     """
     c_head, c_rod = a.head_capacitance / a.head, a.rod_capacitance / a.rod
     level = head * c_head + rod * c_rod
@@ -81,22 +82,22 @@ def full_speeds(
 
 
 def nominal_full_speeds(a: Actuator, load: Scalar, supply: Scalar) -> tuple[Scalar, Scalar]:
-    """W at rest of all pressures, for a load [N, N.m] and a tank without pressure."""
+    """W for settled pressures, a load [N, N.m] and a tank pressure of zero."""
     cubes, width = a.head**3 + a.rod**3, ROUNDING * a.head
     up, down = positive(a.head * supply - load, width), positive(a.rod * supply + load, width)
     return a.gain * ca.sqrt(up / cubes), a.gain * ca.sqrt(down / cubes)
 
 
-def carried(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
-    """0 where the supply cannot move the load [N, N.m] forth and back, 1 from `SPARE` on.
+def supply_margins(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
+    """Factors on the opening, extending and retracting: 0 if the supply cannot move the load, else up to 1.
 
-    An open valve would let the arm sink there: the oil goes back into the supply line.
+    With too little supply pressure an open valve would let the arm sink: oil would flow back into the supply.
     """
 
-    def share(push: Scalar, behind: Scalar, against: Scalar) -> Scalar:
-        return s_curve((push * supply - behind * tank - against) / (push * SPARE))
+    def factor(push: Scalar, behind: Scalar, against: Scalar) -> Scalar:
+        return s_curve((push * supply - behind * tank - against) / (push * MARGIN))
 
-    return share(a.head, a.rod, load), share(a.rod, a.head, -load)
+    return factor(a.head, a.rod, load), factor(a.rod, a.head, -load)
 
 
 def opening_for(
@@ -104,14 +105,16 @@ def opening_for(
     speed: Scalar,
     full: tuple[Scalar, Scalar],
     foot: Scalar,
-    shares: tuple[Scalar, Scalar] = (1, 1),
+    factors: tuple[Scalar, Scalar] = (1, 1),
 ) -> Scalar:
-    """Share of the full opening [1], with the sign of the speed; above 1 where it cannot be had.
+    """Valve opening [1] for a speed, with the sign of the speed; above 1 if the speed cannot be reached.
 
-    shares   what is let through of it, extending and retracting
+    full      W extending and retracting
+    foot      opening below which the laminar correction no longer grows
+    factors   reduction of the opening, extending and retracting
     """
     size = speed * direction(speed, SLOW)
-    plain = (speed + size) / 2 / full[0] * shares[0] + (speed - size) / 2 / full[1] * shares[1]
+    plain = (speed + size) / 2 / full[0] * factors[0] + (speed - size) / 2 / full[1] * factors[1]
     hose = a.resistance * a.gain**2
     flow = (a.head + a.rod) / 2 * speed
     least = foot * (full[0] + full[1]) / 2 * (a.head + a.rod) / 2
@@ -120,15 +123,15 @@ def opening_for(
 
 
 def limited(opening: Scalar) -> Scalar:
-    """Within -1 ... 1, exact up to 0.95."""
+    """The opening limited to -1 ... 1, unchanged up to 0.95."""
     return -capped(-capped(opening, CAP), CAP)
 
 
 def command(valve: Valve, opening: Scalar, foot: Scalar) -> Scalar:
-    """Command [V] that opens the valve by this share: the inverse of `spool_valve.opening`.
+    """Command [V] for an opening [1]: the inverse of `spool_valve.opening`.
 
-    The step over the dead band is rounded where |opening| is about `foot` (1 % above the exact opening at 7
-    times that); without it the command would jump with the sign.
+    The step over the dead band is rounded for |opening| around `foot` (1 % above the exact opening at 7 times
+    that); otherwise the command would jump at a change of sign.
     """
     size = ca.sqrt(opening**2 + foot**2)
     z = inverse_ramp(size * ramp(valve.full_command - valve.dead_band, valve.command_rounding), valve)
@@ -136,7 +139,7 @@ def command(valve: Valve, opening: Scalar, foot: Scalar) -> Scalar:
 
 
 def inverse_ramp(value: Scalar, valve: Valve) -> Scalar:
-    """z > 0 with ramp(z, w) = value > 0, to rounding.
+    """z > 0 with ramp(z, w) = value > 0, exact to rounding error.
 
     Below z = w, s^3 - s^4/2 = c with s = z/w, c = value/w: two steps of Halley's method from a series.
     """
@@ -145,6 +148,6 @@ def inverse_ramp(value: Scalar, valve: Valve) -> Scalar:
     t = c ** (1 / 3)
     s = t * (1 + t / 6 + 0.19 * t**2)
     for _ in range(2):
-        f, slope, bend = s**3 - s**4 / 2 - c, 3 * s**2 - 2 * s**3, 6 * s - 6 * s**2
-        s = s - 2 * f * slope / (2 * slope**2 - f * bend)
+        f, f_s, f_ss = s**3 - s**4 / 2 - c, 3 * s**2 - 2 * s**3, 6 * s - 6 * s**2
+        s = s - 2 * f * f_s / (2 * f_s**2 - f * f_ss)
     return w * s + ca.fmax(value - w / 2, 0)

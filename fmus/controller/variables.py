@@ -1,27 +1,28 @@
-"""Variables and numbers of the controller; signs as in model.py.
+"""Variables of the controller: parameters, states, inputs, outputs; signs as in model.py.
 
-It declares its own gains. Geometry and hydraulics are declared by the parts of the machine, with numbers;
-here they are only named.
+The controller declares its gains (gains.py). Geometry and hydraulics are declared by the subsystems of the
+machine; here their parameters are selected by name. Their values are collected in values.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Iterable
 
 from fmus.boom_stick.variables import BoomStickParameters
 from fmus.components.hose import VolumeHose
-from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities, symbolic
+from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
-from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
 VALVE = (*(n for n in quantities(SwingParameters) if n.startswith("valve_")), "density")
 GEOMETRY = (
-    *("boom_pivot_x", "boom_pivot_z", "stick_pivot_x", "stick_pivot_z", "stick_length"),
+    "boom_pivot_x",
+    "boom_pivot_z",
+    "stick_pivot_x",
+    "stick_pivot_z",
+    "stick_length",
     *(f"{a}_{pin}_{axis}" for a in ("boom", "stick") for pin in ("base", "pin") for axis in "xz"),
     *(f"{a}_{n}" for a in ("boom", "stick") for n in ("closed_length", "stroke")),
 )
@@ -29,20 +30,24 @@ CYLINDERS = (
     *(
         f"{a}_{n}"
         for a in ("boom", "stick")
-        for n in ("bore", "rod", "dead_volume", *(f"hose_{own}" for own in quantities(VolumeHose)))
+        for n in ("bore", "rod", "dead_volume", *(f"hose_{name}" for name in quantities(VolumeHose)))
     ),
     "hose_reference_resistance",
     "bulk_modulus",
     *VALVE,
 )
 MOTOR = (
-    *("motor_displacement", "gear_ratio", "motor_volume"),
-    *("line_length", "line_bore", "line_capacitance", "line_turbulent_resistance"),
+    "motor_displacement",
+    "gear_ratio",
+    "motor_volume",
+    "line_length",
+    "line_bore",
+    "line_capacitance",
+    "line_turbulent_resistance",
 )
-NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
 
 
-def _taken(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
+def _selected(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
     return {prefix + n: quantities(declared)[n] for n in names}
 
 
@@ -50,16 +55,16 @@ ControllerParameters = make_group(
     "ControllerParameters",
     {
         **quantities(Gains),
-        **_taken(ManipulatorParameters, GEOMETRY),
-        **_taken(BoomStickParameters, CYLINDERS),
-        **_taken(SwingParameters, VALVE, "swing_"),
-        **_taken(SwingParameters, MOTOR),
+        **_selected(ManipulatorParameters, GEOMETRY),
+        **_selected(BoomStickParameters, CYLINDERS),
+        **_selected(SwingParameters, VALVE, "swing_"),
+        **_selected(SwingParameters, MOTOR),
         "nominal_supply_pressure": Quantity(
-            "Pa", "Supply pressure for which the feedforward alone is made", 1e7, group="Nominal"
+            "Pa", "Supply pressure at which the feedforward needs no correction", 1e7, group="Nominal"
         ),
         **{
             f"nominal_{a}_holding_force": Quantity(
-                "N", f"Force of the {a} cylinder for which the feedforward alone is made", 1e5
+                "N", f"Force of the {a} cylinder at which the feedforward needs no correction", 1e5
             )
             for a in ("boom", "stick")
         },
@@ -68,7 +73,7 @@ ControllerParameters = make_group(
 
 
 class Commands(Group):
-    """Commands, which are states because the amplifier lags."""
+    """Valve commands: states of the amplifier's first-order lag."""
 
     swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
     boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
@@ -76,9 +81,12 @@ class Commands(Group):
 
 
 def _per_axis(pattern: str, units: tuple[str, str], text: str, nominal: float = 1.0) -> dict[str, Quantity]:
-    """One variable for each axis; units of swing and of the pistons."""
+    """One variable for each axis; units: of the swing, and of boom and stick."""
+    unit_swing, unit_arm = units
     return {
-        pattern.format(axis): Quantity(units[axis != "swing"], text.format(axis=axis), nominal)
+        pattern.format(axis): Quantity(
+            unit_swing if axis == "swing" else unit_arm, text.format(axis=axis), nominal
+        )
         for axis in AXES
     }
 
@@ -92,28 +100,28 @@ ControllerState = make_group(
         **_per_axis(
             "{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1
         ),
-        "radial_lever": Quantity("m/s", "Radial velocity wanted, filtered"),
-        "vertical_lever": Quantity("m/s", "Vertical velocity wanted, filtered"),
-        "turning_lever": Quantity("rad/s", "Swing velocity wanted, filtered"),
-        "coordination": Quantity("1", "Share of the coordination in the commands"),
+        "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
+        "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
+        "turning_lever": Quantity("rad/s", "Commanded swing speed, filtered"),
+        "coordination": Quantity("1", "Weight of coordinated control in the valve commands, 0 to 1"),
     },
     Commands,
 )
 
 
 class ControllerInputs(Group):
-    """What is wanted, the levers, and what is measured."""
+    """Setpoints, operator levers, measurements."""
 
-    radial_velocity: Scalar = Quantity("m/s", "Wanted velocity of the tip away from the swing axis")
-    vertical_velocity: Scalar = Quantity("m/s", "Wanted velocity of the tip upwards")
-    swing_velocity: Scalar = Quantity("rad/s", "Wanted swing speed, counter-clockwise from above")
+    radial_velocity: Scalar = Quantity("m/s", "Commanded velocity of the tip away from the swing axis")
+    vertical_velocity: Scalar = Quantity("m/s", "Commanded velocity of the tip upwards")
+    swing_velocity: Scalar = Quantity("rad/s", "Commanded swing speed, counter-clockwise from above")
     follow: Scalar = Quantity(
-        "1", "1: the reference is also drawn to the point of the path, 0: velocities alone"
+        "1", "1: position feedback to the point of the path is active, 0: velocity control only"
     )
     path_radius: Scalar = Quantity("m", "Point of the path, radius from the swing axis")
     path_height: Scalar = Quantity("m", "Point of the path, height above the column's foot")
     path_angle: Scalar = Quantity("rad", "Point of the path, swing angle")
-    engaged: Scalar = Quantity("1", "1: coordinated control of the tip, 0: the levers go straight through")
+    engaged: Scalar = Quantity("1", "1: coordinated control of the tip, 0: levers act directly on the valves")
     swing_lever: Scalar = Quantity("V", "Lever of the swing valve, positive turns left", 10.0)
     boom_lever: Scalar = Quantity("V", "Lever of the boom valve, positive raises the boom", 10.0)
     stick_lever: Scalar = Quantity("V", "Lever of the stick valve, positive folds the stick in", 10.0)
@@ -134,7 +142,7 @@ class ControllerInputs(Group):
 
 
 class ControllerOutputs(Commands):
-    """Commands with their rates; reference, errors, and what limits."""
+    """Commands and their rates, reference, errors, limit indicators."""
 
     swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
     boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
@@ -142,54 +150,17 @@ class ControllerOutputs(Commands):
     reference_radius: Scalar = Quantity("m", "Reference of the tip, radius from the swing axis")
     reference_height: Scalar = Quantity("m", "Reference of the tip, height above the column's foot")
     reference_angle: Scalar = Quantity("rad", "Reference of the tip, swing angle")
-    radial_error: Scalar = Quantity("m", "Reference less tip, radius", 0.01)
-    vertical_error: Scalar = Quantity("m", "Reference less tip, height", 0.01)
-    angle_error: Scalar = Quantity("rad", "Reference less tip, swing angle", 0.01)
-    tip_error: Scalar = Quantity("m", "Distance in space between reference and tip", 0.01)
+    radial_error: Scalar = Quantity("m", "Reference minus tip, radius", 0.01)
+    vertical_error: Scalar = Quantity("m", "Reference minus tip, height", 0.01)
+    angle_error: Scalar = Quantity("rad", "Reference minus tip, swing angle", 0.01)
+    tip_error: Scalar = Quantity("m", "Distance between reference and tip", 0.01)
     speed_use: Scalar = Quantity(
-        "1", "Speed wanted over speed limit of the most loaded actuator; acts above 1"
+        "1", "Commanded speed over speed limit of the most loaded actuator; limiting above 1"
     )
     stroke_use: Scalar = Quantity(
-        "1", "Speed wanted over speed allowed so near the ends of the strokes; acts above 1"
+        "1", "Commanded speed over speed allowed close to the ends of the strokes; limiting above 1"
     )
     wait_use: Scalar = Quantity(
-        "1", "Lag of the machine over that at which the reference waits; acts from a half on"
+        "1", "Lag of the machine over the lag at which the reference stops; limiting above 0.5"
     )
-    reference_share: Scalar = Quantity(
-        "1", "Share of the speed wanted that the limits let the reference have"
-    )
-
-
-JOINTS = ("swing", "boom", "stick")
-MEASURED = tuple(n for n, q in quantities(ControllerInputs).items() if q.unit == "Pa")
-OWN = tuple(quantities(Gains))
-FILE = Path(__file__).with_name("parameters.toml")
-
-
-def merged(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
-    """All numbers of the controller of a machine of these parts."""
-    own, oil, motor, arm = read(FILE), numbers(boom_stick), numbers(swing), numbers(manipulator)
-    found = {n: own["parameters"][n] for n in OWN}
-    found |= {n: _of(arm["parameters"][n], "manipulator") for n in GEOMETRY}
-    found |= {n: _of(oil["parameters"][n], "boom_stick") for n in CYLINDERS}
-    found |= {f"swing_{n}": _of(motor["parameters"][n], "swing") for n in VALVE}
-    found |= {n: _of(motor["parameters"][n], "swing") for n in MOTOR}
-    found |= {f"nominal_{n}": _of(oil["start"][n], "boom_stick") for n in NOMINAL}
-    start = {f"{j}_angle": _of(arm["parameters"][f"initial_{j}_angle"], "manipulator") for j in JOINTS}
-    start |= {n: _of(oil["start"][n], "boom_stick") for n in ("supply_pressure", "tank_pressure")}
-    pressures = start_pressures(swing) | start_pressures(boom_stick)
-    at_rest = "pressure at rest in the nominal pose"
-    start |= {n: Number(value, "Pa", "derived", at_rest) for n, value in pressures.items()}
-    return {"parameters": found, "start": start}
-
-
-def start_pressures(sub: Subsystem, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Pressures of a drive at the start that the controller measures; `inputs` by name, else its own."""
-    v = values(sub)
-    u = {**v.u, **(inputs or {})}
-    x = symbolic(sub).initial()(*(list(group.values()) for group in (v.x, u, v.p))).full()[:, 0]
-    return {n: float(f"{a:.9g}") for n, a in zip(v.x, x, strict=True) if n in MEASURED}
-
-
-def _of(number: Number, part: str) -> Number:
-    return replace(number, note=f"{number.note} (as in {part})")
+    reference_share: Scalar = Quantity("1", "Factor by which the limits reduce the speed of the reference")

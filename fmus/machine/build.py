@@ -10,7 +10,7 @@ from shutil import copyfile
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
-from fmus.controller.variables import OWN
+from fmus.controller.values import GAINS
 from fmus.export.build import build_all
 from fmus.export.documentation import shipped
 from fmus.machine.one_block import whole
@@ -84,7 +84,7 @@ def controller_of(own: Mapping[str, Subsystem], parameters: Path | None = None) 
     if parameters is None:
         return made
     given = read(parameters)["parameters"]
-    mine: Set = {n: v for n, v in given.items() if n in OWN or n.startswith(f"{made.name}.")}
+    mine: Set = {n: v for n, v in given.items() if n in GAINS or n.startswith(f"{made.name}.")}
     return with_numbers(made, mine)
 
 

@@ -11,7 +11,7 @@ from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.paths import PATHS, Route, start
-from fmus.controller.variables import start_pressures
+from fmus.controller.values import start_pressures
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 
@@ -79,7 +79,7 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
 def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
     """The pose whose tip is the first point of a path."""
     radius, height, swing = start(path)
-    return Pose(*geometry.joints(radius, height, values(manipulator).p), swing)
+    return Pose(*geometry.arm_angles(radius, height, values(manipulator).p), swing)
 
 
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
-from fmus.controller.paths import spells
+from fmus.controller.paths import experiment_inputs
 from fmus.export.interface import interface_of
 from fmus.export.ls_ref import STEP, data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
@@ -80,7 +80,7 @@ def machine() -> dict[str, Array]:
     known |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
     known |= {target: known[source] for source, target in wires if source in known}
-    known |= {f"controller.{n}": samples for n, samples in spells(time).items()}
+    known |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
     known |= {f"controller.{n}_lever": known[f"operator_input.{n}_command"] for n in AXES}
     return {name: samples[::2] for name, samples in (known | driven).items()}
 

@@ -75,21 +75,20 @@ def track(
     variable of --set must exist in each machine, so --set supply.pressure_setting=15e6 needs
     --swap supply=ideal.
     """
-    from fmus.controller.paths import course, route
-    from fmus.controller.paths import through as through_points
+    from fmus.controller.paths import route_start_angles, start_angles, write_route
     from orchestrator.studies.path_following import beginning
     from orchestrator.studies.path_study import track as run_study
 
     if path and through:
         raise Problem("--path and --through: expected one of them")
     if through:
-        file, highest = route(through, speed, out)
-        paths = [(file, partial(through_points, through))]
+        file, highest = write_route(through, speed, out)
+        paths = [(file, partial(route_start_angles, through))]
         if highest < speed:
             print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
-        paths = [(file, partial(course, str(file), beginning(file))) for file in files]
+        paths = [(file, partial(start_angles, str(file), beginning(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     allowed = None if limit is None else limit / 1e3

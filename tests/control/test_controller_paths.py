@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 
 from fmus.contract import quantities, symbolic
 from fmus.controller import paths
-from fmus.controller.paths import COLUMNS, PATHS, Route, inputs, moved, sample, travel
+from fmus.controller.paths import (
+    COLUMNS,
+    PATHS,
+    Route,
+    controller_inputs,
+    sample,
+    segment_motion,
+    segment_profile,
+)
 from fmus.machine.build import data
 from fmus.machine.poses import controlled_poses, path_pose, pose_set
 from fmus.manipulator import MANIPULATOR
@@ -29,9 +37,9 @@ ROUTES = st.builds(
 @given(ROUTES, st.floats(0.01, 10.0))
 def test_a_segment_ends_at_rest_at_its_end(route, length):
     """From the jerks alone: the length is met, neither speed nor acceleration is above its limit."""
-    duration, *_ = travel(length, route)
+    duration, *_ = segment_profile(length, route)
     time = np.linspace(0, duration, 4001)
-    way, speed = moved(time, length, route)
+    way, speed = segment_motion(time, length, route)
     assert way[0] == speed[0] == 0
     # what is left before the last step, at the full jerk: j h^3/6 and j h^2/2
     jerk, last = route.acceleration / route.rise, time[1]
@@ -53,7 +61,7 @@ def test_a_segment_ends_at_rest_at_its_end(route, length):
 def test_velocities_are_the_slopes_of_the_path(name):
     """In cylinder coordinates, by central differences at 200 Hz, whose error is jerk times step squared."""
     time, points, velocities = sample(PATHS[name])
-    table = dict(zip(COLUMNS, inputs(points, velocities).T, strict=True))
+    table = dict(zip(COLUMNS, controller_inputs(points, velocities).T, strict=True))
     for place, velocity in (("radius", "radial"), ("height", "vertical"), ("angle", "swing")):
         slope = np.gradient(table[f"path_{place}"], time)
         np.testing.assert_allclose(slope[1:-1], table[f"{velocity}_velocity"][1:-1], atol=1e-4)
@@ -96,14 +104,14 @@ def test_the_files_are_those_of_the_paths(name, tmp_path):
 
 def test_two_equal_waypoints_are_refused():
     """A segment without a direction."""
-    with pytest.raises(Problem, match=r"two waypoints at .* expected a distance"):
+    with pytest.raises(Problem, match=r"two waypoints in a row at .* expected different ones"):
         sample(Route(((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
 
 
 def test_a_short_side_is_passed_more_slowly():
     """1 cm: the speed that the acceleration and its rise allow, from 2 v sqrt(v/j) = length."""
     route = PATHS["line"]
-    _, speed = moved(np.linspace(0, 5, 5001), 0.01, route)
+    _, speed = segment_motion(np.linspace(0, 5, 5001), 0.01, route)
     assert speed.max() == pytest.approx(
         (0.005 * math.sqrt(route.acceleration / route.rise)) ** (2 / 3), rel=1e-4
     )

@@ -12,8 +12,7 @@ from steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
 from fmus.controller import geometry, reference
-from fmus.controller import geometry as controller_geometry
-from fmus.controller.geometry import Joints, Tip
+from fmus.controller.geometry import Cylindrical, Joints
 from orchestrator.base.errors import Problem
 
 P = SimpleNamespace(**V.p)
@@ -21,7 +20,7 @@ ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the s
 
 
 def tip(boom: float, stick: float) -> tuple[float, float]:
-    at = geometry.tip(Joints(0.0, boom, stick), P)
+    at = geometry.tip_position(Joints(0.0, boom, stick), P)
     return float(at.radius), float(at.height)
 
 
@@ -31,20 +30,20 @@ def tip(boom: float, stick: float) -> tuple[float, float]:
 @given(ANGLES)
 def test_closed_form_inverts_the_arm(angles):
     """Angles -> tip -> angles, to rounding (acos near its ends loses half the digits)."""
-    assert controller_geometry.joints(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
+    assert geometry.arm_angles(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
 
 
 def test_a_tip_out_of_reach_is_refused():
     """In one line with what was found and what can be had."""
     with pytest.raises(Problem, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"):
-        controller_geometry.joints(9.0, 1.0, V.p)
+        geometry.arm_angles(9.0, 1.0, V.p)
 
 
 @given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
 def test_joint_speeds_move_the_tip_as_wanted(angles, out, up):
     """J J^+ v = v inside the strokes, where nothing is damped."""
     assume(abs(math.sin(angles[1] - math.atan2(P.stick_pivot_z, P.stick_pivot_x))) > P.singular_share)
-    swing, boom, stick = geometry.joint_speeds(Joints(0.0, *angles), Tip(out, up, 0.3), P)
+    swing, boom, stick = geometry.joint_speeds(Joints(0.0, *angles), Cylindrical(out, up, 0.3), P)
     found = geometry.tip_velocity(Joints(0.0, *angles, swing, boom, stick), P)
     assert float(swing) == 0.3
     assert [float(found.radius), float(found.height)] == pytest.approx([out, up], abs=1e-9)
@@ -65,13 +64,13 @@ def test_integrated_rates_end_where_the_closed_form_is():
         k3 = slope(x + h / 2 * k2, (k + 0.5) * h)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, (k + 1) * h))
     found = [at(x, "reference_boom"), at(x, "reference_stick")]
-    assert found == pytest.approx(controller_geometry.joints(radius + 1.2, height, V.p), abs=1e-6)
+    assert found == pytest.approx(geometry.arm_angles(radius + 1.2, height, V.p), abs=1e-6)
 
 
 def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
     """The path's point after `time`; the machine follows exactly, so that nothing waits."""
     now = radius + 0.5 * time
-    boom, stick = controller_geometry.joints(now, height, V.p)
+    boom, stick = geometry.arm_angles(now, height, V.p)
     return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
 
 
@@ -80,7 +79,7 @@ def test_a_stretched_or_folded_arm_stays_finite(bend):
     """Links in line: outwards the joints have no speed that helps, and get at most 1 rad/s per m/s."""
     stick = math.atan2(P.stick_pivot_z, P.stick_pivot_x) - bend
     for out, up in ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7)):
-        _, *speeds = geometry.joint_speeds(Joints(0.0, 0.2, stick), Tip(out, up, 0.0), P)
+        _, *speeds = geometry.joint_speeds(Joints(0.0, 0.2, stick), Cylindrical(out, up, 0.0), P)
         assert np.isfinite([float(s) for s in speeds]).all()
         assert max(abs(float(s)) for s in speeds) < 1 / P.singular_damping
 
@@ -92,26 +91,26 @@ SPEED = st.floats(-3.0, 3.0)
 
 @given(SPEED, SPEED, SPEED, st.floats(0.02, 0.59), st.floats(0.02, 0.70))
 def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
-    """The share brings each actuator below its limit and below what the end of the stroke allows."""
-    use = reference.use(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
-    share = float(use.share)
-    assert 0 <= share <= 1
+    """The factor brings each actuator below its limit and below what the end of the stroke allows."""
+    utilisation = reference.utilisation(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
+    factor = float(utilisation.factor)
+    assert 0 <= factor <= 1
     slack = 1 + 1e-9
-    assert abs(swing) * share <= P.swing_speed_limit * slack
+    assert abs(swing) * factor <= P.swing_speed_limit * slack
     for name, position, speed in (("boom", boom_at, boom), ("stick", stick_at, stick)):
-        assert abs(speed) * share <= getattr(P, f"{name}_speed_limit") * slack
+        assert abs(speed) * factor <= getattr(P, f"{name}_speed_limit") * slack
         left = (
             getattr(P, f"{name}_stroke") - P.stroke_margin - position
             if speed > 0
             else position - P.stroke_margin
         )
-        assert abs(speed) * share <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
+        assert abs(speed) * factor <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 
 
 def test_slow_motion_away_from_the_ends_is_not_touched():
     """Exactly the wanted speed up to 80 % of every limit: the norm of three is 1.15 at most."""
     moving = [("boom", 0.3, 0.75 * P.boom_speed_limit), ("stick", 0.35, -0.75 * P.stick_speed_limit)]
-    assert float(reference.use(0.75 * P.swing_speed_limit, moving, P).share) == 1.0
+    assert float(reference.utilisation(0.75 * P.swing_speed_limit, moving, P).factor) == 1.0
 
 
 @examples(30)
@@ -135,8 +134,8 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
         if abs(bend) > P.singular_share:
             assert abs(across) <= 1e-9 * speed
         x = x + 0.02 * dx
-        for (position, _), name in zip(geometry.pistons(q, P), ("boom", "stick"), strict=True):
-            before = [float(p[0]) for p in geometry.pistons(Joints(0.0, *angles), P)][name == "stick"]
+        for (position, _), name in zip(geometry.piston_strokes(q, P), ("boom", "stick"), strict=True):
+            before = [float(p[0]) for p in geometry.piston_strokes(Joints(0.0, *angles), P)][name == "stick"]
             low = min(P.stroke_margin, before) - 1e-4
             high = max(getattr(P, f"{name}_stroke") - P.stroke_margin, before) + 1e-4
             assert low <= float(position) <= high
@@ -145,9 +144,9 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
 def test_beyond_the_margin_only_the_way_back_is_open():
     """Levers brought the piston into the margin: outwards it creeps at 1e-6 m/s, inwards it is free."""
     inside = P.boom_stroke - P.stroke_margin / 2
-    outwards = reference.use(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).share * 0.05
+    outwards = reference.utilisation(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).factor * 0.05
     assert 0 <= float(outwards) <= 1.001 * reference.CREEP
-    assert float(reference.use(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).share) == 1.0
+    assert float(reference.utilisation(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).factor) == 1.0
 
 
 def test_the_reference_waits_for_a_machine_that_stands():
@@ -156,15 +155,15 @@ def test_the_reference_waits_for_a_machine_that_stands():
     x = start(u)
     for _ in range(2000):
         x = x + 0.01 * rates(x, u)
-    found = geometry.pistons(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
-    there = geometry.pistons(Joints(0.0, 0.2, -1.4), P)
+    found = geometry.piston_strokes(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    there = geometry.piston_strokes(Joints(0.0, 0.2, -1.4), P)
     errors = [float(a[0] - b[0]) for a, b in zip(found, there, strict=True)]
     assert math.hypot(*errors) < 1.5 * P.piston_error_limit
     # and turns round at once: half a second backwards brings it nearer
     back = u | {"radial_velocity": -0.5}
     for _ in range(50):
         x = x + 0.01 * rates(x, back)
-    found = geometry.pistons(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    found = geometry.piston_strokes(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
     assert math.hypot(*(float(a[0] - b[0]) for a, b in zip(found, there, strict=True))) < math.hypot(*errors)
 
 

@@ -134,10 +134,10 @@ def test_measured_and_settled_pressures_say_the_same(name):
 
 
 @given(st.floats(1e5, 2e7), st.floats(1e5, 2e7), st.floats(-1e5, 1e5))
-def test_steadied_pressures_carry_the_load_with_the_same_oil(head, rod, load):
+def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
     """Their force is the load, and the oil in both chambers, seen through a free piston, is the same."""
     a = drives()["boom"]
-    new = [number(p) for p in valve.steadied(a, head, rod, load)]
+    new = [number(p) for p in valve.pressures_at_load(a, head, rod, load)]
     assert a.head * new[0] - a.rod * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
 
     def level(h: float, r: float) -> float:

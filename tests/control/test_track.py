@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fmus.contract import quantities, symbolic
-from fmus.controller.paths import course
+from fmus.controller.paths import start_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.__main__ import main
@@ -79,9 +79,9 @@ def test_table_tells_how_many_times_as_large_without_feedback():
 
 
 def test_start_puts_the_tip_to_the_path():
-    """With the start angles of a course the manipulator has its tip at the path's first point."""
+    """With the start angles of a path the manipulator has its tip at the path's first point."""
     v, model = values(MANIPULATOR), symbolic(MANIPULATOR)
-    p = {**v.p, **{n.partition(".")[2]: a for n, a in course("path", (4.2, 0.7, 0.3), {}).items()}}
+    p = {**v.p, **{n.partition(".")[2]: a for n, a in start_angles("path", (4.2, 0.7, 0.3), {}).items()}}
     x = model.initial()(list(v.x.values()), list(v.u.values()), list(p.values()))
     y = model.function()(x, list(v.u.values()), list(p.values()))[1].full()[:, 0]
     told = dict(zip(quantities(MANIPULATOR.outputs), y, strict=True))
@@ -132,7 +132,7 @@ def test_a_missed_limit_is_told(fmu_dir, tmp_path, capsys):
         (["--through", "3,0,1"], "expected two points or more, got one"),
         (["--through", "3,0", "--through", "3,1,1"], "--through 3,0: expected x,y,z in metres"),
         (["--through", "3,0,1", "--through", "-3,0,1"], "from the swing axis, expected at least 0.1 m"),
-        (["--through", "0,0,3", "--through", "3,0,1"], "path: comes to 0 m from the swing axis, expected at"),
+        (["--through", "0,0,3", "--through", "3,0,1"], "path: 0 m from the swing axis, expected at"),
         (["--swap", "swing=lumped", "--set", "manipulator.head_mass=-5"], "machine swing=lumped, path line"),
         (["--through", "3,0"], "--through 3,0: expected x,y,z in metres"),
         (["--through", "3,0,0", "--through", "9,0,0"], "--through 9,0,0: tip at radius 9 m, height"),
@@ -142,7 +142,7 @@ def test_a_missed_limit_is_told(fmu_dir, tmp_path, capsys):
         (["--set", "swing.valve_dead_band=0.5"], "alone: --swap swing=lumped, for example"),
         (["--set", "swing.spool_damping=1"], "alone: --swap swing=detailed, for example"),
         (["--through", "9,0,1", "--through", "3,1,1"], "is 9.18 m from the boom pivot, expected"),
-        (["--through", "3,0,1", "--through", "3,0,1"], "expected a distance"),
+        (["--through", "3,0,1", "--through", "3,0,1"], "expected different ones"),
         (["--path", "line", "--through", "3,0,1"], "--path and --through: expected one of them"),
         (["--path", "no.csv"], "no.csv"),
         (["--path", "circle"], "--path circle: expected line, square or a file"),
