@@ -153,7 +153,7 @@ _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "model_dynamics": (["dx"], []),
     "model_jacobian": (["dx", "jac", "ft"], ["du"]),
     "model_observe": (["y", "require"], []),
-    "model_corner": (["wait"], []),
+    "model_time_event": (["delay"], []),
     "model_forward": (["vdx", "vy"], ["vx", "vu"]),
     "model_start_forward": (["vx0", "vdx0", "vy0"], ["vx", "vu", "vp"]),
 }
@@ -177,7 +177,7 @@ def write_out(interface: Interface) -> Equations:
         "ft": ca.jtimes(sym.dx, sym.u, given["du"]),
         "y": interface.y,
         "require": sym.require,
-        "wait": sym.corner,
+        "delay": sym.corner,
         **_directional(sym, interface.y, given),
         **_adjoint(sym, interface.y, given),
     }
@@ -193,7 +193,7 @@ def write_out(interface: Interface) -> Equations:
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
     first = [
         Routine("model_prepare", {"p": sym.p}, {"c": prepared}),
-        Routine("model_factorise", matrix, {"lu": system.factors, "trust": system.trust}),
+        Routine("model_factorise", matrix, {"lu": system.factors, "accurate": system.accurate}),
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
@@ -376,7 +376,7 @@ def _table(interface: Interface) -> str:
             "",
             '#include "model.h"',
             "",
-            "/* name, unit, kind, start, minimum, maximum, nominal, absolute, warn_above, rate */",
+            "/* name, unit, kind, start, minimum, maximum, nominal, absolute_scale, warn_above, rate */",
             "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",

@@ -1,13 +1,13 @@
-"""The linear systems of the solver, written out for one Jacobian J: no loops, no zeros.
+"""Gaussian elimination in symbols, for the linear systems of the implicit solver: no loops, no zeros.
 
     (diagonal I - J) k = b
 
-Gaussian elimination with pivots on the diagonal, in an order chosen when the code is generated, so that few
-entries are filled in (Markowitz). No rows are exchanged while the model runs. That is accurate unless a
-diagonal entry, before or after the elimination, is small compared with what was subtracted from it; `trust`
-shows that. It looks at each entry by itself: what several that are only rather small lose together it does
-not see, and leaves to the error estimate of the step. The diagonal is one over the step: a solver that
-shortens the step where there is no trust gets on.
+J is the Jacobian of the model, `diagonal` is 1 / (gamma h) for a step of size h. The pivots are on the
+diagonal; their order is chosen when the code is generated, so that few entries are filled in (Markowitz). No
+rows are exchanged while the model runs. The factors are accurate unless a diagonal entry, before or after the
+elimination, is small compared with what was subtracted from it. Then `accurate` is 0, and the solver shortens
+the step, which makes the diagonal larger. Each entry is checked separately. The check does not detect an error
+that several moderately small entries cause together; the error estimate of the step detects that.
 """
 
 from __future__ import annotations
@@ -17,89 +17,97 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-Place = tuple[int, int]  # row and column
+from fmus.contract import column
 
-# Of the sixteen digits of a diagonal entry at least eight survive its elimination: more than tolerances need.
-SMALLEST = 1e-8
+Entry = tuple[int, int]  # row and column
+
+# of a diagonal entry to the terms of its sum; at this ratio 8 of 16 digits remain, enough for tolerances
+SMALLEST_RATIO = 1e-8
 
 
 @dataclass(frozen=True)
 class Elimination:
-    """Columns of symbols, and of expressions of them.
+    """The elimination of a matrix as columns of symbols, and of expressions in these symbols.
 
-    entries   the entries of J that are not constant, by rows
-    factors   of the symbols `diagonal` and `jac`, which stand for the diagonal and the entries
-    trust     of the same: 1 where the factors are accurate, else 0
-    k         the solution, of the symbols `lu`, which stand for the factors, and b
+    entries    the entries of J that are not constant, row by row
+    factors    expressions in the symbols `diagonal` and `jac`, which represent the diagonal and `entries`
+    accurate   expression in the same symbols: 1 if the factors are accurate, else 0
+    k          the solution, expressions in the symbols `lu`, which represent the factors, and b
     """
 
     entries: ca.SX
     diagonal: ca.SX
     jac: ca.SX
     factors: ca.SX
-    trust: ca.SX
+    accurate: ca.SX
     lu: ca.SX
     b: ca.SX
     k: ca.SX
 
 
 def eliminate(jacobian: ca.SX) -> Elimination:
-    """The elimination for a square Jacobian; what is constant in it becomes a constant in the code."""
+    """The elimination for a square Jacobian; its constant entries become constants of the code."""
     n = jacobian.shape[0]
     values = nonzeros(jacobian)
-    moving = [place for place, value in values.items() if not value.is_constant()]
-    diagonal, jac = ca.SX.sym("diagonal"), ca.SX.sym("jac", len(moving))
+    variable = [entry for entry, value in values.items() if not value.is_constant()]
+    diagonal, jac = ca.SX.sym("diagonal"), ca.SX.sym("jac", len(variable))
     matrix = {(i, i): diagonal for i in range(n)}
-    for place, value in (values | dict(zip(moving, _entries(jac), strict=True))).items():
-        matrix[place] = matrix.get(place, 0) - value
-    pivots = order(n, values)
-    trust = _factorise(matrix, pivots)
-    kept = [place for place, value in matrix.items() if not value.is_constant()]
-    lu, b = ca.SX.sym("lu", len(kept)), ca.SX.sym("b", n)
-    factors = matrix | dict(zip(kept, _entries(lu), strict=True))
+    for entry, value in (values | dict(zip(variable, ca.vertsplit(jac), strict=True))).items():
+        matrix[entry] = matrix.get(entry, 0) - value
+    pivots = pivot_order(n, values)
+    accurate = _factorise(matrix, pivots)
+    stored = [entry for entry, value in matrix.items() if not value.is_constant()]
+    lu, b = ca.SX.sym("lu", len(stored)), ca.SX.sym("b", n)
+    factors = matrix | dict(zip(stored, ca.vertsplit(lu), strict=True))
     return Elimination(
-        entries=_column([values[place] for place in moving]),
+        entries=column(*(values[entry] for entry in variable)),
         diagonal=diagonal,
         jac=jac,
-        factors=_column([matrix[place] for place in kept]),
-        trust=trust,
+        factors=column(*(matrix[entry] for entry in stored)),
+        accurate=accurate,
         lu=lu,
         b=b,
-        k=_column(_solve(factors, pivots, _entries(b))),
+        k=column(*_solve(factors, pivots, ca.vertsplit(b))),
     )
 
 
-def nonzeros(matrix: ca.SX) -> dict[Place, ca.SX]:
+def nonzeros(matrix: ca.SX) -> dict[Entry, ca.SX]:
     """The structural nonzeros by row and column, row after row."""
     rows, columns = matrix.sparsity().get_triplet()
-    found = {(row, column): matrix.nz[i] for i, (row, column) in enumerate(zip(rows, columns, strict=True))}
-    return dict(sorted(found.items()))
+    values = {(i, j): matrix.nz[k] for k, (i, j) in enumerate(zip(rows, columns, strict=True))}
+    return dict(sorted(values.items()))
 
 
-def order(n: int, places: Collection[Place]) -> list[int]:
-    """The order of the pivots of an n x n matrix: next comes where the fewest entries are filled in."""
-    filled = {(i, i) for i in range(n)} | set(places)
-    left, chosen = set(range(n)), list[int]()
-    while left:
+def pivot_order(n: int, entries: Collection[Entry]) -> list[int]:
+    """The order of the pivots of an n x n matrix: the next pivot is the one with the least fill-in."""
+    filled = {(i, i) for i in range(n)} | set(entries)
+    remaining, pivots = set(range(n)), list[int]()
+    while remaining:
         updates = {
-            k: [(i, j) for i in left - {k} if (i, k) in filled for j in left - {k} if (k, j) in filled]
-            for k in sorted(left)
+            k: [
+                (i, j)
+                for i in remaining - {k}
+                if (i, k) in filled
+                for j in remaining - {k}
+                if (k, j) in filled
+            ]
+            for k in sorted(remaining)
         }
         best = min(updates, key=lambda k: (len(set(updates[k]) - filled), len(updates[k])))
         filled.update(updates[best])
-        left.remove(best)
-        chosen.append(best)
-    return chosen
+        remaining.remove(best)
+        pivots.append(best)
+    return pivots
 
 
-def _factorise(m: dict[Place, ca.SX], pivots: Sequence[int]) -> ca.SX:
-    """Replaces a matrix by its factors, each pivot by its inverse; returns whether to trust them."""
-    first = {k: ca.fabs(m[k, k]) for k in pivots}
-    most = dict(first)  # sum of the sizes of all that went into a pivot
+def _factorise(m: dict[Entry, ca.SX], pivots: Sequence[int]) -> ca.SX:
+    """Replaces a matrix by its factors, each pivot by its inverse; returns whether they are accurate."""
+    initial = {k: ca.fabs(m[k, k]) for k in pivots}
+    total = dict(initial)  # sum of the magnitudes of all terms of a pivot
     checks = []
     for step, k in enumerate(pivots):
         m[k, k] = 1 / m[k, k]
-        checks.append(SMALLEST * most[k] * ca.fabs(m[k, k]) < 1)
+        checks.append(SMALLEST_RATIO * total[k] * ca.fabs(m[k, k]) < 1)
         later = pivots[step + 1 :]
         for i in [i for i in later if (i, k) in m]:
             m[i, k] *= m[k, k]
@@ -107,13 +115,13 @@ def _factorise(m: dict[Place, ca.SX], pivots: Sequence[int]) -> ca.SX:
                 change = m[i, k] * m[k, j]
                 m[i, j] = m.get((i, j), 0) - change
                 if i == j:
-                    most[i] += ca.fabs(change)
-    checks += [SMALLEST * most[k] < first[k] for k in pivots if most[k] is not first[k]]
+                    total[i] += ca.fabs(change)
+    checks += [SMALLEST_RATIO * total[k] < initial[k] for k in pivots if total[k] is not initial[k]]
     return sum(checks, ca.SX(0)) == len(checks)  # a comparison with NaN is false
 
 
-def _solve(m: Mapping[Place, ca.SX], pivots: Sequence[int], b: Sequence[ca.SX]) -> list[ca.SX]:
-    """Forward and back substitution with the factors."""
+def _solve(m: Mapping[Entry, ca.SX], pivots: Sequence[int], b: Sequence[ca.SX]) -> list[ca.SX]:
+    """The solution by forward and back substitution with the factors."""
     k = list(b)
     for step, j in enumerate(pivots):
         for i in [i for i in pivots[step + 1 :] if (i, j) in m]:
@@ -123,11 +131,3 @@ def _solve(m: Mapping[Place, ca.SX], pivots: Sequence[int], b: Sequence[ca.SX]) 
             k[i] -= m[i, j] * k[j]
         k[i] *= m[i, i]
     return k
-
-
-def _entries(values: ca.SX) -> list[ca.SX]:
-    return [values[i] for i in range(values.numel())]
-
-
-def _column(values: Sequence[ca.SX]) -> ca.SX:
-    return ca.vertcat(*values) if values else ca.SX(0, 1)

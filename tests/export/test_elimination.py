@@ -4,11 +4,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from fmus.export.elimination import eliminate, nonzeros, order
+from fmus.export.elimination import eliminate, nonzeros, pivot_order
 
 
 def system(pattern, constants=()):
-    """Functions (diagonal, J) -> trust and (diagonal, J, b) -> k for a pattern of places."""
+    """Functions (diagonal, J) -> accurate and (diagonal, J, b) -> k for a pattern of places."""
     n = len(pattern)
     places = np.argwhere(np.array(pattern))
     values = ca.SX(n, n)
@@ -16,12 +16,12 @@ def system(pattern, constants=()):
         values[i, j] = dict(constants).get((i, j), ca.SX.sym(f"j{i}{j}"))
     e = eliminate(values)
     moving = [place for place in map(tuple, places) if place not in dict(constants)]
-    factorise = ca.Function("factorise", [e.diagonal, e.jac], [e.factors, e.trust])
+    factorise = ca.Function("factorise", [e.diagonal, e.jac], [e.factors, e.accurate])
     solve = ca.Function("solve", [e.lu, e.b], [e.k])
 
     def run(diagonal, j, b):
-        factors, trust = factorise(diagonal, [j[place] for place in moving])
-        return bool(trust), solve(factors, b).full()[:, 0]
+        factors, accurate = factorise(diagonal, [j[place] for place in moving])
+        return bool(accurate), solve(factors, b).full()[:, 0]
 
     return run
 
@@ -78,7 +78,7 @@ def test_order_fills_nothing_in_where_that_is_possible():
     n = 6
     pattern = np.eye(n, dtype=bool)
     pattern[0, :] = pattern[:, 0] = True
-    assert order(n, set(map(tuple, np.argwhere(pattern))))[-1] in (0, n - 1)
+    assert pivot_order(n, set(map(tuple, np.argwhere(pattern))))[-1] in (0, n - 1)
     values = ca.SX(n, n)
     for i, j in np.argwhere(pattern):
         values[i, j] = ca.SX.sym("j")

@@ -19,7 +19,7 @@ LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
     va_end(arguments);
 }
 
-LOCAL void core_changed(Core *core) {
+LOCAL void core_invalidate(Core *core) {
     core->c_valid = core->start_valid = core->dx_valid = core->y_valid = 0;
 }
 
@@ -29,10 +29,10 @@ LOCAL void core_reset(Core *core) {
     s->stop_time = INFINITY;
     s->tolerance = DEFAULT_TOLERANCE;
     for (int i = 0; i < NP; i++) s->p[i] = model_variables[FIRST_PARAMETER + i].start;
-    for (int i = 0; i < NU; i++) s->u[i] = s->set[i] = model_variables[FIRST_INPUT + i].start;
+    for (int i = 0; i < NU; i++) s->u[i] = s->last_set[i] = model_variables[FIRST_INPUT + i].start;
     for (int i = 0; i < NX; i++) s->x[i] = model_variables[FIRST_STATE + i].start;
     s->initial = 1;
-    core_changed(core);
+    core_invalidate(core);
 }
 
 static void prepare(Core *core) {
@@ -93,8 +93,8 @@ static double value_of(Core *core, int r) {
     return core->y[r - FIRST_OUTPUT];
 }
 
-/* Does the requirement hold? If not, a message. */
-static int required(Core *core, int i) {
+/* 1 if the requirement holds, else 0 and a message. */
+static int requirement_holds(Core *core, int i) {
     if (core->require[i] > 0.0) return 1;
     core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                  model_statements[i], core->s.time, core->require[i]);
@@ -110,14 +110,14 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
     *value = value_of(core, (int)reference);
     if (isfinite(*value)) return 1;
     core_outputs(core);
-    for (int i = 0; i < NREQUIRE; i++) /* perhaps the reason is known */
-        if (core->require[i] <= 0.0) return required(core, i);
+    for (int i = 0; i < NREQUIRE; i++) /* a violated requirement explains the value better */
+        if (core->require[i] <= 0.0) return requirement_holds(core, i);
     core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
                  model_variables[reference].name, *value, core->s.time);
     return 0;
 }
 
-/* May a variable of this kind be set now? */
+/* 1 if a variable of this kind may be set now. */
 static int settable(const Core *core, Kind kind) {
     if (kind == INPUT || kind == TUNABLE) return 1;
     return core->s.initial && (kind == FIXED || kind == STATE);
@@ -133,7 +133,7 @@ static const char *reason(Kind kind) {
     }
 }
 
-LOCAL int core_check(Core *core, unsigned reference, double value) {
+LOCAL int core_check_value(Core *core, unsigned reference, double value) {
     if (reference >= NUMBER_OF_VARIABLES) {
         core_message(core, ERROR, "value reference %u is unknown, expected 0 to %d", reference,
                      NUMBER_OF_VARIABLES - 1);
@@ -167,9 +167,9 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
         core->c_valid = 0;
         break;
     case INPUT:
-        s->u[reference - FIRST_INPUT] = s->set[reference - FIRST_INPUT] = value;
-        core->touched = 1;
-        core->start_valid &= s->settled;
+        s->u[reference - FIRST_INPUT] = s->last_set[reference - FIRST_INPUT] = value;
+        core->inputs_changed = 1;
+        core->start_valid &= s->start_fixed;
         core->dx_valid = core->y_valid = 0;
         return;
     default: s->x[reference - FIRST_STATE] = value;
@@ -179,36 +179,36 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
 
 /* ---- inputs over a step ---------------------------------------------------------------------- */
 
-/* Derivatives of an input of order 1 to 3, where the values `at` hold: as set, else from the input that carries
-   it, then from the one that carries that. */
-static void derivatives(const State *s, const double *at, int input, double *found) {
-    found[0] = found[1] = found[2] = 0.0;
+/* Derivatives of an input of order 1 to 3 as they were set, else from its rate input, the rate input of that one and
+   so on; u: values of the inputs. */
+static void input_derivatives(const State *s, const double *u, int input, double *result) {
+    result[0] = result[1] = result[2] = 0.0;
     for (int order = 0, i = input; order < 3 && i >= 0; order++) {
-        if (s->is_given[i]) {
-            for (int k = 0; order < 3; k++, order++) found[order] = s->given[i][k];
+        if (s->has_derivatives[i]) {
+            for (int k = 0; order < 3; k++, order++) result[order] = s->input_derivatives[i][k];
             return;
         }
         i = model_variables[FIRST_INPUT + i].rate;
-        if (i >= 0) found[order] = at[i];
+        if (i >= 0) result[order] = u[i];
     }
 }
 
-LOCAL double core_input_slope(const Core *core, int input) {
+LOCAL double core_input_derivative(const Core *core, int input) {
     const State *s = &core->s;
-    if (s->is_given[input]) return s->given[input][0];
+    if (s->has_derivatives[input]) return s->input_derivatives[input][0];
     const int rate = model_variables[FIRST_INPUT + input].rate;
-    return rate < 0 || s->was_given[input] ? s->slope[input] : s->u[rate];
+    return rate < 0 || s->had_derivatives[input] ? s->end_derivative[input] : s->u[rate];
 }
 
-/* Taylor polynomials of the inputs from `tau` [s] after the start of the step, where they have the values `at`. */
-static void plan_motion(const State *s, const double *at, double tau, Motion *motion) {
+/* Taylor polynomials of the inputs around `tau` [s] after the start of the step; u: their values there. */
+static void plan_inputs(const State *s, const double *u, double tau, Motion *motion) {
     motion->origin = tau;
     motion->count = 0;
-    memcpy(motion->at, at, NU * sizeof *at);
+    memcpy(motion->start, u, NU * sizeof *u);
     for (int i = 0; i < NU; i++) {
-        if (!s->is_given[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
-        double *m = motion->slope[i];
-        derivatives(s, at, i, m);
+        if (!s->has_derivatives[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
+        double *m = motion->coefficients[i];
+        input_derivatives(s, u, i, m);
         if (m[0] == 0.0 && m[1] == 0.0 && m[2] == 0.0) continue;
         m[1] *= 1.0 / 2.0;
         m[2] *= 1.0 / 6.0;
@@ -232,21 +232,21 @@ static void watch(Core *core) {
     }
 }
 
-/* Are all of them finite? The difference of anything else with itself is NaN. */
+/* 1 if all values are finite: x - x is NaN for any other x. */
 static int all_finite(const double *values, int count) {
     double sum = 0.0;
     for (int i = 0; i < count; i++) sum += values[i] - values[i];
     return sum == 0.0;
 }
 
-LOCAL int core_sound(Core *core) {
+LOCAL int core_check_state(Core *core) {
     double value;
     core_outputs(core);
     if (!all_finite(core->s.x, NX))
         for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
             if (!core_get(core, r, &value)) return 0;
     for (int i = 0; i < NREQUIRE; i++)
-        if (!required(core, i)) return 0;
+        if (!requirement_holds(core, i)) return 0;
     if (!all_finite(core->y, NY))
         for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
             if (!core_get(core, r, &value)) return 0;
@@ -254,7 +254,7 @@ LOCAL int core_sound(Core *core) {
     return 1;
 }
 
-static void tell_failure(Core *core, const Report *report) {
+static void report_failure(Core *core, const Report *report) {
     const double time = core->s.time + report->tau;
     const Variable *state = &model_variables[FIRST_STATE + report->worst];
     const double value = core->s.x[report->worst];
@@ -278,54 +278,54 @@ static void tell_failure(Core *core, const Report *report) {
     }
 }
 
-/* The values of an instance at tau [s] after the start of the step that is under way. */
-static void arrive(Core *core, double begin, double tau) {
+/* Sets time and inputs to tau [s] after the start of the step. */
+static void set_time(Core *core, double begin, double tau) {
     State *s = &core->s;
     s->time = begin + tau;
     motion_value(&core->motion, tau, s->u);
-    motion_slope(&core->motion, tau, s->slope);
+    motion_derivative(&core->motion, tau, s->end_derivative);
     core->start_valid = core->dx_valid = core->y_valid = 0;
 }
 
 typedef struct {
     Core *core;
     double begin; /* time at the start of the step */
-} Passage;
+} StepContext;
 
-/* After an inner step: the caller may look at the values, set inputs and stop. */
-static double between_steps(void *owner, double tau, double length) {
-    const Passage *passage = owner;
-    Core *core = passage->core;
-    arrive(core, passage->begin, tau);
-    core->touched = 0;
-    const double end = core->pause(core->owner, passage->begin + length) - passage->begin;
-    if (core->touched) plan_motion(&core->s, core->s.u, tau, &core->motion);
+/* A StepCallback: the importer may read values, set inputs and end the step. */
+static double after_inner_step(void *owner, double tau, double length) {
+    const StepContext *context = owner;
+    Core *core = context->core;
+    set_time(core, context->begin, tau);
+    core->inputs_changed = 0;
+    const double end = core->intermediate_update(core->owner, context->begin + length) - context->begin;
+    if (core->inputs_changed) plan_inputs(&core->s, core->s.u, tau, &core->motion);
     return end < length ? fmax(tau, end) : length;
 }
 
 LOCAL int core_step(Core *core, double length) {
     State *s = &core->s;
-    Passage passage = {core, s->time};
-    const Between between = {core->pause ? between_steps : 0, &passage};
-    const double smallest = fmax(1e-14 * length, DBL_MIN); /* with smaller ones the time stands still */
-    double reached = length;
+    StepContext context = {core, s->time};
+    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context};
+    const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
+    double tau = length;
     prepare(core);
-    plan_motion(s, s->set, 0.0, &core->motion);
+    plan_inputs(s, s->last_set, 0.0, &core->motion);
     core->start_valid = core->dx_valid = core->y_valid = 0;
     if (NX > 0) {
-        const Report report = solve(s->x, s->p, core->c, &core->motion, length, s->tolerance, smallest,
-                                    &between, &s->pace, &core->work);
-        s->time = passage.begin;
+        const Report report = solve(s->x, s->p, core->c, &core->motion, length, s->tolerance, minimum_step,
+                                    &callback, &s->memory, &core->work);
+        s->time = context.begin;
         if (report.outcome != SOLVED) {
-            tell_failure(core, &report);
+            report_failure(core, &report);
             return 0;
         }
-        reached = report.tau;
+        tau = report.tau;
     }
-    arrive(core, passage.begin, reached);
-    memcpy(s->was_given, s->is_given, sizeof s->is_given);
-    memset(s->is_given, 0, sizeof s->is_given);
-    if (core_sound(core)) return 1;
-    s->time = passage.begin;
+    set_time(core, context.begin, tau);
+    memcpy(s->had_derivatives, s->has_derivatives, sizeof s->has_derivatives);
+    memset(s->has_derivatives, 0, sizeof s->has_derivatives);
+    if (core_check_state(core)) return 1;
+    s->time = context.begin;
     return 0;
 }

@@ -1,5 +1,5 @@
-/* One instance of the model, whatever the FMI version: values, inputs over a step, integration, checks.
-   No function here allocates memory, and nothing is shared between instances. */
+/* One instance of the model, independent of the FMI version: values, inputs over a step, integration, checks.
+   No function here allocates memory, and instances share nothing. */
 
 #ifndef CORE_H
 #define CORE_H
@@ -10,89 +10,90 @@
 #include "model.h"
 #include "solver.h"
 
-/* A looser one gains no time, and states on badly scaled curves get lost at it. */
+/* A looser tolerance saves no time, and on badly scaled curves the states become wrong. */
 #define LOOSEST_TOLERANCE 1e-3
 
-/* The outcome of a call, and the kind of a message; numbered as in FMI 2 and 3. */
+/* The outcome of a call and the severity of a message, with the values of FMI 2 and 3. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 
-/* Everything that the future of an instance depends on: what a saved state holds. */
+/* The complete state of an instance: the content of a saved FMU state. */
 typedef struct {
-    double time, start_time, stop_time; /* stop_time is infinite when not given */
+    double time, start_time, stop_time; /* stop_time is infinite if it is not defined */
     double tolerance;
-    Pace pace;                /* of the solver */
-    double x[ROOM(NX)];       /* states */
-    double p[ROOM(NP)];       /* parameters */
-    double u[ROOM(NU)];       /* inputs at the current time */
-    double set[ROOM(NU)];     /* inputs as last set: where the next step starts */
-    double slope[ROOM(NU)];   /* time derivative of the inputs at the end of the last step */
-    double given[ROOM(NU)][3]; /* input derivatives of order 1 to 3 set for the next step */
-    int is_given[ROOM(NU)];
-    int was_given[ROOM(NU)]; /* 1 if the last step followed such derivatives */
+    SolverMemory memory;
+    double x[ROOM(NX)];        /* states */
+    double p[ROOM(NP)];        /* parameters */
+    double u[ROOM(NU)];        /* inputs at the current time */
+    double last_set[ROOM(NU)]; /* inputs as last set: their values at the start of the next step */
+    double end_derivative[ROOM(NU)];       /* time derivatives of the inputs at the end of the last step */
+    double input_derivatives[ROOM(NU)][3]; /* derivatives of order 1 to 3 that were set for the next step */
+    int has_derivatives[ROOM(NU)];         /* 1 if such derivatives were set */
+    int had_derivatives[ROOM(NU)];         /* 1 if they were set for the last step */
     int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched input or output is above its limit */
-    int initial;          /* 1 as long as fixed parameters may be set, and states follow from the start values */
-    int settled;          /* 1 once the caller has the states at the start: inputs no longer change them */
-    int phase, type;      /* of the FMI state machine, see instance.h */
+    int initial;     /* 1 while fixed parameters may be set and the states are computed from start values */
+    int start_fixed; /* 1 once the importer has the initial states: inputs no longer change them */
+    int phase, type; /* state of the FMI state machine and kind of instance, see instance.h */
 } State;
 
 typedef struct Core {
     State s;
-    /* What follows from `s`; computed when needed. */
+    /* Quantities that follow from `s`; computed on demand. */
     int c_valid, start_valid, dx_valid, y_valid;
     double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
-    double direction[ROOM(NUMBER_OF_VARIABLES)]; /* of each variable, by value reference */
+    double direction[ROOM(NUMBER_OF_VARIABLES)]; /* seed and result of a derivative, by value reference */
     Motion motion;
-    int touched; /* an input was set: the motion of the inputs has to be planned anew */
+    int inputs_changed; /* 1 if an input was set inside the step: `motion` must be computed anew */
     Work work;
-    const char *call; /* name of the interface function at work, for messages */
+    const char *call; /* name of the FMI function that runs, for messages */
     void (*report)(void *owner, Status kind, const char *text);
-    /* Called inside a step, with the values at the current time, if not null: inputs may be set. Returns the time
-       at which to stop, the given end or earlier. */
-    double (*pause)(void *owner, double end);
+    /* If not null: called after each inner step, when the values are those of the current time and inputs may be
+       set. Returns the time at which the step ends: the given end or earlier. */
+    double (*intermediate_update)(void *owner, double end);
     void *owner;
 } Core;
 
-/* A message "call: text" to the owner. */
+/* Reports the message "call: text" to the owner. */
 LOCAL void core_message(Core *core, Status kind, const char *format, ...);
 LOCAL void core_message_of(Core *core, Status kind, const char *format, va_list arguments);
 
-/* Default values of all variables. */
+/* Sets all variables to their default values. */
 LOCAL void core_reset(Core *core);
 
-/* Forgets everything computed: after the saved part `s` was replaced from outside. */
-LOCAL void core_changed(Core *core);
+/* Invalidates all computed quantities; to be called after `s` was replaced. */
+LOCAL void core_invalidate(Core *core);
 
-/* Value of a variable; 0 if the computation gives no finite number (a message tells). */
+/* Gets the value of a variable; 0 and a message if it is not finite. */
 LOCAL int core_get(Core *core, unsigned reference, double *value);
 
-/* Would this value be accepted? Not for NaN, values out of bounds, or a variable that cannot be set. */
-LOCAL int core_check(Core *core, unsigned reference, double value);
+/* Checks a value before it is set; 0 and a message for NaN, for a value out of bounds, and for a variable that
+   cannot be set. */
+LOCAL int core_check_value(Core *core, unsigned reference, double value);
 LOCAL void core_set(Core *core, unsigned reference, double value);
 
-/* Time derivative of the inputs at the current time. */
-LOCAL double core_input_slope(const Core *core, int input);
+/* Time derivative of an input at the current time. */
+LOCAL double core_input_derivative(const Core *core, int input);
 
-LOCAL void core_start(Core *core);       /* computes the states that follow from others at the start */
-LOCAL void core_derivatives(Core *core); /* makes dx valid */
-LOCAL void core_outputs(Core *core);     /* makes y and require valid */
+LOCAL void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
+LOCAL void core_derivatives(Core *core); /* computes dx */
+LOCAL void core_outputs(Core *core);     /* computes y and require */
 
-/* Requirements hold and everything is finite; else a message and 0. */
-LOCAL int core_sound(Core *core);
+/* Checks that the requirements hold and that states and outputs are finite; else 0 and a message. */
+LOCAL int core_check_state(Core *core);
 
-/* From the directions of inputs and states those of derivatives and outputs. With `starting` from those of
-   parameters, inputs and start values, through the start equations, also those of the states. */
+/* Directional derivatives of dx and y, from the directions of inputs and states. With `starting`: of the initial
+   states too, from the directions of parameters, inputs and start values. */
 LOCAL void core_forward(Core *core, int starting);
 
-/* From the current time over `length` seconds, or until `pause` stops it; 0 and a message when it fails. */
+/* Integrates over `length` seconds, or until `intermediate_update` ends the step; 0 and a message if it fails. */
 LOCAL int core_step(Core *core, double length);
 
 /* Saved states as bytes: a header that identifies the model, then the state. */
 LOCAL size_t snapshot_size(void);
 LOCAL void snapshot_write(const State *state, char *bytes);
-/* `sealed`: the bytes come from outside and must carry their check sum. */
-LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int sealed);
+/* Reads a state; 0 and a message if it belongs to another model. With `check_sum`, damage is refused too. */
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int check_sum);
 
-/* Before the bytes leave the process: adds a check sum, by which damage is noticed when they are read. */
-LOCAL void snapshot_seal(char *bytes);
+/* Adds the checksum, by which damage of serialised bytes is detected when they are read. */
+LOCAL void snapshot_add_checksum(char *bytes);
 
 #endif

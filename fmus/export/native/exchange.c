@@ -1,42 +1,43 @@
-/* Model exchange: states and derivatives for the caller's solver. At a time event nothing changes but rates.
+/* Model exchange: states and derivatives for the solver of the importer. At a time event only derivatives change.
 
-   Some importers set parameters and states between fmi2ExitInitializationMode and continuous-time mode
-   (OpenModelica's does), which the standard does not foresee. So the initialisation stays open until the first
-   states are set or integrated: until then fixed parameters may be set, and calculated start values follow. They
-   follow inputs until the caller has got the states, or has updated the event at the start. */
+   Some importers, such as OpenModelica, set parameters and states between fmi2ExitInitializationMode and
+   continuous-time mode, which the standard does not allow for. So the initialisation stays open until the first
+   states are set or integrated. Until then fixed parameters may be set, and calculated start values are computed
+   anew. A change of inputs changes these until the importer has read the states or has updated the initial event. */
 
 #include <math.h>
 #include <string.h>
 
 #include "instance.h"
 
-/* 1 if the caller's array is one of the model's states. */
-/* A state above its nominal value times this has diverged. */
-static const double FAR_OFF = 1e4;
+/* A state that exceeds this multiple of its nominal value has diverged. */
+static const double DIVERGED = 1e4;
 
+/* 1 if the importer's array can hold the states; else 0 and a message. */
 static int right_size(Instance *self, const double x[], size_t n) {
-    if (n == NX) return given(self, x, n);
+    if (n == NX) return valid_array(self, x, n);
     core_message(&self->core, ERROR, "%zu states, expected %d", n, NX);
     return 0;
 }
 
-/* No fixed parameter can be set from here on. */
-static Status close_initialisation(Instance *self) {
-    if (self->core.s.initial && !core_sound(&self->core)) return ERROR;
+/* After this call no fixed parameter can be set. */
+static Status end_initialisation(Instance *self) {
+    if (self->core.s.initial && !core_check_state(&self->core)) return ERROR;
     self->core.s.initial = 0;
     return OK;
 }
 
 /* ---- inputs that are held ----------------------------------------------------------------------
 
-   Some importers hold the inputs over their output interval and change them when it is over, behind the back of
-   their solver (FMPy's simulate_fmu does). A multistep method then goes on with the history of another right-hand
-   side, and fails where that changes much. It is told to start anew when the inputs are others at the end of a step
-   and all derivatives since they changed last were computed with their old values. Inputs that move with the time
-   do not look like that in a solver that looks ahead; to Euler's method they do, and an event costs it nothing. */
+   Some importers, such as FMPy's simulate_fmu, hold the inputs over their output interval and then change them
+   without notice to their solver. A multistep method continues with the history of another right-hand side and
+   fails if that has changed much. So it is made to restart if, at the end of a step, the inputs have changed and all
+   derivatives since their last change were computed with the old values. If the importer varies the inputs with
+   time, a solver that evaluates derivatives ahead does not meet this condition. Euler's method does, but an event
+   costs it nothing. */
 
-/* The time derivative of another input: of no use where the caller's solver moves that one. */
-static int is_rate(int input) {
+/* 1 if the input is the time derivative of another one, which model exchange does not use. */
+static int is_rate_input(int input) {
     for (int i = 0; i < NU; i++)
         if (model_variables[FIRST_INPUT + i].rate == input) return 1;
     return 0;
@@ -44,40 +45,40 @@ static int is_rate(int input) {
 
 static int inputs_differ(const Instance *self) {
     for (int i = 0; i < NU; i++)
-        if (self->held.at[i] != self->core.s.u[i] && !is_rate(i)) return 1;
+        if (self->held.inputs[i] != self->core.s.u[i] && !is_rate_input(i)) return 1;
     return 0;
 }
 
-void exchange_hold(Instance *self) {
-    memcpy(self->held.at, self->core.s.u, NU * sizeof(double));
-    self->held.evaluated = self->held.moved = self->held.restart = 0;
+void exchange_keep_inputs(Instance *self) {
+    memcpy(self->held.inputs, self->core.s.u, NU * sizeof(double));
+    self->held.evaluated = self->held.inputs_vary = self->held.restart = 0;
 }
 
-/* Some importers start their solver anew only where states have changed their values (fmusim does). */
-int exchange_restarts(Instance *self) {
+/* Some importers, such as fmusim, restart their solver only if valuesOfContinuousStatesChanged is set. */
+int exchange_restart_needed(Instance *self) {
     const int restart = self->held.restart;
     self->held.restart = 0;
     return restart;
 }
 
-void exchange_settle(Instance *self) {
+void exchange_fix_start(Instance *self) {
     State *s = &self->core.s;
-    if (s->settled || s->phase == INITIALIZATION) return;
+    if (s->start_fixed || s->phase == INITIALIZATION) return;
     core_start(&self->core);
-    s->settled = 1;
+    s->start_fixed = 1;
 }
 
 Status exchange_enter(Instance *self) {
-    if (close_initialisation(self) != OK) return ERROR;
-    exchange_hold(self);
+    if (end_initialisation(self) != OK) return ERROR;
+    exchange_keep_inputs(self);
     return instance_enter(self, CONTINUOUS_TIME);
 }
 
-/* Euler's method is what some importers take if nothing is said; its states grow without bounds. */
-static void advise(Instance *self) {
+/* Warns of an explicit solver, such as Euler's method, the default of some importers: the states diverge. */
+static void recommend_implicit_solver(Instance *self) {
     const State *s = &self->core.s;
     for (int i = 0; i < NX && !EXPLICIT_FIRST; i++) {
-        if (fabs(s->x[i]) < FAR_OFF * model_variables[FIRST_STATE + i].nominal) continue;
+        if (fabs(s->x[i]) < DIVERGED * model_variables[FIRST_STATE + i].nominal) continue;
         core_message(&self->core, WARNING,
                      "%s = %.3g at t = %.9g s: if the solver is explicit, take an implicit one such as CVode, "
                      "because the model is stiff",
@@ -87,14 +88,14 @@ static void advise(Instance *self) {
 }
 
 Status exchange_completed(Instance *self, int *event) {
-    if (!core_sound(&self->core)) {
-        advise(self);
+    if (!core_check_state(&self->core)) {
+        recommend_implicit_solver(self);
         return ERROR;
     }
     *event = 0;
     if (inputs_differ(self)) {
-        *event = self->held.evaluated && !self->held.moved;
-        exchange_hold(self);
+        *event = self->held.evaluated && !self->held.inputs_vary;
+        exchange_keep_inputs(self);
         self->held.restart = *event;
     }
     return OK;
@@ -102,7 +103,7 @@ Status exchange_completed(Instance *self, int *event) {
 
 /* ---- time, states, derivatives ----------------------------------------------------------------- */
 
-/* Times after the stop time are accepted: solvers step over it and interpolate. */
+/* Times after the stop time are accepted: solvers step beyond it and interpolate. */
 Status exchange_set_time(Instance *self, double time) {
     if (!isfinite(time)) return refuse(self, "the time is not finite");
     self->core.s.time = time;
@@ -114,7 +115,7 @@ Status exchange_set_states(Instance *self, const double x[], size_t n) {
     for (int i = 0; i < NX; i++)
         if (!isfinite(x[i]))
             return refuse(self, "%s is not a finite number", model_variables[FIRST_STATE + i].name);
-    if (close_initialisation(self) != OK) return ERROR;
+    if (end_initialisation(self) != OK) return ERROR;
     if (NX > 0) memcpy(self->core.s.x, x, NX * sizeof *x);
     self->core.dx_valid = self->core.y_valid = 0;
     return OK;
@@ -124,23 +125,23 @@ Status exchange_states(Instance *self, double x[], size_t n) {
     if (!right_size(self, x, n)) return ERROR;
     for (int i = 0; i < NX; i++)
         if (!core_get(&self->core, (unsigned)(FIRST_STATE + i), &x[i])) return ERROR;
-    exchange_settle(self);
+    exchange_fix_start(self);
     return OK;
 }
 
-/* A solver may try states outside the model's range: it is told to try another step. */
+/* A solver may try states outside the range of the model: DISCARD makes it try a smaller step. */
 Status exchange_derivatives(Instance *self, double dx[], size_t n) {
     Core *core = &self->core;
     if (!right_size(self, dx, n)) return ERROR;
     core_derivatives(core);
     self->held.evaluated = 1;
-    self->held.moved |= inputs_differ(self);
+    self->held.inputs_vary |= inputs_differ(self);
     for (int i = 0; i < NX; i++) {
         dx[i] = core->dx[i];
         if (isfinite(dx[i])) continue;
         core_message(core, DISCARD, "the derivative of %s is %g at t = %.9g s",
                      model_variables[FIRST_STATE + i].name, dx[i], core->s.time);
-        advise(self);
+        recommend_implicit_solver(self);
         return DISCARD;
     }
     return OK;
@@ -150,28 +151,29 @@ Status exchange_indicators(Instance *self, size_t n) {
     return n == 0 ? OK : refuse(self, "the model has no event indicators");
 }
 
-/* For the absolute tolerances of the caller's solver. FMPy and fmusim take tolerance * nominal, others 0.01 of that,
-   and their tolerance is 1e-5 or 1e-4 if none is given. With the magnitudes of modelDescription.xml an error of
-   100 Pa is free then, which near zero, where the oil is soft, grows to 8 % of the pressures; with 0.001 of them the
-   worst output of strokes of 1 to 6 V is within 1 %, for a third more time. */
-static const double FOR_TOLERANCES = 0.001;
+/* Importers compute the absolute tolerance of their solver from the nominal values: FMPy and fmusim use tolerance *
+   nominal, others 0.01 of that, with a default tolerance of 1e-5 or 1e-4. With the nominal values of
+   modelDescription.xml they would tolerate an error of 100 Pa, which near zero, where the oil is soft, grows to 8 %
+   of the pressures. With 0.001 of these values the worst output of strokes of 1 to 6 V is within 1 %, for a third
+   more time. */
+static const double NOMINAL_FACTOR = 0.001;
 
 Status exchange_nominals(Instance *self, double nominal[], size_t n) {
     if (!right_size(self, nominal, n)) return ERROR;
-    for (int i = 0; i < NX; i++) nominal[i] = FOR_TOLERANCES * model_variables[FIRST_STATE + i].nominal;
+    for (int i = 0; i < NX; i++) nominal[i] = NOMINAL_FACTOR * model_variables[FIRST_STATE + i].nominal;
     return OK;
 }
 
-/* In co-simulation no events are needed: the caller chooses the steps. */
+/* Co-simulation has no time events: the importer chooses the steps. */
 int exchange_next_event(Instance *self, double *time) {
     const State *s = &self->core.s;
-    double wait;
+    double delay;
     *time = 0.0;
     if (s->type != MODEL_EXCHANGE) return 0;
     core_start(&self->core);
-    model_corner(s->x, s->u, s->p, self->core.c, &wait);
-    const double next = s->time + wait;
-    if (!isfinite(next) || !(next > s->time)) return 0; /* an event that is already here would never end */
+    model_time_event(s->x, s->u, s->p, self->core.c, &delay);
+    const double next = s->time + delay;
+    if (!isfinite(next) || !(next > s->time)) return 0; /* an event at the current time would repeat for ever */
     *time = next;
     return 1;
 }

@@ -1,4 +1,4 @@
-/* FMI 2.0: names and types of the standard around instance.h. */
+/* FMI 2.0: creation of instances, state machine, variables, FMU states. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -23,7 +23,7 @@ static void write2(const Instance *self, Status kind, const char *text) {
     write_log((fmi2CallbackLogger)self->logger, self->environment, self->name, kind, text);
 }
 
-/* ---- life of an instance ----------------------------------------------------------------------- */
+/* ---- instances ------------------------------------------------------------------------------- */
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
@@ -63,7 +63,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { CALL(INSTANTIATED, instance_enter(c, INITIALIZATION)); }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { CALL(INITIALIZATION, instance_initialized(c)); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { CALL(INITIALIZATION, instance_exit_initialization(c)); }
 fmi2Status fmi2Terminate(fmi2Component c) { CALL(SIMULATING | STEP_FAILED, instance_enter(c, TERMINATED)); }
 fmi2Status fmi2Reset(fmi2Component c) { CALL(ANY, instance_reset(c)); }
 
@@ -114,7 +114,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) { CALL(ANY,
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     (void)FMUstate;
-    CALL(ANY, given(c, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
+    CALL(ANY, valid_array(c, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],

@@ -1,4 +1,4 @@
-/* FMI 2.0: what the fmi2*.c files share. */
+/* FMI 2.0: the macro that the fmi2*.c files share. */
 
 #ifndef FMI2_H
 #define FMI2_H

@@ -9,11 +9,11 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-    if (!allowed(c, __func__, EVENT_MODE) || !given(c, eventInfo, 1)) return fmi2Error;
+    if (!allowed(c, __func__, EVENT_MODE) || !valid_array(c, eventInfo, 1)) return fmi2Error;
     memset(eventInfo, 0, sizeof *eventInfo);
-    exchange_settle(c);
+    exchange_fix_start(c);
     eventInfo->nextEventTimeDefined = exchange_next_event(c, &eventInfo->nextEventTime);
-    eventInfo->valuesOfContinuousStatesChanged = exchange_restarts(c);
+    eventInfo->valuesOfContinuousStatesChanged = exchange_restart_needed(c);
     return fmi2OK;
 }
 
@@ -24,7 +24,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
     Instance *self = c;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi2Error;
-    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi2Error;
+    if (!valid_array(self, enterEventMode, 1) || !valid_array(self, terminateSimulation, 1)) return fmi2Error;
     int event = 0;
     const Status status = exchange_completed(self, &event);
     *enterEventMode = event;

@@ -1,4 +1,4 @@
-/* FMI 3.0: names and types of the standard around instance.h. */
+/* FMI 3.0: creation of instances, state machine, variables, FMU states. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -11,7 +11,7 @@ static void write3(const Instance *self, Status kind, const char *text) {
     logger(self->environment, (fmi3Status)kind, instance_category(kind), text);
 }
 
-/* ---- life of an instance ----------------------------------------------------------------------- */
+/* ---- instances ------------------------------------------------------------------------------- */
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
@@ -55,7 +55,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     self->events = eventModeUsed;
     self->early_return = earlyReturnAllowed;
     self->update = (void (*)(void))intermediateUpdate;
-    if (intermediateUpdate) self->core.pause = update;
+    if (intermediateUpdate) self->core.intermediate_update = intermediate_update;
     return self;
 }
 
@@ -72,7 +72,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(
     return NULL;
 }
 
-/* Inside its own step an instance is still needed. Else no word: the caller's log may be gone already. */
+/* An instance cannot be freed inside its own step. Nothing else is logged: the importer's logger may be gone. */
 void fmi3FreeInstance(fmi3Instance instance) {
     const Instance *self = instance;
     if (self && self->core.s.phase == INSIDE_STEP) allowed(instance, __func__, OUTSIDE);
@@ -98,13 +98,13 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
-    CALL(INITIALIZATION, instance_initialized(instance));
+    CALL(INITIALIZATION, instance_exit_initialization(instance));
 }
 
-/* Between steps only where the caller said that it would use event mode. */
+/* Between steps this is allowed only if the importer announced that it uses event mode. */
 static Status enter_event_mode(Instance *self) {
     if (self->core.s.phase == STEP_MODE && !self->events)
-        return refuse(self, "the instance was made without event mode");
+        return refuse(self, "the instance was instantiated without event mode");
     return instance_enter(self, EVENT_MODE);
 }
 
@@ -130,11 +130,11 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                                    nextEventTimeDefined,              nextEventTime};
     if (!allowed(instance, __func__, EVENT_MODE)) return fmi3Error;
     for (int i = 0; i < 6; i++)
-        if (!given(instance, results[i], 1)) return fmi3Error;
-    exchange_settle(instance);
+        if (!valid_array(instance, results[i], 1)) return fmi3Error;
+    exchange_fix_start(instance);
     *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
     *nominalsOfContinuousStatesChanged = fmi3False;
-    *valuesOfContinuousStatesChanged = exchange_restarts(instance);
+    *valuesOfContinuousStatesChanged = exchange_restart_needed(instance);
     *nextEventTimeDefined = exchange_next_event(instance, nextEventTime) != 0;
     return fmi3OK;
 }
@@ -176,7 +176,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) { CAL
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
     (void)FMUState;
-    CALL(ANY, given(instance, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
+    CALL(ANY, valid_array(instance, size, 1) ? (*size = snapshot_size(), OK) : ERROR);
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[],

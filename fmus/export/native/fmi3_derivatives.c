@@ -15,7 +15,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
              : ERROR);
 }
 
-/* From weights of the unknowns those of the knowns, in core->direction. */
+/* Replaces the weights of the unknowns in core->direction by those of the knowns. */
 static void reverse(Core *core, int starting) {
     const State *s = &core->s;
     double *w = core->direction, *wdx = w + FIRST_DERIVATIVE, *wy = w + FIRST_OUTPUT;
@@ -36,8 +36,8 @@ static void reverse(Core *core, int starting) {
 static Status adjoint(Instance *self, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                       size_t n_known, const double seed[], double result[]) {
     Core *core = &self->core;
-    if (!given(self, unknown, n_unknown) || !given(self, seed, n_unknown)) return ERROR;
-    if (!given(self, known, n_known) || !given(self, result, n_known)) return ERROR;
+    if (!valid_array(self, unknown, n_unknown) || !valid_array(self, seed, n_unknown)) return ERROR;
+    if (!valid_array(self, known, n_known) || !valid_array(self, result, n_known)) return ERROR;
     memset(core->direction, 0, sizeof core->direction);
     for (size_t i = 0; i < n_unknown; i++) {
         if (!is_unknown(self, unknown[i])) return ERROR;
@@ -46,7 +46,7 @@ static Status adjoint(Instance *self, const unsigned unknown[], size_t n_unknown
     reverse(core, is_starting(self));
     for (size_t i = 0; i < n_known; i++) {
         result[i] = 0.0;
-        if (is_time(self, known[i])) continue; /* nothing depends on it */
+        if (is_time(self, known[i])) continue; /* no variable depends on the time */
         if (!is_known(self, known[i])) return ERROR;
         result[i] = core->direction[known[i]];
         if (!isfinite(result[i])) return refuse(self, "the adjoint derivative is not finite");

@@ -11,7 +11,7 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetF
     Instance *self = instance;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, CONTINUOUS_TIME)) return fmi3Error;
-    if (!given(self, enterEventMode, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
+    if (!valid_array(self, enterEventMode, 1) || !valid_array(self, terminateSimulation, 1)) return fmi3Error;
     int event = 0;
     const Status status = exchange_completed(self, &event);
     *enterEventMode = event;
@@ -25,7 +25,8 @@ fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
-    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME, exchange_set_states(instance, continuousStates, nContinuousStates));
+    CALL(MODEL_EXCHANGE | EVENT_MODE | CONTINUOUS_TIME,
+         exchange_set_states(instance, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
@@ -50,9 +51,11 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators) {
-    CALL(READABLE | INSTANTIATED, given(instance, nEventIndicators, 1) ? (*nEventIndicators = 0, OK) : ERROR);
+    CALL(READABLE | INSTANTIATED,
+         valid_array(instance, nEventIndicators, 1) ? (*nEventIndicators = 0, OK) : ERROR);
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
-    CALL(READABLE | INSTANTIATED, given(instance, nContinuousStates, 1) ? (*nContinuousStates = NX, OK) : ERROR);
+    CALL(READABLE | INSTANTIATED,
+         valid_array(instance, nContinuousStates, 1) ? (*nContinuousStates = NX, OK) : ERROR);
 }

@@ -1,4 +1,4 @@
-/* FMI 3.0: what the model does not have. The functions must be there; they refuse all but empty requests. */
+/* FMI 3.0: functions for features that the model does not have. They accept empty requests and refuse all others. */
 
 #include "fmi3.h"
 

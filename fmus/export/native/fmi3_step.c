@@ -2,7 +2,7 @@
 
 #include "fmi3.h"
 
-double update(void *owner, double end) {
+double intermediate_update(void *owner, double end) {
     Instance *self = owner;
     State *s = &self->core.s;
     const fmi3IntermediateUpdateCallback callback = (fmi3IntermediateUpdateCallback)self->update;
@@ -37,8 +37,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     Instance *self = instance;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, __func__, STEP_MODE)) return fmi3Error;
-    if (!given(self, eventHandlingNeeded, 1) || !given(self, terminateSimulation, 1)) return fmi3Error;
-    if (!given(self, earlyReturn, 1) || !given(self, lastSuccessfulTime, 1)) return fmi3Error;
+    if (!valid_array(self, eventHandlingNeeded, 1) || !valid_array(self, terminateSimulation, 1)) return fmi3Error;
+    if (!valid_array(self, earlyReturn, 1) || !valid_array(self, lastSuccessfulTime, 1)) return fmi3Error;
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
     const double reached = self->core.s.time, end = currentCommunicationPoint + communicationStepSize;
     *eventHandlingNeeded = *terminateSimulation = fmi3False;

@@ -1,4 +1,4 @@
-/* Life of an instance, its state machine and its log. */
+/* Creation, setup and reset of an instance, its FMI state machine, its log. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -13,7 +13,7 @@ typedef struct {
     unsigned mask;
 } Category;
 
-/* The first four by kind of message. */
+/* The index of the first four is the status of the message. */
 static const Category CATEGORIES[] = {
     {"logEvents", 1u << OK},           {"logStatusWarning", 1u << WARNING},
     {"logStatusDiscard", 1u << DISCARD}, {"logStatusError", 1u << ERROR},
@@ -21,8 +21,8 @@ static const Category CATEGORIES[] = {
 };
 enum { NUMBER_OF_CATEGORIES = sizeof CATEGORIES / sizeof *CATEGORIES };
 
-/* Logged without debug logging, too: what goes with a warning or an error has to reach the user. */
-enum { ALWAYS = 1u << WARNING | 1u << ERROR };
+/* Warnings and errors are also logged if debug logging is off. */
+enum { ALWAYS_LOGGED = 1u << WARNING | 1u << ERROR };
 
 const char *instance_category(Status kind) { return CATEGORIES[kind].name; }
 
@@ -72,20 +72,20 @@ int allowed(Instance *self, const char *function, int mask) {
     return 1;
 }
 
-int given(Instance *self, const void *array, size_t n) {
+int valid_array(Instance *self, const void *array, size_t n) {
     if (n == 0) return 1;
-    if (array && n <= ~(size_t)0 / 16) return 1; /* negative lengths are huge ones */
+    if (array && n <= ~(size_t)0 / 16) return 1; /* a negative length was converted to a huge one */
     core_message(&self->core, ERROR, array ? "%zu values, expected fewer" : "a null pointer for %zu values", n);
     return 0;
 }
 
 Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]) {
-    if (!given(self, categories, n)) return ERROR;
-    /* Without names everything is meant; warnings and errors can be silenced only by name. */
-    unsigned mask = n == 0 ? (on ? ~0u : ~(unsigned)ALWAYS) : 0u;
+    if (!valid_array(self, categories, n)) return ERROR;
+    /* Without names all categories are meant; warnings and errors can be switched off only by name. */
+    unsigned mask = n == 0 ? (on ? ~0u : ~(unsigned)ALWAYS_LOGGED) : 0u;
     for (size_t i = 0; i < n; i++) {
         int known = 0;
-        if (!given(self, categories[i], 1)) return ERROR;
+        if (!valid_array(self, categories[i], 1)) return ERROR;
         for (int k = 0; k < NUMBER_OF_CATEGORIES; k++)
             if (strcmp(categories[i], CATEGORIES[k].name) == 0) {
                 mask |= CATEGORIES[k].mask;
@@ -97,7 +97,7 @@ Status instance_set_log(Instance *self, int on, size_t n, const char *const cate
     return OK;
 }
 
-/* ---- life ------------------------------------------------------------------------------------ */
+/* ---- creation, setup, reset ------------------------------------------------------------------ */
 
 const char *instance_problem(const char *name, const char *guid) {
     if (!name || strspn(name, " \t\r\n") == strlen(name)) return "the instance name is empty";
@@ -107,7 +107,7 @@ const char *instance_problem(const char *name, const char *guid) {
     return NULL;
 }
 
-static void begin(Instance *self, int type) {
+static void initialise(Instance *self, int type) {
     core_reset(&self->core);
     self->core.s.type = type;
     self->core.s.phase = INSTANTIATED;
@@ -117,10 +117,10 @@ Instance *instance_create(const char *name, int type, int logging) {
     Instance *self = calloc(1, sizeof *self + strlen(name) + 1);
     if (!self) return NULL;
     strcpy(self->name, name);
-    self->log = logging ? ~0u : ALWAYS;
+    self->log = logging ? ~0u : ALWAYS_LOGGED;
     self->core.report = report;
     self->core.owner = self;
-    begin(self, type);
+    initialise(self, type);
     return self;
 }
 
@@ -138,10 +138,10 @@ Status instance_setup(Instance *self, int tolerance_defined, double tolerance, d
     return OK;
 }
 
-Status instance_initialized(Instance *self) {
+Status instance_exit_initialization(Instance *self) {
     State *s = &self->core.s;
-    if (!core_sound(&self->core)) return ERROR;
-    s->initial = s->type == MODEL_EXCHANGE; /* it ends with the first states that are set or integrated */
+    if (!core_check_state(&self->core)) return ERROR;
+    s->initial = s->type == MODEL_EXCHANGE; /* see exchange.c: until states are set or integrated */
     s->phase = s->type == CO_SIMULATION && !self->events ? STEP_MODE : EVENT_MODE;
     return OK;
 }
@@ -152,7 +152,7 @@ Status instance_enter(Instance *self, int phase) {
 }
 
 Status instance_reset(Instance *self) {
-    begin(self, self->core.s.type);
-    exchange_hold(self);
+    initialise(self, self->core.s.type);
+    exchange_keep_inputs(self);
     return OK;
 }

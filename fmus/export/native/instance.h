@@ -1,13 +1,13 @@
-/* What FMI 2 and FMI 3 share: an instance, its state machine, its log, and what the functions do.
-   fmi2.c and fmi3.c translate names and types. */
+/* What FMI 2 and FMI 3 share: an instance, its FMI state machine, its log, and the content of the FMI functions.
+   fmi2*.c and fmi3*.c translate names and types. */
 
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
 #include "core.h"
 
-/* States of the FMI state machine; masks of them say where a function may be called, and for which
-   kind of instance if not for both. */
+/* States of the FMI state machine. A mask of them declares where a function may be called, with MODEL_EXCHANGE or
+   CO_SIMULATION also for which kind of instance. */
 enum {
     INSTANTIATED = 1,
     INITIALIZATION = 2,
@@ -22,24 +22,25 @@ enum {
     OUTSIDE = ANY & ~INSIDE_STEP,
     MODEL_EXCHANGE = 256,
     CO_SIMULATION = 512,
-    READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED /* by a solver */
+    /* where the solver of the importer may read states and derivatives */
+    READABLE = MODEL_EXCHANGE | INITIALIZATION | EVENT_MODE | CONTINUOUS_TIME | TERMINATED
 };
 
 typedef struct Instance {
     Core core;
-    void (*write)(const struct Instance *self, Status kind, const char *text); /* to the caller's log */
-    void (*logger)(void); /* the caller's function, of the type of the FMI version */
-    void (*update)(void); /* the same for values inside a step; may be null */
+    void (*write)(const struct Instance *self, Status kind, const char *text); /* writes to the importer's log */
+    void (*logger)(void); /* the importer's logger, of the type of the FMI version */
+    void (*update)(void); /* the importer's intermediate update; may be null */
     void *environment;
     int events;       /* co-simulation enters event mode */
     int early_return; /* a step may end early */
-    unsigned log;     /* mask of kinds of messages that are logged */
-    int has_time;     /* the time is a variable, the one after the last */
-    struct {          /* model exchange: does the caller hold the inputs over the steps of its solver? */
-        double at[ROOM(NU)]; /* the inputs after their last change */
-        int evaluated;       /* derivatives were computed since then */
-        int moved;           /* with other inputs */
-        int restart;         /* the next update at an event makes the solver start anew */
+    unsigned log;     /* mask of the statuses whose messages are logged */
+    int has_time;     /* the time is a variable, after the last one of the model */
+    struct {          /* model exchange: detects an importer that holds the inputs over steps of its solver */
+        double inputs[ROOM(NU)]; /* the inputs after their last change */
+        int evaluated;           /* derivatives were computed since then */
+        int inputs_vary;         /* some of these with other inputs */
+        int restart;             /* the next update at an event restarts the solver */
     } held;
     char name[];
 } Instance;
@@ -48,21 +49,21 @@ typedef struct Instance {
 
 /* What is wrong with the arguments of an instantiation, or null. */
 LOCAL const char *instance_problem(const char *name, const char *guid);
-/* A new instance, or null when there is no memory; `type` is MODEL_EXCHANGE or CO_SIMULATION. */
+/* A new instance, or null if there is no memory; `type` is MODEL_EXCHANGE or CO_SIMULATION. */
 LOCAL Instance *instance_create(const char *name, int type, int logging);
-/* The category of messages of one kind. */
+/* The log category of messages with this status. */
 LOCAL const char *instance_category(Status kind);
-/* 1 if the function may be called now; else 0 and an error message. */
+/* 1 if the function may be called now; else 0 and a message. */
 LOCAL int allowed(Instance *self, const char *function, int mask);
-/* 1 if the caller's array has an address and n is a possible length; else 0 and an error message. */
-LOCAL int given(Instance *self, const void *array, size_t n);
-/* ERROR after a message. */
+/* 1 if the importer's array is not null and n is a possible length; else 0 and a message. */
+LOCAL int valid_array(Instance *self, const void *array, size_t n);
+/* Reports an error message; returns ERROR. */
 LOCAL Status refuse(Instance *self, const char *format, ...);
 LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);
 LOCAL Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
                             int stop_defined, double stop);
-LOCAL Status instance_initialized(Instance *self);
-/* To another state of the state machine. */
+LOCAL Status instance_exit_initialization(Instance *self);
+/* Changes the state of the FMI state machine. */
 LOCAL Status instance_enter(Instance *self, int phase);
 LOCAL Status instance_reset(Instance *self);
 
@@ -70,11 +71,11 @@ LOCAL Status instance_reset(Instance *self);
 
 LOCAL Status values_get(Instance *self, const unsigned r[], size_t n, double value[]);
 LOCAL Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
-/* Is this the value reference of the time? */
+/* 1 if this is the value reference of the time. */
 LOCAL int is_time(const Instance *self, unsigned r);
-/* Do states follow from start values now? */
+/* 1 if the states are computed from start values now. */
 LOCAL int is_starting(const Instance *self);
-/* May this variable be a known or an unknown of a derivative? A message if not. */
+/* 1 if the variable may be a known or an unknown of a derivative; else 0 and a message. */
 LOCAL int is_known(Instance *self, unsigned r);
 LOCAL int is_unknown(Instance *self, unsigned r);
 LOCAL Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown,
@@ -84,15 +85,15 @@ LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_
 
 /* ---- exchange.c */
 
-/* Continuous-time mode begins. */
+/* Enters continuous-time mode. */
 LOCAL Status exchange_enter(Instance *self);
-/* The caller has the states at the start. */
-LOCAL void exchange_settle(Instance *self);
-/* The inputs are as they are from here on, whatever they were. */
-LOCAL void exchange_hold(Instance *self);
-/* Must the solver start anew after this update at an event? Asked once. */
-LOCAL int exchange_restarts(Instance *self);
-/* The solver's step is done; `*event` is 1 where it must start anew. */
+/* Fixes the initial states: inputs no longer change them. */
+LOCAL void exchange_fix_start(Instance *self);
+/* Stores the inputs, with which later ones are compared. */
+LOCAL void exchange_keep_inputs(Instance *self);
+/* 1 if the solver must restart after this update at an event; the second call returns 0. */
+LOCAL int exchange_restart_needed(Instance *self);
+/* Checks a completed step of the solver; `*event` becomes 1 if the solver must restart. */
 LOCAL Status exchange_completed(Instance *self, int *event);
 LOCAL Status exchange_set_time(Instance *self, double time);
 LOCAL Status exchange_set_states(Instance *self, const double x[], size_t n);
@@ -107,7 +108,7 @@ LOCAL int exchange_next_event(Instance *self, double *time);
 
 LOCAL Status do_step(Instance *self, double time, double length);
 
-/* ---- states.c: a saved state is the bytes of snapshot.c */
+/* ---- states.c */
 
 LOCAL Status states_get(Instance *self, void **state);
 LOCAL Status states_set(Instance *self, const void *state);

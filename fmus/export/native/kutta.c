@@ -4,23 +4,23 @@
 
        x(t + h) = x + h (k_1 + 4 k_2 + k_3) / 6        error = h (k_1 - 2 k_2 + k_3) / 6
 
-   Between the last two stages dx/dt changes by lambda = (k_3 - k_2) / (x_3 - x_2). Above |lambda h| = 1 the step
-   is given up: there the method soon multiplies whatever is there, rounding for a start.
-   W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435. Half the work of a step of RODAS or less: no
-   Jacobian, nothing to solve. For what is not stiff over a step. */
+   An eigenvalue is estimated from the last two stages, lambda = (k_3 - k_2) / (x_3 - x_2). If |lambda h| > 1 the step
+   is rejected: the method would soon amplify any error, even that of rounding.
+   W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435. The method needs no
+   Jacobian and no linear system, so a step costs half of one of RODAS or less. For models that are not stiff. */
 
 #include "solver.h"
 
 LOCAL int kutta(const double *x, const double *p, const double *c, const Motion *motion, double tau,
                 double h, Work *w) {
     const double *k1 = w->f0;
-    double change = 0.0, moved = 0.0; /* squares, in units of the nominal values */
+    double change = 0.0, moved = 0.0; /* |k_3 - k_2|^2 and |x_3 - x_2|^2 / h^2, relative to the nominal values */
     double *k2 = w->k[0], *k3 = w->k[1];
     for (int i = 0; i < NX; i++) w->x[i] = x[i] + 0.5 * h * k1[i];
-    motion_move(motion, tau + 0.5 * h, w->u);
+    motion_update(motion, tau + 0.5 * h, w->u);
     model_dynamics(w->x, w->u, p, c, k2);
     for (int i = 0; i < NX; i++) w->x[i] = x[i] + h * (2.0 * k2[i] - k1[i]);
-    motion_move(motion, tau + h, w->u);
+    motion_update(motion, tau + h, w->u);
     model_dynamics(w->x, w->u, p, c, k3);
     for (int i = 0; i < NX; i++) {
         w->error[i] = h / 6.0 * (k1[i] - 2.0 * k2[i] + k3[i]);

@@ -1,10 +1,11 @@
-/* What a generated model provides: its sizes, its variables and its equations
+/* The interface between generated and hand-written code: sizes, variables and equations of a model
 
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
-   sizes.h, model.c and adjoint.c are generated; everything else is the same for every model. model.c also
-   defines the tables model_variables (by value reference), model_watched (value references of what warn_above
-   watches) and model_statements (what must stay positive, in words; values come from model_observe).
+   sizes.h, model.c and adjoint.c are generated; all other files are the same for every model. model.c also
+   defines three tables: model_variables (by value reference), model_watched (value references of the variables
+   with a warning limit) and model_statements (descriptions of the requirements; model_observe computes the values
+   that must be positive).
    Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
 
 #ifndef MODEL_H
@@ -12,10 +13,10 @@
 
 #include "sizes.h"
 
-/* All files are compiled as one (<model>_fmu.c), so that nothing but the FMI functions has a name outside. */
+/* <model>_fmu.c includes all other files, so all functions except those of FMI can be static. */
 #define LOCAL static
 
-/* Length of an array for n numbers: C99 has no arrays of length zero. */
+/* Length of an array for n values: C99 has no arrays of length zero. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 
 /* Value references are consecutive: parameters, inputs, states, derivatives, outputs. */
@@ -35,44 +36,45 @@ typedef struct {
     const char *unit;
     Kind kind;
     double start;
-    double minimum, maximum; /* infinite where there is no bound */
-    double nominal;          /* magnitude, for scaling */
-    double absolute;         /* states: absolute tolerance over the relative one */
-    double warn_above;       /* infinite where nothing is watched */
-    int rate;                /* inputs: index of the input with the time derivative, or -1 */
+    double minimum, maximum; /* infinite if there is no bound */
+    double nominal;
+    double absolute_scale;   /* states: absolute tolerance / relative tolerance */
+    double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
+    int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
 } Variable;
 
-/* c from p */
+/* Computes c from p. */
 LOCAL void model_prepare(const double *p, double *c);
 
-/* x0: states at the start from their start values x */
+/* Computes the initial states x0 from the start values x. */
 LOCAL void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
 
-/* dx = f(x, u, p) */
+/* Computes dx = f(x, u, p). */
 LOCAL void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
 
-/* dx as above, jac = what is not constant in df/dx, ft = df/du du */
+/* Computes dx as above, jac = the entries of df/dx that are not constant, ft = df/du du. */
 LOCAL void model_jacobian(const double *x, const double *u, const double *p, const double *c,
                           const double *du, double *dx, double *jac, double *ft);
 
-/* factors lu of I * diagonal - df/dx; trust is 0 where they are not accurate: try a larger diagonal */
-LOCAL void model_factorise(const double *diagonal, const double *jac, double *lu, double *trust);
+/* Computes the factors lu of I * diagonal - df/dx. If they are inaccurate, `accurate` is 0: a larger diagonal
+   helps. */
+LOCAL void model_factorise(const double *diagonal, const double *jac, double *lu, double *accurate);
 
-/* k from (I * diagonal - df/dx) k = b */
+/* Solves (I * diagonal - df/dx) k = b. */
 LOCAL void model_solve(const double *lu, const double *b, double *k);
 
-/* y = g(x, u, p) and the values that must be positive */
+/* Computes y = g(x, u, p) and the values that must be positive. */
 LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
                          double *require);
 
-/* wait [s] until the next known instant at which a rate jumps; infinite if there is none */
-LOCAL void model_corner(const double *x, const double *u, const double *p, const double *c, double *wait);
+/* Computes the delay [s] until the next time event, at which a derivative jumps; infinite if there is none. */
+LOCAL void model_time_event(const double *x, const double *u, const double *p, const double *c, double *delay);
 
-/* directional derivatives of f and g along (vx, vu) */
+/* Directional derivatives of f and g along (vx, vu). */
 LOCAL void model_forward(const double *x, const double *u, const double *p, const double *c, const double *vx,
                          const double *vu, double *vdx, double *vy);
 
-/* directional derivatives of s and of f and g at the start along (vx, vu, vp); x are the states at the start */
+/* Directional derivatives along (vx, vu, vp) of s, and of f and g at the initial states x. */
 LOCAL void model_start_forward(const double *x, const double *u, const double *p, const double *c,
                                const double *vx, const double *vu, const double *vp, double *vx0,
                                double *vdx0, double *vy0);

@@ -1,22 +1,21 @@
-/* The inputs between two communication points. */
+/* Inputs inside a communication step, as polynomials of time. */
 
 #ifndef MOTION_H
 #define MOTION_H
 
 #include "model.h"
 
-/* Inputs over the step: at[i] + sum over k of slope[i][k] (tau - origin)^(k+1), tau [s] since its start. */
+/* u_i(tau) = start[i] + sum over k of coefficients[i][k] (tau - origin)^(k+1), tau [s] from the start of the step. */
 typedef struct {
-    double at[ROOM(NU)];
-    double slope[ROOM(NU)][3];
-    int moving[ROOM(NU)]; /* indices of the `count` inputs with a slope */
+    double start[ROOM(NU)];
+    double coefficients[ROOM(NU)][3];
+    int moving[ROOM(NU)]; /* indices of the `count` inputs that are not constant; only these have coefficients */
     int count;
     double origin;
 } Motion;
 
-/* Value of all inputs at tau; of those that move, where the others are there already; slope of all. */
-LOCAL void motion_value(const Motion *motion, double tau, double *u);
-LOCAL void motion_move(const Motion *motion, double tau, double *u);
-LOCAL void motion_slope(const Motion *motion, double tau, double *du);
+LOCAL void motion_value(const Motion *motion, double tau, double *u);       /* values of all inputs at tau */
+LOCAL void motion_update(const Motion *motion, double tau, double *u);      /* values of the moving inputs only */
+LOCAL void motion_derivative(const Motion *motion, double tau, double *du); /* derivatives of all inputs */
 
 #endif

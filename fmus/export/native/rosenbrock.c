@@ -1,5 +1,5 @@
-/* RODAS: a linearly implicit Runge-Kutta method of order 4 with an embedded one of order 3,
-   L-stable and stiffly accurate, six stages, one Jacobian and one LU factorisation per step.
+/* RODAS, the implicit method: a Rosenbrock method of order 4 with an embedded one of order 3. It is L-stable and
+   stiffly accurate, with six stages, one Jacobian and one LU factorisation per step.
 
        (I / (gamma h) - J) k_i = f(t + alpha_i h, x + sum_j a_ij k_j) + sum_j c_ij / h k_j + g_i h f_t
 
@@ -40,7 +40,7 @@ LOCAL void rosenbrock(const double *x, const double *p, const double *c, const M
             for (int i = 0; i < NX; i++) w->x[i] = x[i];
             for (int j = 0; j < s; j++)
                 for (int i = 0; i < NX; i++) w->x[i] += A[s][j] * w->k[j][i];
-            if (s < STAGES - 1) motion_move(motion, tau + ALPHA[s] * h, w->u);
+            if (s < STAGES - 1) motion_update(motion, tau + ALPHA[s] * h, w->u);
             model_dynamics(w->x, w->u, p, c, w->b);
             double sum[ROOM(NX)] = {0.0};
             for (int j = 0; j < s; j++)

@@ -1,7 +1,7 @@
-/* Inner steps with error control, by the implicit method. Of a model that is not declared stiff each is tried with
-   the explicit method first, at half the cost; where its error is too large or it is not stable, for the model
-   bends or is stiff there, the implicit one does it, and the explicit one rests: for 8 inner steps at first, for
-   up to 1024 where it fails again and again. */
+/* Inner steps with error control. A model that is declared stiff is solved by the implicit method alone. For other
+   models each inner step is tried with the explicit method first, which costs half as much. If its error is too
+   large or it is unstable, the implicit method repeats the step, and the explicit method pauses: for 8 inner steps
+   at first, for up to 1024 after repeated failures. */
 
 #include "solver.h"
 
@@ -9,16 +9,16 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST_STEPS = 1000000, SHORTEST_REST = 8, LONGEST_REST = 1024 };
+enum { MOST_STEPS = 1000000, SHORTEST_PAUSE = 8, LONGEST_PAUSE = 1024 };
 
 static const double DIAGONAL = 4.0; /* 1 / gamma of RODAS */
 
-/* Weighted root mean square of the error estimate; the largest part goes to the report. */
+/* Weighted root mean square of the error estimate; stores the largest part in the report. */
 static double error_norm(const double *x, const Work *w, double tolerance, Report *report) {
     double sum = 0.0, largest = -1.0;
     for (int i = 0; i < NX; i++) {
-        const double size = fmax(fabs(x[i]), fabs(w->x[i]));
-        const double weight = tolerance * (model_variables[FIRST_STATE + i].absolute + size);
+        const double magnitude = fmax(fabs(x[i]), fabs(w->x[i]));
+        const double weight = tolerance * (model_variables[FIRST_STATE + i].absolute_scale + magnitude);
         const double part = fabs(w->error[i]) / weight;
         sum += part * part;
         if (!isnan(largest) && !(part <= largest)) {
@@ -37,51 +37,52 @@ static int not_finite(const double *f) {
     return -1;
 }
 
-/* Is it the explicit method's turn? */
-static int its_turn(Pace *pace) {
-    if (pace->rest <= 0) return 1;
-    pace->rest--;
+/* 1 if the explicit method is to be tried in this inner step. */
+static int try_explicit(SolverMemory *memory) {
+    if (memory->pause <= 0) return 1;
+    memory->pause--;
     return 0;
 }
 
-static void learn(Pace *pace, int success) {
-    int patience = pace->patience;
-    if (patience < SHORTEST_REST) patience = SHORTEST_REST;
-    if (patience > LONGEST_REST) patience = LONGEST_REST;
-    pace->rest = success ? 0 : patience;
-    pace->patience = success ? patience - 1 : 2 * patience;
+static void update_pause(SolverMemory *memory, int success) {
+    int pause = memory->next_pause;
+    if (pause < SHORTEST_PAUSE) pause = SHORTEST_PAUSE;
+    if (pause > LONGEST_PAUSE) pause = LONGEST_PAUSE;
+    memory->pause = success ? 0 : pause;
+    memory->next_pause = success ? pause - 1 : 2 * pause;
 }
 
 LOCAL Report solve(double *x, const double *p, const double *c, const Motion *motion, double length,
-                   double tolerance, double smallest, const Between *between, Pace *pace, Work *w) {
+                   double tolerance, double minimum_step, const StepCallback *callback, SolverMemory *memory,
+                   Work *w) {
     Report report = {SOLVED, 0.0, 0.0, 0, 0.0};
-    double tau = 0.0, proposal = pace->step > 0.0 ? pace->step : length;
-    int fresh = 0, rejected = 0;
+    double tau = 0.0, proposal = memory->step > 0.0 ? memory->step : length;
+    int linearised = 0, rejected = 0;
     for (int count = 0; tau < length; count++) {
         /* Equal steps to the end, none larger than the proposal: no tiny last step. */
         const double parts = ceil((length - tau) / proposal * (1.0 - 1e-9));
         const double h = parts > 1.0 ? (length - tau) / parts : length - tau;
-        double error = INFINITY, trust = 1.0;
+        double error = INFINITY, accurate = 1.0;
         report.tau = tau;
         report.step = h;
         if (count == MOST_STEPS) {
             report.outcome = TOO_MANY_STEPS;
             return report;
         }
-        if (!fresh) {
+        if (!linearised) {
             motion_value(motion, tau, w->u);
-            if (EXPLICIT_FIRST && its_turn(pace)) {
+            if (EXPLICIT_FIRST && try_explicit(memory)) {
                 model_dynamics(x, w->u, p, c, w->f0);
                 if (kutta(x, p, c, motion, tau, h, w)) error = error_norm(x, w, tolerance, &report);
-                learn(pace, error <= 1.0);
+                update_pause(memory, error <= 1.0);
             }
         }
         if (!(error <= 1.0)) {
-            if (!fresh) {
-                motion_move(motion, tau, w->u);
-                motion_slope(motion, tau, w->du);
+            if (!linearised) {
+                motion_update(motion, tau, w->u);
+                motion_derivative(motion, tau, w->du);
                 model_jacobian(x, w->u, p, c, w->du, w->f0, w->jac, w->ft);
-                fresh = 1;
+                linearised = 1;
                 if (not_finite(w->f0) >= 0) {
                     report.outcome = NOT_FINITE;
                     report.worst = not_finite(w->f0);
@@ -90,32 +91,32 @@ LOCAL Report solve(double *x, const double *p, const double *c, const Motion *mo
             }
             const double diagonal = DIAGONAL / h;
             error = INFINITY;
-            model_factorise(&diagonal, w->jac, w->lu, &trust);
-            if (trust != 0.0) {
+            model_factorise(&diagonal, w->jac, w->lu, &accurate);
+            if (accurate != 0.0) {
                 rosenbrock(x, p, c, motion, tau, h, w);
                 error = error_norm(x, w, tolerance, &report);
             }
         }
         if (error <= 1.0) {
-            /* Order of the estimate of RODAS is 3, so its error grows with h^4; that of the other with h^3. */
+            /* The estimate of RODAS has order 3: its error grows as h^4, that of Kutta's method as h^3. */
             const double growth = fmin(5.0, 0.9 / sqrt(sqrt(fmax(error, 1e-8))));
             const double next = h * (rejected ? fmin(1.0, growth) : growth);
-            /* A step cut short by the end of the interval says nothing against the old proposal. */
+            /* A step that was shortened by the end of the interval does not lower the proposal. */
             proposal = growth < 5.0 || rejected ? next : fmax(next, proposal);
             memcpy(x, w->x, NX * sizeof *x);
             tau = parts > 1.0 ? tau + h : length;
-            fresh = rejected = 0;
-            if (between->call) length = between->call(between->owner, tau, length);
+            linearised = rejected = 0;
+            if (callback->call) length = callback->call(callback->owner, tau, length);
         } else {
             proposal = h * (error < DBL_MAX ? fmax(0.2, 0.9 / sqrt(sqrt(error))) : 0.2);
             rejected = 1;
-            if (proposal < smallest) {
-                report.outcome = trust != 0.0 ? STEP_TOO_SMALL : SINGULAR;
+            if (proposal < minimum_step) {
+                report.outcome = accurate != 0.0 ? STEP_TOO_SMALL : SINGULAR;
                 return report;
             }
         }
     }
     report.tau = tau;
-    pace->step = proposal;
+    memory->step = proposal;
     return report;
 }

@@ -1,31 +1,31 @@
-/* Integrates the states of the model over one communication step. */
+/* Integration of the model's states over one communication step. */
 
 #ifndef SOLVER_H
 #define SOLVER_H
 
 #include "motion.h"
 
-/* Called after each accepted inner step, with the states at tau; it may change the motion of the inputs
-   from there on, and returns where to stop: tau or later, `length` to go on to the end. */
+/* Called after each accepted inner step, with the states at tau. It may change the motion of the inputs from there
+   on. Returns where the integration ends: a value from tau to `length`. */
 typedef struct {
     double (*call)(void *owner, double tau, double length);
     void *owner;
-} Between;
+} StepCallback;
 
-/* What the solver remembers from step to step; all zero at first. */
+/* The part of the solver's state that is kept between communication steps; zero at first. */
 typedef struct {
-    double step;  /* proposal for the next inner step [s], 0 if none */
-    int rest;     /* inner steps for which the explicit method rests, because it failed */
-    int patience; /* how many it rests when it fails the next time */
-} Pace;
+    double step;    /* proposal for the next inner step [s], 0 if there is none */
+    int pause;      /* inner steps before the explicit method is tried again, after it failed */
+    int next_pause; /* length of the pause after its next failure */
+} SolverMemory;
 
-/* Scratch memory of the solver: nothing in it outlives a call. */
+/* Temporary arrays of the solver; they hold nothing between calls. */
 typedef struct {
-    double jac[ROOM(NJ)]; /* what is not constant in df/dx */
+    double jac[ROOM(NJ)]; /* entries of df/dx that are not constant */
     double lu[ROOM(NLU)]; /* factors of I / (gamma h) - df/dx */
     double b[ROOM(NX)];   /* right-hand side of a stage */
     double f0[ROOM(NX)], ft[ROOM(NX)];
-    double x[ROOM(NX)]; /* states at a stage, in the end at the end of the step */
+    double x[ROOM(NX)]; /* states at a stage, finally at the end of the step */
     double error[ROOM(NX)];
     double u[ROOM(NU)], du[ROOM(NU)];
     double k[6][ROOM(NX)];
@@ -35,22 +35,24 @@ typedef enum { SOLVED, NOT_FINITE, SINGULAR, STEP_TOO_SMALL, TOO_MANY_STEPS } Ou
 
 typedef struct {
     Outcome outcome;
-    double tau;   /* how far it came [s] */
+    double tau;   /* time reached, from the start of the communication step [s] */
     double step;  /* last step tried [s] */
     int worst;    /* index of the state with the largest error, or of the derivative that is not finite */
-    double error; /* its error over the tolerance */
+    double error; /* error of that state / tolerance */
 } Report;
 
-/* One step of size h from x at tau, where w->u are the inputs, w->f0 is dx/dt and, for the implicit method,
-   w->lu and w->ft are made: new states in w->x, estimate of their error in w->error. The explicit method tells
-   whether it is stable there. */
+/* One step of size h from x at tau. Input: the inputs w->u, dx/dt in w->f0 and, for the implicit method, w->lu and
+   w->ft. Output: the new states w->x and their estimated error w->error. `kutta` returns 1 if the explicit method
+   is stable in this step. */
 LOCAL void rosenbrock(const double *x, const double *p, const double *c, const Motion *motion, double tau,
                       double h, Work *w);
 LOCAL int kutta(const double *x, const double *p, const double *c, const Motion *motion, double tau,
                 double h, Work *w);
 
-/* Advances x by `length` [s], or up to where `between` stops it; `smallest` is where it gives up. */
+/* Advances x by `length` [s] or until `callback` ends the integration. A step below `minimum_step` [s] is a
+   failure. */
 LOCAL Report solve(double *x, const double *p, const double *c, const Motion *motion, double length,
-                   double tolerance, double smallest, const Between *between, Pace *pace, Work *work);
+                   double tolerance, double minimum_step, const StepCallback *callback, SolverMemory *memory,
+                   Work *w);
 
 #endif

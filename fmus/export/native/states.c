@@ -1,4 +1,4 @@
-/* Saved states: memory of the caller that holds the bytes of snapshot.c. */
+/* FMU states: get, set, free and serialise; each is a block of memory with the bytes of snapshot.c. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -6,9 +6,9 @@
 
 #include "instance.h"
 
-/* Room for a saved state, in what `state` points to if it has some. */
-static int room(Instance *self, void **state) {
-    if (!given(self, state, 1)) return 0;
+/* Allocates memory for a saved state if `*state` is null; 0 and a message if that fails. */
+static int allocate(Instance *self, void **state) {
+    if (!valid_array(self, state, 1)) return 0;
     if (!*state) *state = malloc(snapshot_size());
     if (*state) return 1;
     refuse(self, "out of memory");
@@ -16,8 +16,8 @@ static int room(Instance *self, void **state) {
 }
 
 Status states_get(Instance *self, void **state) {
-    if (!room(self, state)) return ERROR;
-    if (self->core.s.settled) core_start(&self->core);
+    if (!allocate(self, state)) return ERROR;
+    if (self->core.s.start_fixed) core_start(&self->core);
     snapshot_write(&self->core.s, *state);
     return OK;
 }
@@ -30,29 +30,29 @@ Status states_set(Instance *self, const void *state) {
         return refuse(self, "the saved state is of an instance for %s",
                       restored.type == CO_SIMULATION ? "co-simulation" : "model exchange");
     if (!(restored.phase & ANY & ~INSIDE_STEP) || !isfinite(restored.time))
-        return refuse(self, "the saved state is none of this model");
+        return refuse(self, "the saved state does not belong to this model");
     memcpy(&self->core.s, &restored, sizeof restored);
-    core_changed(&self->core);
-    self->core.start_valid = restored.settled;
-    exchange_hold(self);
+    core_invalidate(&self->core);
+    self->core.start_valid = restored.start_fixed;
+    exchange_keep_inputs(self);
     return OK;
 }
 
 Status states_serialize(Instance *self, const void *state, char bytes[], size_t size) {
     if (!state) return refuse(self, "there is no saved state");
-    if (!given(self, bytes, 1)) return ERROR;
+    if (!valid_array(self, bytes, 1)) return ERROR;
     if (size < snapshot_size()) return refuse(self, "the memory is too small");
     memcpy(bytes, state, snapshot_size());
-    snapshot_seal(bytes);
+    snapshot_add_checksum(bytes);
     return OK;
 }
 
 Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state) {
     State restored;
-    if (!given(self, bytes, size ? size : 1) || !given(self, state, 1)) return ERROR;
-    *state = NULL; /* what it held on entry is not defined */
+    if (!valid_array(self, bytes, size ? size : 1) || !valid_array(self, state, 1)) return ERROR;
+    *state = NULL; /* undefined on entry */
     if (!snapshot_read(&self->core, &restored, bytes, size, 1)) return ERROR;
-    if (!room(self, state)) return ERROR;
+    if (!allocate(self, state)) return ERROR;
     snapshot_write(&restored, *state);
     return OK;
 }

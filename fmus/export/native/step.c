@@ -1,24 +1,24 @@
-/* Co-simulation: one communication step. */
+/* Co-simulation: a communication step, with checks of its time and length. */
 
 #include <float.h>
 #include <math.h>
 
 #include "instance.h"
 
-/* What times in two ways of counting may differ by. */
+/* Rounding error by which two computations of the same time may differ. */
 static double rounding(double time) { return 2 * DBL_EPSILON * fabs(time); }
 
-/* The first reason why a step from `time` over `length` is impossible, as a message; 0 if there is one. */
-static int possible(Core *core, double time, double length) {
+/* 1 if a step from `time` over `length` is possible, else 0 and a message. */
+static int step_allowed(Core *core, double time, double length) {
     const State *s = &core->s;
     const double end = time + length;
-    const double late = 0.01 * length + rounding(time); /* more than that is a mistake of the master */
+    const double tolerance = 0.01 * length + rounding(time); /* a larger gap is an error of the master */
     if (!(length > 0.0) || !isfinite(end) || end == time)
         core_message(core, ERROR, "the step size is %g s at t = %.15g s, expected one that advances the time",
                      length, time);
-    else if (!(fabs(time - s->time) <= late))
+    else if (!(fabs(time - s->time) <= tolerance))
         core_message(core, ERROR, "the communication point is %.15g s, expected %.15g s", time, s->time);
-    else if (end > s->stop_time + late)
+    else if (end > s->stop_time + tolerance)
         core_message(core, ERROR, "the step ends at %.15g s, after the stop time %.15g s", end, s->stop_time);
     else return 1;
     return 0;
@@ -26,8 +26,8 @@ static int possible(Core *core, double time, double length) {
 
 Status do_step(Instance *self, double time, double length) {
     State *s = &self->core.s;
-    if (!possible(&self->core, time, length)) return ERROR;
-    /* A gap between the master's time and ours becomes part of the step; rounding does not. */
+    if (!step_allowed(&self->core, time, length)) return ERROR;
+    /* A gap between the master's time and that of the instance becomes part of the step; rounding does not. */
     const double gap = time - s->time;
     if (fabs(gap) > rounding(time)) length += gap;
     else s->time = time;

@@ -1,4 +1,4 @@
-/* Values of variables and their derivatives. */
+/* Get and set of variables, directional derivatives, derivatives of outputs. */
 
 #include <math.h>
 #include <string.h>
@@ -8,7 +8,7 @@
 int is_time(const Instance *self, unsigned r) { return self->has_time && r == NUMBER_OF_VARIABLES; }
 
 Status values_get(Instance *self, const unsigned r[], size_t n, double value[]) {
-    if (!given(self, r, n) || !given(self, value, n)) return ERROR;
+    if (!valid_array(self, r, n) || !valid_array(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
         if (is_time(self, r[i])) value[i] = self->core.s.time;
         else if (!core_get(&self->core, r[i], &value[i])) return ERROR;
@@ -18,10 +18,10 @@ Status values_get(Instance *self, const unsigned r[], size_t n, double value[]) 
 
 Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]) {
     Core *core = &self->core;
-    if (!given(self, r, n) || !given(self, value, n)) return ERROR;
+    if (!valid_array(self, r, n) || !valid_array(self, value, n)) return ERROR;
     for (size_t i = 0; i < n; i++) {
         if (is_time(self, r[i])) return refuse(self, "the time cannot be set as a variable");
-        if (!core_check(core, r[i], value[i])) return ERROR;
+        if (!core_check_value(core, r[i], value[i])) return ERROR;
         if (core->s.phase & (CONTINUOUS_TIME | INSIDE_STEP) && model_variables[r[i]].kind != INPUT)
             return refuse(self, "%s can be set only between steps and at events", model_variables[r[i]].name);
     }
@@ -37,7 +37,7 @@ static const char *name_of(unsigned r) {
 
 int is_starting(const Instance *self) { return self->core.s.phase & (INSTANTIATED | INITIALIZATION); }
 
-/* A known is an input or a state; at the start it is an input, a start value or a parameter. */
+/* A known is an input or a state; in initialization mode an input, a start value or a parameter. */
 int is_known(Instance *self, unsigned r) {
     if (r < NUMBER_OF_VARIABLES) {
         const Kind kind = model_variables[r].kind;
@@ -61,11 +61,11 @@ int is_unknown(Instance *self, unsigned r) {
 Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                           size_t n_known, const double seed[], double result[]) {
     Core *core = &self->core;
-    if (!given(self, unknown, n_unknown) || !given(self, result, n_unknown)) return ERROR;
-    if (!given(self, known, n_known) || !given(self, seed, n_known)) return ERROR;
+    if (!valid_array(self, unknown, n_unknown) || !valid_array(self, result, n_unknown)) return ERROR;
+    if (!valid_array(self, known, n_known) || !valid_array(self, seed, n_known)) return ERROR;
     memset(core->direction, 0, sizeof core->direction);
     for (size_t i = 0; i < n_known; i++) {
-        if (is_time(self, known[i])) continue; /* nothing depends on it */
+        if (is_time(self, known[i])) continue; /* no variable depends on the time */
         if (!is_known(self, known[i])) return ERROR;
         core->direction[known[i]] += seed[i];
     }
@@ -79,14 +79,14 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
     return OK;
 }
 
-/* Orders beyond the first are zero, as the standard wants it of those that are not provided. */
+/* Orders above 1 are not provided; the standard requires zero for them. */
 Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
                                  double value[]) {
     Core *core = &self->core;
-    if (!given(self, r, n) || !given(self, order, n) || !given(self, value, n)) return ERROR;
+    if (!valid_array(self, r, n) || !valid_array(self, order, n) || !valid_array(self, value, n)) return ERROR;
     core_derivatives(core);
     for (int i = 0; i < NX; i++) core->direction[FIRST_STATE + i] = core->dx[i];
-    for (int i = 0; i < NU; i++) core->direction[FIRST_INPUT + i] = core_input_slope(core, i);
+    for (int i = 0; i < NU; i++) core->direction[FIRST_INPUT + i] = core_input_derivative(core, i);
     core_forward(core, is_starting(self));
     for (size_t i = 0; i < n; i++) {
         const Variable *v = r[i] < NUMBER_OF_VARIABLES ? &model_variables[r[i]] : NULL;

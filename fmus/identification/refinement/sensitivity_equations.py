@@ -23,10 +23,10 @@ import casadi as ca
 
 from fmus.contract import Symbolic, column
 from fmus.export.c_code import Routine, hoist
-from fmus.export.elimination import Elimination, Place, eliminate, nonzeros
+from fmus.export.elimination import Elimination, Entry, eliminate, nonzeros
 from fmus.identification.refinement.model_reduction import ReducedModel
 
-Entries = Mapping[Place, ca.SX]  # structural nonzeros of a matrix
+Entries = Mapping[Entry, ca.SX]  # structural nonzeros of a matrix
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SensitivityCode:
 
     routines: Sequence[Routine]
     lengths: Mapping[str, int]
-    patterns: Mapping[str, Sequence[Place]]
+    patterns: Mapping[str, Sequence[Entry]]
 
 
 def sensitivity_code(model: ReducedModel) -> SensitivityCode:
@@ -102,7 +102,7 @@ def _second_derivatives(
     return column(*hessian.nonzeros()), symbols, product_x, product_q
 
 
-def _stage_columns(system: Elimination, jacobian: Entries, product: Sequence[Place]) -> Routine:
+def _stage_columns(system: Elimination, jacobian: Entries, product: Sequence[Entry]) -> Routine:
     """dk = M^-1 (J dX + H dx + r) with the factors of M; H holds the products of the second derivatives."""
     n = system.b.numel()
     dX, dx, r = (ca.SX.sym(name, n) for name in ("dX", "dx", "r"))
@@ -115,14 +115,14 @@ def _stage_columns(system: Elimination, jacobian: Entries, product: Sequence[Pla
     return Routine("sens_stage_columns", inputs, {"dk": dk}, frozenset({"dX", "dx", "r", "dk"}))
 
 
-def _output_columns(outputs: int, states: int, y_x: Sequence[Place]) -> Routine:
+def _output_columns(outputs: int, states: int, y_x: Sequence[Entry]) -> Routine:
     """dy = y_x dx: contribution of the state sensitivities to the output sensitivities."""
     dx, symbols = ca.SX.sym("dx", states), ca.SX.sym("y_x", len(y_x))
     dy = ca.densify(ca.mtimes(_sparse(y_x, [symbols], outputs, states), dx))
     return Routine("sens_output_columns", {"y_x": symbols, "dx": dx}, {"dy": dy}, frozenset({"dx", "dy"}))
 
 
-def _sparse(entries: Iterable[Place], values: Sequence[ca.SX], rows: int, columns: int) -> ca.SX:
+def _sparse(entries: Iterable[Entry], values: Sequence[ca.SX], rows: int, columns: int) -> ca.SX:
     """Sparse matrix from the values of its entries."""
     pairs = list(entries)
     return ca.SX.triplet([i for i, _ in pairs], [j for _, j in pairs], column(*values), rows, columns)

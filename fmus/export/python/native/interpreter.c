@@ -5,7 +5,7 @@
 #include <string.h>
 
 #define MISSING                                                                                            \
-    "this FMU needs Python and finds none: neither in this program nor by name; set FMU_PYTHON to the path " \
+    "this FMU needs Python, which is neither in this program nor found by name; set FMU_PYTHON to the path " \
     "of a " PYTHON_LIBRARY
 
 #ifdef _WIN32
@@ -14,12 +14,12 @@
 #define PYTHON_LIBRARY "python3xx.dll"
 static const char *const NAMES[] = {"python314.dll", "python313.dll", "python312.dll", "python311.dll"};
 
-static void *of_process(const char *name) { return (void *)GetModuleHandleA(name); }
-static void *from_disk(const char *name) { return (void *)LoadLibraryA(name); }
+static void *loaded_library(const char *name) { return (void *)GetModuleHandleA(name); }
+static void *load_library(const char *name) { return (void *)LoadLibraryA(name); }
 static void *symbol(void *library, const char *name) {
-    const FARPROC found = GetProcAddress((HMODULE)library, name);
+    const FARPROC function = GetProcAddress((HMODULE)library, name);
     void *address;
-    memcpy(&address, &found, sizeof address);
+    memcpy(&address, &function, sizeof address);
     return address;
 }
 #else
@@ -36,24 +36,24 @@ static const char *const NAMES[] = {"libpython3.14.so.1.0", "libpython3.13.so.1.
 #endif
 
 static void *symbol(void *library, const char *name) { return dlsym(library, name); }
-/* What the program has loaded for all to see, Python itself if it is one; else a library by name. */
-static void *of_process(const char *name) {
+/* The program itself if it contains Python or has loaded it globally; else a loaded library by name. */
+static void *loaded_library(const char *name) {
     void *all = dlopen(NULL, RTLD_NOW);
     if (all && symbol(all, "Py_IsInitialized")) return all;
     return dlopen(name, RTLD_NOW | RTLD_NOLOAD);
 }
-/* For all to see: modules written in C take Python's functions from there. */
-static void *from_disk(const char *name) { return dlopen(name, RTLD_NOW | RTLD_GLOBAL); }
+/* Loaded globally: extension modules look up Python's functions there. */
+static void *load_library(const char *name) { return dlopen(name, RTLD_NOW | RTLD_GLOBAL); }
 #endif
 
 static void *find_library(void) {
     const size_t n = sizeof NAMES / sizeof *NAMES;
     const char *chosen = getenv("FMU_PYTHON");
-    void *found = NULL;
-    for (size_t i = 0; i < n && !found; i++) found = of_process(NAMES[i]);
-    if (!found && chosen) found = from_disk(chosen);
-    for (size_t i = 0; i < n && !found; i++) found = from_disk(NAMES[i]);
-    return found;
+    void *library = NULL;
+    for (size_t i = 0; i < n && !library; i++) library = loaded_library(NAMES[i]);
+    if (!library && chosen) library = load_library(chosen);
+    for (size_t i = 0; i < n && !library; i++) library = load_library(NAMES[i]);
+    return library;
 }
 
 static const char *interpreter_start(void) {
@@ -70,7 +70,7 @@ static const char *interpreter_start(void) {
     py.PyExc_KeyboardInterrupt = symbol(library, "PyExc_KeyboardInterrupt");
     if (!py.PyExc_KeyboardInterrupt) return "the Python of this program has no PyExc_KeyboardInterrupt";
     if (!py.Py_IsInitialized()) {
-        /* It is never ended again: packages such as NumPy cannot be started twice in a process. */
+        /* Python is never finalised: packages such as NumPy cannot be initialised twice in a process. */
         py.Py_InitializeEx(0);
         py.PyEval_SaveThread();
     }

@@ -1,6 +1,6 @@
-/* The functions of Python that are used, all of its stable interface. None is linked: they are looked up in
-   the process, and where there are none a Python is loaded. So the library loads on every machine and can
-   say what it misses. */
+/* The functions of Python that the library uses, all of the stable ABI. None is linked: they are looked up in the
+   process, or in a Python that is loaded if the process has none. So the library can be loaded on every machine and
+   can report that Python is missing. */
 
 #ifndef INTERPRETER_H
 #define INTERPRETER_H
@@ -44,7 +44,7 @@ typedef struct {
 
 static Interpreter py;
 
-/* Finds and starts Python; null or what is missing. */
+/* Finds and starts Python; null, or a message if Python is missing. */
 static const char *interpreter_start(void);
 
 #endif

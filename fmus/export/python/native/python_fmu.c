@@ -1,7 +1,7 @@
-/* FMI 2.0 for co-simulation: hands each call to Python and brings back its status, messages and value.
+/* FMI 2.0 for co-simulation: passes each call to Python and returns its status, messages and value.
 
-   All that crosses the border is bytes: arrays as they are in memory. What the calls do is in the package fmus
-   (fmus/export/python/slave.py); start.h holds the lines that find it. */
+   Arguments and results are passed as bytes: arrays as they are in memory. The package fmus implements the calls
+   (fmus/export/python/slave.py); start.h contains the Python code that loads the script of the FMU. */
 
 #include "interpreter.c"
 
@@ -13,7 +13,7 @@
 #include "start.h"
 
 typedef struct {
-    PyObject *dispatch; /* (name of the function, arguments ...) -> (status, messages, value); may be interrupted */
+    PyObject *dispatch; /* callable: (name of the function, arguments ...) -> (status, messages, value) */
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     char name[];
@@ -24,7 +24,7 @@ typedef struct {
     size_t size;
 } Bytes;
 
-/* Bytes in memory of our own; a saved state is one. */
+/* Bytes in allocated memory, such as a saved state. */
 typedef struct {
     size_t size;
     char bytes[];
@@ -33,14 +33,14 @@ typedef struct {
 /* ---- calls --------------------------------------------------------------------------------------- */
 
 static Blob *blob(const char *data, size_t size) {
-    Blob *made = malloc(sizeof *made + size);
-    if (!made) return NULL;
-    made->size = size;
-    if (size) memcpy(made->bytes, data, size);
-    return made;
+    Blob *result = malloc(sizeof *result + size);
+    if (!result) return NULL;
+    result->size = size;
+    if (size) memcpy(result->bytes, data, size);
+    return result;
 }
 
-/* A copy of one item of a tuple, null if that is not made of bytes. */
+/* A copy of one item of a tuple; null if the item is not bytes. */
 static Blob *item(PyObject *tuple, int index) {
     PyObject *bytes = py.PyTuple_GetItem(tuple, index);
     const char *data = bytes ? py.PyBytes_AsString(bytes) : NULL;
@@ -58,12 +58,12 @@ static PyObject *tuple_of(const Bytes arguments[], size_t n) {
     return tuple;
 }
 
-static void complain(const Instance *self, const char *text) {
+static void log_error(const Instance *self, const char *text) {
     if (self->logger) self->logger(self->environment, self->name, fmi2Error, "logStatusError", text);
 }
 
-/* Messages are a digit for the status, the category and the text, each of these with a zero at its end. */
-static void tell(const Instance *self, const Blob *messages) {
+/* Logs messages. Each is a digit (the status), the category and the text, both with a terminating zero. */
+static void log_messages(const Instance *self, const Blob *messages) {
     const char *at = messages->bytes, *end = at + messages->size;
     while (at < end && self->logger) {
         const char *category = at + 1, *text = category + strlen(category) + 1;
@@ -72,8 +72,8 @@ static void tell(const Instance *self, const Blob *messages) {
     }
 }
 
-/* One call, with Python locked. The value goes to `value`, as an object to `object`, where these are given. */
-static fmi2Status locked_call(PyObject *function, const Bytes arguments[], size_t n, Blob **messages,
+/* One call, with Python locked. If not null, `value` gets a copy of the value, `object` the value itself. */
+static fmi2Status call_locked(PyObject *function, const Bytes arguments[], size_t n, Blob **messages,
                               Blob **value, PyObject **object) {
     PyObject *tuple = tuple_of(arguments, n);
     PyObject *answer = tuple ? py.PyObject_CallObject(function, tuple) : NULL;
@@ -87,7 +87,7 @@ static fmi2Status locked_call(PyObject *function, const Bytes arguments[], size_
     return status;
 }
 
-/* Unlocks Python; tells whether the user interrupted it. */
+/* Unlocks Python; returns 1 if the user interrupted the call. */
 static int unlock(int lock) {
     const int interrupted = py.PyErr_Occurred() && py.PyErr_ExceptionMatches(*py.PyExc_KeyboardInterrupt);
     py.PyErr_Clear();
@@ -95,11 +95,12 @@ static int unlock(int lock) {
     return interrupted;
 }
 
-/* The messages of a call, or what is known where there are none. Python is unlocked: nobody knows what the
-   caller's function waits for. The interrupt goes on to the program, last: its logger may be Python, too. */
-static void finish(const Instance *self, Blob *messages, int interrupted, const char *otherwise) {
-    if (messages) tell(self, messages);
-    else complain(self, interrupted ? "interrupted by the user" : otherwise);
+/* Logs the messages of a call, or the fallback if there are none. Python is unlocked because the importer's logger
+   may wait for a thread that needs Python. An interrupt is passed on to the program at the end, because its logger
+   may be Python as well. */
+static void finish(const Instance *self, Blob *messages, int interrupted, const char *fallback) {
+    if (messages) log_messages(self, messages);
+    else log_error(self, interrupted ? "interrupted by the user" : fallback);
     free(messages);
     if (interrupted) py.PyErr_SetInterrupt();
 }
@@ -108,41 +109,41 @@ static fmi2Status call(const Instance *self, const Bytes arguments[], size_t n, 
     Blob *messages = NULL;
     for (size_t i = 0; i < n; i++)
         if ((!arguments[i].data && arguments[i].size) || arguments[i].size > PTRDIFF_MAX / 2) {
-            complain(self, "a null pointer or a wrong number of values");
+            log_error(self, "a null pointer or a wrong number of values");
             return fmi2Error;
         }
     const int lock = py.PyGILState_Ensure();
-    const fmi2Status status = locked_call(self->dispatch, arguments, n, &messages, value, NULL);
+    const fmi2Status status = call_locked(self->dispatch, arguments, n, &messages, value, NULL);
     finish(self, messages, unlock(lock), "Python is out of memory");
     return status;
 }
 
-#define WORDS(text) {text, strlen(text)}
+#define STRING(text) {text, strlen(text)}
 #define ARRAY(array, n) {array, (n) * sizeof *(array)}
 #define NUMBER(x) {&(x), sizeof(x)}
-#define NAME WORDS(__func__)
+#define NAME STRING(__func__)
 #define COUNT(a) (sizeof(a) / sizeof *(a))
 
-/* A call whose value goes to the caller's array. */
-static fmi2Status fill(const Instance *self, const Bytes arguments[], size_t n, void *array, size_t size) {
+/* A call whose value is copied to the importer's array. */
+static fmi2Status call_into(const Instance *self, const Bytes arguments[], size_t n, void *array, size_t size) {
     Blob *value = NULL;
     fmi2Status status = call(self, arguments, n, &value);
     const int fits = array && value && value->size == size;
     if (status < fmi2Discard && fits && size) memcpy(array, value->bytes, size);
     if (status < fmi2Discard && !fits && size) {
-        complain(self, "there is no room for the values");
+        log_error(self, "there is no room for the values");
         status = fmi2Error;
     }
     free(value);
     return status;
 }
 
-/* ---- life of an instance --------------------------------------------------------------------------- */
+/* ---- instances ----------------------------------------------------------------------------------- */
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
-/* The function of start.h; Python is locked. */
+/* The function `start` of start.h; Python is locked. */
 static PyObject *start_function(void) {
     PyObject *module = py.PyImport_AddModule("_fmu_start");
     PyObject *names = module ? py.PyModule_GetDict(module) : NULL;
@@ -158,7 +159,7 @@ static void start_slave(Instance *self, const Bytes arguments[], size_t n) {
     const int lock = py.PyGILState_Ensure();
     PyObject *start = start_function();
     fmi2Status status = fmi2Error;
-    if (start) status = locked_call(start, arguments, n, &messages, NULL, &self->dispatch);
+    if (start) status = call_locked(start, arguments, n, &messages, NULL, &self->dispatch);
     if (status >= fmi2Error && self->dispatch) {
         py.Py_DecRef(self->dispatch); /* None */
         self->dispatch = NULL;
@@ -170,7 +171,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
     const char *name = instanceName ? instanceName : "", *guid = fmuGUID ? fmuGUID : "";
-    const char *where = fmuResourceLocation ? fmuResourceLocation : "";
+    const char *location = fmuResourceLocation ? fmuResourceLocation : "";
     Instance *self = calloc(1, sizeof *self + strlen(name) + 1);
     (void)visible;
     if (!self) return NULL;
@@ -179,8 +180,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     self->environment = functions ? functions->componentEnvironment : NULL;
     const char *problem = interpreter_start();
     if (fmuType != fmi2CoSimulation) problem = "the FMU is for co-simulation only";
-    const Bytes arguments[] = {WORDS(name), WORDS(guid), WORDS(where), WORDS(loggingOn ? "1" : "0")};
-    if (problem) complain(self, problem);
+    const Bytes arguments[] = {STRING(name), STRING(guid), STRING(location), STRING(loggingOn ? "1" : "0")};
+    if (problem) log_error(self, problem);
     else start_slave(self, arguments, COUNT(arguments));
     if (self->dispatch) return self;
     free(self);
@@ -196,22 +197,22 @@ void fmi2FreeInstance(fmi2Component c) {
     free(self);
 }
 
-/* A call without value. */
+/* A call without a value. */
 #define CALL(c, ...)                                        \
     const Bytes arguments[] = {NAME, __VA_ARGS__};          \
     return c ? call(c, arguments, COUNT(arguments), NULL) : fmi2Error
 
-#define PLAIN(function)                                             \
+#define CALL_WITHOUT_ARGUMENTS(function)                            \
     fmi2Status function(fmi2Component c) {                          \
         const Bytes arguments[] = {NAME};                           \
         return c ? call(c, arguments, 1, NULL) : fmi2Error;         \
     }
 
-PLAIN(fmi2EnterInitializationMode)
-PLAIN(fmi2ExitInitializationMode)
-PLAIN(fmi2Terminate)
-PLAIN(fmi2Reset)
-PLAIN(fmi2CancelStep)
+CALL_WITHOUT_ARGUMENTS(fmi2EnterInitializationMode)
+CALL_WITHOUT_ARGUMENTS(fmi2ExitInitializationMode)
+CALL_WITHOUT_ARGUMENTS(fmi2Terminate)
+CALL_WITHOUT_ARGUMENTS(fmi2Reset)
+CALL_WITHOUT_ARGUMENTS(fmi2CancelStep)
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
@@ -244,14 +245,14 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
     const Bytes arguments[] = {NAME, ARRAY(vr, nvr)};
-    return c ? fill(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
     CALL(c, ARRAY(vr, nvr), ARRAY(value, nvr));
 }
 
-/* The model has no variable of another type: Python says so where one is asked for. */
+/* The model has Real variables only; Python refuses requests for variables of other types. */
 #define NO_VARIABLES_OF(type)                                                                       \
     fmi2Status fmi2Get##type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,            \
                              fmi2##type value[]) {                                                  \
@@ -276,7 +277,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     const Bytes arguments[] = {NAME, ARRAY(vr, nvr), ARRAY(order, nvr)};
-    return c ? fill(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, nvr * sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],
@@ -284,7 +285,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Real dvKnown[], fmi2Real dvUnknown[]) {
     const Bytes arguments[] = {NAME, ARRAY(vUnknown_ref, nUnknown), ARRAY(vKnown_ref, nKnown),
                                ARRAY(dvKnown, nKnown)};
-    return c ? fill(c, arguments, COUNT(arguments), dvUnknown, nUnknown * sizeof *dvUnknown) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), dvUnknown, nUnknown * sizeof *dvUnknown) : fmi2Error;
 }
 
 /* ---- saved states ---------------------------------------------------------------------------------- */
@@ -331,12 +332,12 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     return fmi2OK;
 }
 
-/* Python looks at the bytes: those of another model are refused here, not when they are set. */
+/* Python checks the bytes, so that those of another model are refused here and not when the state is set. */
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
                                    fmi2FMUstate *FMUstate) {
     const Bytes arguments[] = {NAME, {serializedState, size}};
     if (!c || !FMUstate) return fmi2Error;
-    *FMUstate = NULL; /* what it held on entry is not defined */
+    *FMUstate = NULL; /* undefined on entry */
     const fmi2Status status = call(c, arguments, COUNT(arguments), NULL);
     if (status < fmi2Error) *FMUstate = blob(serializedState, size);
     return status < fmi2Error && !*FMUstate ? fmi2Error : status;
@@ -346,22 +347,22 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     const Bytes arguments[] = {NAME, NUMBER(kind)};
-    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
     const Bytes arguments[] = {NAME, NUMBER(kind)};
-    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
     const Bytes arguments[] = {NAME, NUMBER(kind)};
-    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
     const Bytes arguments[] = {NAME, NUMBER(kind)};
-    return c ? fill(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
+    return c ? call_into(c, arguments, COUNT(arguments), value, sizeof *value) : fmi2Error;
 }
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {

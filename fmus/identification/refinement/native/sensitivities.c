@@ -72,7 +72,7 @@ static double after_step(void *owner, double tau, double length) {
     double hessian[ROOM(NHESSIAN)], jac[STAGES][ROOM(NJ)], product[STAGES][ROOM(NPRODUCT)], f_q[ROOM(NF_Q)];
     double u[ROOM(NU)], du[ROOM(NU)], x[ROOM(NX)];
     Work *w = &t->work;
-    motion_slope(t->motion, t->tau, du);
+    motion_derivative(t->motion, t->tau, du);
     motion_value(t->motion, t->tau, u);
     sens_hessian(t->x, u, t->p, t->d, hessian);
     for (int s = 0; s < STAGES; s++) {
@@ -82,7 +82,7 @@ static double after_step(void *owner, double tau, double length) {
             x[i] = t->x[i];
             for (int j = 0; j < s; j++) x[i] += A[s][j] * w->k[j][i];
         }
-        motion_move(t->motion, t->tau + ALPHA[s] * h, u);
+        motion_update(t->motion, t->tau + ALPHA[s] * h, u);
         sens_stage(x, u, t->p, t->d, hessian, w->k[s], h_du, jac[s], product[s], f_q);
         for (int e = 0; e < NF_Q; e++) put((double *)t->f_q[s], NX, F_Q[e], f_q[e]);
     }
@@ -132,8 +132,8 @@ EXPORTED int simulate(int n, const double *time, const double *inputs, double *x
     double c[ROOM(NC)], d[ROOM(ND)];
     Motion motion = {.count = 0};
     Trajectory t = {.p = p, .d = d, .motion = &motion, .sensitivities = sensitivities};
-    Pace pace = {0};
-    const Between between = {after_step, &t};
+    SolverMemory memory = {0};
+    const StepCallback callback = {after_step, &t};
     model_prepare(p, c);
     sens_prepare(p, d);
     for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
@@ -154,14 +154,14 @@ EXPORTED int simulate(int n, const double *time, const double *inputs, double *x
         const double length = time[k + 1] - time[k];
         motion.count = 0;
         for (int i = 0; i < NU; i++) {
-            motion.at[i] = u[i];
-            motion.slope[i][0] = (u[NU + i] - u[i]) / length;
-            if (motion.slope[i][0] != 0.0) motion.moving[motion.count++] = i;
+            motion.start[i] = u[i];
+            motion.coefficients[i][0] = (u[NU + i] - u[i]) / length;
+            if (motion.coefficients[i][0] != 0.0) motion.moving[motion.count++] = i;
         }
         memcpy(t.x, x, NX * sizeof *x);
         t.tau = 0.0;
         const double smallest = fmax(1e-14 * length, DBL_MIN);
-        const Report solution = solve(x, p, c, &motion, length, tolerance, smallest, &between, &pace, &t.work);
+        const Report solution = solve(x, p, c, &motion, length, tolerance, smallest, &callback, &memory, &t.work);
         if (solution.outcome != SOLVED) {
             report[0] += solution.tau;
             report[2] = solution.worst;
