@@ -6,8 +6,8 @@ J is the Jacobian of the model, `diagonal` is 1 / (gamma h) for a step of size h
 diagonal; their order is chosen when the code is generated, so that few entries are filled in (Markowitz). No
 rows are exchanged while the model runs. The factors are accurate unless a diagonal entry, before or after the
 elimination, is small compared with what was subtracted from it. Then `accurate` is 0, and the solver shortens
-the step, which makes the diagonal larger. Each entry is checked separately. The check does not detect an error
-that several moderately small entries cause together; the error estimate of the step detects that.
+the step, which makes the diagonal larger. Each entry is checked separately. The check misses an error that
+several moderately small entries cause together; the error estimate of the step detects that.
 """
 
 from __future__ import annotations
