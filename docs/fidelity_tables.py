@@ -12,7 +12,7 @@ from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Tes
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
 
 from fmus.machine.parts import FAMILIES
-from orchestrator.base.text import share
+from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
 from orchestrator.studies.variants import Combination
 
@@ -180,7 +180,7 @@ def rows_of_costs(
     table = []
     for one in runs.runs:
         errors = [runs.worst(one.label, kind) if one is not runs.reference else None for kind in KINDS]
-        told = [share(row.metrics.nrmse) if row else "" for row in errors]
+        told = [percentage(row.metrics.nrmse) if row else "" for row in errors]
         table.append([part, one.label, str(states[one.label]), f"{cost[one.label]:.2f}", *told])
     lines = _rows(["part", "variant", "states", "µs per 1 ms", *KINDS], table).splitlines()
     return lines if part == next(iter(FAMILIES)) else lines[2:]

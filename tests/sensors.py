@@ -69,11 +69,11 @@ class Sampled(CoSimulationFmu):
 
         return give
 
-    def follows(self, *_: object) -> int:
+    def input_degree(self, *_: object) -> int:
         """Inputs are held."""
         return 0
 
-    def tells(self, *_: object) -> Sequence[str]:
+    def outputs_with_derivatives(self, *_: object) -> Sequence[str]:
         """No slopes of outputs."""
         return []
 

@@ -107,7 +107,7 @@ def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
         declared = {n: q.rate for n, q in quantities(sub.inputs).items() if q.rate} if sub else {}
         if declared:
             (component,) = load(path).components.values()
-            assert component.interface.rates == declared
+            assert component.interface.rate_inputs == declared
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 
 from fmus.export.model_description import base_unit
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import DISPLAY, display, in_si, linear, parse, per_second, spelled
+from orchestrator.base.units import (
+    DISPLAY,
+    display_conversion,
+    factor_and_offset,
+    normalised,
+    parse,
+    per_second,
+    si_unit,
+)
 
 
 @pytest.mark.parametrize(
@@ -47,11 +55,11 @@ def test_display_units_have_the_dimension_of_their_unit():
     """A pressure is shown in bar, not in degrees."""
     for unit, shown in DISPLAY.items():
         assert parse(unit).exponents == parse(shown).exponents
-        assert display(unit)[0] == shown
+        assert display_conversion(unit)[0] == shown
     # exact powers of ten and 60: rounding only
-    assert display("Pa")[1] == pytest.approx(1e-5, rel=1e-15)
-    assert display("m3/s")[1] == pytest.approx(6e4, rel=1e-15)
-    assert display("kg") is None
+    assert display_conversion("Pa")[1] == pytest.approx(1e-5, rel=1e-15)
+    assert display_conversion("m3/s")[1] == pytest.approx(6e4, rel=1e-15)
+    assert display_conversion("kg") is None
 
 
 @pytest.mark.parametrize("unit", ["1", "rad", "rad/s", "m3/s", "Pa", "N.m", "N/s", "J/(kg.K)", "m/s2"])
@@ -99,8 +107,8 @@ LOGGED = [
 @pytest.mark.parametrize(("unit", "value", "si", "name"), LOGGED)
 def test_units_of_loggers_become_si(unit, value, si, name):
     """A value in a unit of a logger comes out right in the SI unit of the same quantity."""
-    found = parse(spelled(unit))
-    assert in_si(spelled(unit)) == name
+    found = parse(normalised(unit))
+    assert si_unit(normalised(unit)) == name
     # the digits printed in LOGGED
     assert found.factor * value + found.offset == pytest.approx(si, rel=1e-8)
     assert (parse(name).factor, parse(name).offset) == (1.0, 0.0)
@@ -118,7 +126,7 @@ PARTS = st.tuples(
 def test_any_product_goes_to_si_and_back(value, parts):
     """The SI unit has the same dimension and factor 1; the value comes back."""
     text = ".".join(f"{symbol}{power}" for symbol, power in parts)
-    unit, si = parse(text), parse(in_si(text))
+    unit, si = parse(text), parse(si_unit(text))
     assert si.exponents == unit.exponents
     assert si.factor == 1.0
     # two roundings
@@ -136,6 +144,6 @@ def test_a_temperature_in_a_product_is_a_difference():
 def test_temperatures_convert_by_both_zeros(source, target):
     """Water boils at 212 degF, 100 degC and 373.15 K, whichever way."""
     boils = {"degF": 212.0, "degC": 100.0, "K": 373.15}
-    factor, offset = linear(source, target, "here")
+    factor, offset = factor_and_offset(source, target, "here")
     # a few roundings of 373.15
     assert factor * boils[source] + offset == pytest.approx(boils[target], rel=1e-12)

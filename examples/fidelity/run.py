@@ -14,7 +14,7 @@ from pathlib import Path
 from fmus.contract import Subsystem, quantities
 from fmus.machine.parts import FAMILIES
 from orchestrator import Problem, compare, load, run, with_swaps
-from orchestrator.base.text import share
+from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
 from orchestrator.results.comparison_report import write
 from orchestrator.studies.variants import inside
@@ -49,7 +49,7 @@ def table(part: str, found: Comparison, cost: Mapping[str, float]) -> str:
         told = "the reference"
         if one is not found.reference:
             worst = [row for kind in KINDS if (row := found.worst(one.label, kind))]
-            told = ", ".join(f"{share(row.metrics.nrmse)} {row.signal}" for row in worst)
+            told = ", ".join(f"{percentage(row.metrics.nrmse)} {row.signal}" for row in worst)
         assert one.facts is not None
         whole = 1e3 * one.facts.wall / one.facts.simulated
         size = states(FAMILIES[part][one.label])

@@ -11,7 +11,7 @@ from fmus.contract import Subsystem
 from fmus.export.compile import binaries, host, shared_library
 from fmus.export.package import Package, package
 from fmus.parameters import Values
-from orchestrator.base.files import pack
+from orchestrator.base.files import write_zip
 
 
 def build(
@@ -67,7 +67,7 @@ def _write(orders: Sequence[tuple[Path, Package]], platforms: Sequence[str] | No
     for folder, p in orders:
         built = {name: next(libraries) for name in names}
         paths.append(folder / f"{p.name}.fmu")
-        pack(paths[-1], {**p.files, **binaries(p.name, p.fmi, built)})
+        write_zip(paths[-1], {**p.files, **binaries(p.name, p.fmi, built)})
     return paths
 
 

@@ -23,7 +23,7 @@ from fmus.export.ls_ref import PAGE, ls_ref_files
 from fmus.export.model_description import LOG_CATEGORIES
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.text import typeset
-from orchestrator.base.units import display, pretty
+from orchestrator.base.units import display_conversion, pretty
 from orchestrator.ssp.common import package_version
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
@@ -140,7 +140,7 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
     value = "calculated" if v.kind == "CALCULATED_STATE" else ""
     if v.start is not None:
         value = printed(v.start) + (f" ± {printed(number.sd)}" if number and number.sd else "")
-    customary, shown = display(q.unit), ""
+    customary, shown = display_conversion(q.unit), ""
     if customary and v.start is not None:
         shown = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {pretty(customary[0])}"
     return DocumentedVariable(

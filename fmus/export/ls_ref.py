@@ -14,8 +14,8 @@ from pathlib import Path
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from orchestrator.base.xml import digits
-from orchestrator.fmi.description import Variable
+from orchestrator.base.xml import shortest_decimal
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.common import NAMESPACES, xml_text
 from orchestrator.ssp.write import parameter_set
 
@@ -96,7 +96,9 @@ def _experiment(sub: Subsystem, stop: float, stimuli: bool) -> bytes:
     one = etree.SubElement(element, "Experiment", name="work_cycle", tolerance=f"{TOLERANCE:g}")
     one.set("description", _RELATED["experiment.exp"][2])
     times = {"startTime": 0.0, "stopTime": stop, "stepSize": STEP}
-    etree.SubElement(one, "TransientSimulation", {name: digits(value) for name, value in times.items()})
+    etree.SubElement(
+        one, "TransientSimulation", {name: shortest_decimal(value) for name, value in times.items()}
+    )
     etree.SubElement(one, "Parameters", source="parameters.ssv")
     if stimuli:
         etree.SubElement(one, "Stimuli", source="input.csv")
@@ -106,7 +108,7 @@ def _experiment(sub: Subsystem, stop: float, stimuli: bool) -> bytes:
 
 def reference_parameters(sub: Subsystem, values: Mapping[str, float]) -> bytes:
     """The SSV file, in the units of the variables; another version with the same numbers is the same file."""
-    known = {name: (Variable(name), value) for name, value in values.items()}
+    known = {name: (FmuVariable(name), value) for name, value in values.items()}
     return parameter_set(f"{sub.name} reference experiment", known)
 
 

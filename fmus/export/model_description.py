@@ -14,8 +14,8 @@ from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import display, parse, spelled
-from orchestrator.base.xml import Element, digits
+from orchestrator.base.units import display_conversion, normalised, parse
+from orchestrator.base.xml import Element, shortest_decimal
 from orchestrator.ssp.common import generation_tool, package_version, xml_text
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
@@ -120,7 +120,9 @@ def model_description(
     for name, text in LOG_CATEGORIES.items():
         etree.SubElement(categories, "Category", name=name, description=text)
     times = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
-    etree.SubElement(root, "DefaultExperiment", {name: digits(value) for name, value in times.items()})
+    etree.SubElement(
+        root, "DefaultExperiment", {name: shortest_decimal(value) for name, value in times.items()}
+    )
     if fmi == 2:
         _input_derivatives(root, interface)
     _variables(root, interface, fmi)
@@ -140,17 +142,17 @@ def _units(root: Element, interface: Interface, fmi: int) -> None:
     for name in sorted(names):
         unit = etree.SubElement(definitions, "Unit", name=name)
         etree.SubElement(unit, "BaseUnit", base_unit(name))
-        if shown := display(name):
-            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=digits(shown[1]))
+        if shown := display_conversion(name):
+            etree.SubElement(unit, "DisplayUnit", name=shown[0], factor=shortest_decimal(shown[1]))
 
 
 def base_unit(unit: str) -> dict[str, str]:
     """Attributes of FMI's and SSP's BaseUnit element."""
     parsed = parse(unit)
-    if spelled(unit) != unit:  # what other tools read goes into the file
-        raise Problem(f'unit "{unit}": expected "{spelled(unit)}"')
+    if normalised(unit) != unit:  # what other tools read goes into the file
+        raise Problem(f'unit "{unit}": expected "{normalised(unit)}"')
     attributes = {name: str(n) for name, n in parsed.base().items()}
-    return attributes if parsed.factor == 1.0 else attributes | {"factor": digits(parsed.factor)}
+    return attributes if parsed.factor == 1.0 else attributes | {"factor": shortest_decimal(parsed.factor)}
 
 
 def _input_derivatives(root: Element, interface: Interface) -> None:
@@ -217,13 +219,13 @@ def _causality(v: Variable) -> dict[str, str]:
 def _numbers(v: Variable) -> dict[str, str]:
     """Attributes of a real variable: units, bounds, nominal and start value."""
     q = v.quantity
-    shown = display(q.unit)
+    shown = display_conversion(q.unit)
     nominal = None if q.nominal == 1.0 else q.nominal
     values = {"min": q.minimum, "max": q.maximum, "nominal": nominal, "start": v.start}
     return (
         {"unit": q.unit}
         | ({"displayUnit": shown[0]} if shown else {})
-        | {name: digits(value) for name, value in values.items() if value is not None}
+        | {name: shortest_decimal(value) for name, value in values.items() if value is not None}
     )
 
 

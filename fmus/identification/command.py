@@ -16,7 +16,7 @@ from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import display
+from orchestrator.base.units import display_conversion
 
 
 def run(
@@ -76,6 +76,9 @@ def _show(result: ProcedureResult) -> None:
     """What a procedure estimated, a line for each parameter in the unit that a person reads."""
     print(f"{result.procedure}:")
     for e in result.estimates:
-        unit, factor = display(e.unit) or (e.unit, 1.0)  # in ASCII: no terminal has to know superscripts
+        unit, factor = display_conversion(e.unit) or (
+            e.unit,
+            1.0,
+        )  # in ASCII: no terminal has to know superscripts
         value, low, high = (f"{factor * x:.{report_texts.digits(e)}g}" for x in (e.value, e.low, e.high))
         print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")

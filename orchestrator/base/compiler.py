@@ -43,9 +43,9 @@ def shared_library(
         digest.update(len(part).to_bytes(8, "big") + part)
     file = f"{digest.hexdigest()[:32]}-{name}"
     try:
-        return _made(cache_folder() / file, name, code, arguments)
+        return _compile(cache_folder() / file, name, code, arguments)
     except OSError:  # a cache that cannot be written to keeps nothing
-        return _made(_own() / file, name, code, arguments)
+        return _compile(_process_folder() / file, name, code, arguments)
 
 
 def cache_folder() -> Path:
@@ -66,7 +66,7 @@ def _compiler() -> str:
         raise CompilerError("no C compiler: the package ziglang is not installed") from None
 
 
-def _made(kept: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[str]) -> Path:
+def _compile(kept: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[str]) -> Path:
     if kept.is_file():
         return kept
     kept.parent.mkdir(parents=True, exist_ok=True)
@@ -76,13 +76,13 @@ def _made(kept: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
-            raise _refused(run)
+            raise _compiler_error(run)
         with suppress(OSError):  # somebody else was faster, and uses it already
             (Path(folder) / name).replace(kept)
     return kept
 
 
-def _refused(run: subprocess.CompletedProcess[str]) -> CompilerError:
+def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:
     lines = run.stderr.strip().splitlines() or ["no reason given"]
     reason = next((line for line in lines if "error: " in line), lines[-1])
     error = CompilerError(f"the C compiler failed with exit status {run.returncode}: {reason}")
@@ -91,7 +91,7 @@ def _refused(run: subprocess.CompletedProcess[str]) -> CompilerError:
 
 
 @cache
-def _own() -> Path:
+def _process_folder() -> Path:
     """A folder for this process alone."""
     folder = Path(tempfile.mkdtemp(prefix="harvester-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -10,18 +10,18 @@ from orchestrator.base.errors import Problem, suggest
 
 MASTERS = ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")
 # of extrapolation, where the user says nothing
-ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}
+DEFAULT_ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}
 CONTROLS = ("error", "energy")
 
 # Where the user says nothing: of hermite, and of adaptive runs.
-PASSES = 8
+MAX_PASSES = 8
 # Tolerance of the passes. Work cycle at 5 ms: 1e-4 gives 2.0e-5 in 1.1 passes, 1e-5 gives 2.4e-6 in 1.7
-MISS = 1e-5
+PASS_TOLERANCE = 1e-5
 # Estimated error at which a step of equal ones is divided: no step of the work cycle up to 20 ms comes to it
-GUARD = 1e-2
-GUARDED = ("hermite", "interface-jacobian")
-OF_STEP = 0.3  # of the tolerance of an adaptive step: tolerance of its passes
-SMALLEST, LARGEST = 1e-7, 0.1  # [s]
+GUARD_TOLERANCE = 1e-2
+GUARDED_MASTERS = ("hermite", "interface-jacobian")
+PASS_TOLERANCE_RATIO = 0.3  # of the tolerance of an adaptive step: tolerance of its passes
+SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s]
 
 
 @dataclass(frozen=True)
@@ -76,16 +76,16 @@ class Coupling:
             raise Problem(f"guard: expected 0 or a positive number, got {self.guard:g}")
         if self.control not in (None, *CONTROLS):
             raise Problem(f"unknown control {self.control!r}, expected one of {', '.join(CONTROLS)}")
-        smallest, largest = self.limits
+        smallest, largest = self.step_limits
         if not 0 < smallest <= largest:
             got = f"{smallest:g} s and {largest:g} s"
             raise Problem(f"smallest and largest step: expected 0 < smallest <= largest, got {got}")
         for name, factor in self.factors.items():
             if factor < 1 or factor != int(factor):
                 raise Problem(f"factor of {name}: expected a whole number of steps from 1 on, got {factor}")
-        self._refuse_idle()
+        self._refuse_without_effect()
 
-    def _refuse_idle(self) -> None:
+    def _refuse_without_effect(self) -> None:
         """Refuse what the other choices leave without effect."""
         for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
             if value is not None and self.master != "hermite":
@@ -97,7 +97,7 @@ class Coupling:
         if self.correct and self.master == "interface-jacobian":
             raise Problem(f"correct: {self.master} predicts the inputs, expected another master")
         if self.correct and self.master == "hermite" and self.passes != 1:
-            many = f"up to {self.rounds} passes"
+            many = f"up to {self.max_passes} passes"
             raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
         if self.guard is not None and self.adaptive is not None:
             raise Problem("guard: adaptive steps have a tolerance already, expected one of the two")
@@ -116,43 +116,43 @@ class Coupling:
     @property
     def extrapolation(self) -> int:
         """The order of extrapolation."""
-        return ORDERS[self.master] if self.order is None else self.order
+        return DEFAULT_ORDERS[self.master] if self.order is None else self.order
 
     @property
-    def rounds(self) -> int:
+    def max_passes(self) -> int:
         """How many passes a step takes at most."""
         if self.master != "hermite":
             return 1
-        return PASSES if self.passes is None else self.passes
+        return MAX_PASSES if self.passes is None else self.passes
 
     @property
-    def miss(self) -> float:
+    def pass_tolerance(self) -> float:
         """The tolerance of the passes."""
         if self.tolerance is not None:
             return self.tolerance
-        return MISS if self.adaptive is None else OF_STEP * self.adaptive
+        return PASS_TOLERANCE if self.adaptive is None else PASS_TOLERANCE_RATIO * self.adaptive
 
     @property
-    def guarded(self) -> float:
+    def guard_tolerance(self) -> float:
         """The estimated error at which a step of equal ones is divided; 0: none is."""
         if self.adaptive is not None:
             return 0.0
-        usual = GUARD if self.master in GUARDED else 0.0
+        usual = GUARD_TOLERANCE if self.master in GUARDED_MASTERS else 0.0
         return usual if self.guard is None else self.guard
 
     @property
-    def judges(self) -> bool:
+    def estimates_error(self) -> bool:
         """Is the error of steps estimated?"""
-        return self.adaptive is not None or self.guarded > 0
+        return self.adaptive is not None or self.guard_tolerance > 0
 
     @property
-    def limits(self) -> tuple[float, float]:
+    def step_limits(self) -> tuple[float, float]:
         """The smallest and the largest adaptive step [s]."""
-        smallest = SMALLEST if self.smallest is None else self.smallest
-        return smallest, LARGEST if self.largest is None else self.largest
+        smallest = SMALLEST_STEP if self.smallest is None else self.smallest
+        return smallest, LARGEST_STEP if self.largest is None else self.largest
 
     @property
-    def by_energy(self) -> bool:
+    def controls_energy(self) -> bool:
         """Is the tolerance of adaptive steps one of energy?"""
         return self.control == "energy"
 
@@ -163,7 +163,7 @@ class Coupling:
         if self.passes is not None:
             more.append("in one pass" if self.passes == 1 else f"in up to {self.passes} passes")
         more += ["with correction"] if self.correct else []
-        more += ["with control of the energy"] if self.by_energy else []
+        more += ["with control of the energy"] if self.controls_energy else []
         more += [f"linearised every {self.lag} steps"] if self.lag > 1 else []
         each = [f"{factor} of {name}" for name, factor in self.factors.items() if factor > 1]
         more += [f"with {' and '.join(each)} in each step"] if each else []
@@ -175,16 +175,16 @@ class Coupling:
         found: dict[str, Any] = {"master": self.master, "order": self.extrapolation, "correct": self.correct}
         found |= {"factors": dict(self.factors)} if self.factors else {}
         found |= {"lag": self.lag} if self.master == "interface-jacobian" else {}
-        found |= {"passes": self.rounds} if self.master == "hermite" else {}
-        found |= {"tolerance": self.miss} if self.rounds > 1 else {}
+        found |= {"passes": self.max_passes} if self.master == "hermite" else {}
+        found |= {"tolerance": self.pass_tolerance} if self.max_passes > 1 else {}
         if self.adaptive is None:
-            return found | ({"guard": self.guarded} if self.guarded else {})
-        smallest, largest = self.limits
+            return found | ({"guard": self.guard_tolerance} if self.guard_tolerance else {})
+        smallest, largest = self.step_limits
         how = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
         return found | how | {"smallest": smallest, "largest": largest}
 
 
-def chosen(given: Mapping[str, Any], usual: Coupling | None = None) -> Coupling:
+def merge_choices(given: Mapping[str, Any], usual: Coupling | None = None) -> Coupling:
     """The choices `given` by name; a given master stands for itself, else the others are those of `usual`."""
     if usual is None or "master" in given:
         return Coupling(**given)
@@ -192,7 +192,7 @@ def chosen(given: Mapping[str, Any], usual: Coupling | None = None) -> Coupling:
     return replace(usual, **{**given, "factors": factors})
 
 
-INSTEAD = "to choose a way of your own, give --master and --step"
+OVERRIDE_HINT = "to choose a way of your own, give --master and --step"
 
 
 @dataclass(frozen=True)
@@ -212,29 +212,29 @@ class Suggestion:
     step: float | None = None
     refusal: str = ""
     source: str = ""
-    place: str = ""
-    only: tuple[str, ...] = ()
-    given: tuple[str, ...] = ()
-    aside: str = ""
+    location: str = ""
+    components: tuple[str, ...] = ()
+    overridden: tuple[str, ...] = ()
+    dismissed: str = ""
 
-    def changed(self, given: Coupling | Mapping[str, Any]) -> Suggestion:
+    def with_choices(self, given: Coupling | Mapping[str, Any]) -> Suggestion:
         """With other settings: a coupling or a master among them puts aside all that was suggested."""
         if isinstance(given, Coupling):
-            return Suggestion(given, aside=self.refusal or self.aside)
-        coupling = chosen(given, self.coupling)
+            return Suggestion(given, dismissed=self.refusal or self.dismissed)
+        coupling = merge_choices(given, self.coupling)
         if "master" in given:
-            return Suggestion(coupling, aside=self.refusal or self.aside)
-        return replace(self, coupling=coupling, given=(*self.given, *given))
+            return Suggestion(coupling, dismissed=self.refusal or self.dismissed)
+        return replace(self, coupling=coupling, overridden=(*self.overridden, *given))
 
     def notes(self, step_given: bool) -> tuple[str, ...]:
         """For the card of a run: what of another tool's annotation is followed, and what is not."""
-        if dropped := self.aside or (self.refusal if step_given else ""):
+        if dropped := self.dismissed or (self.refusal if step_given else ""):
             return (f"put aside: {dropped}",)
-        if not self.source or (self.only and step_given):
+        if not self.source or (self.components and step_given):
             return ()
-        if self.only:
-            meant = " and ".join(self.only)
+        if self.components:
+            meant = " and ".join(self.components)
             return (f"the step is what {self.source} says for {meant}; all components take it",)
-        given = [*dict.fromkeys(self.given), *(["step"] if step_given else [])]
+        given = [*dict.fromkeys(self.overridden), *(["step"] if step_given else [])]
         but = f", but for what was given: {', '.join(given)}" if given else ""
         return (f"coupled according to {self.source}{but}",)

@@ -24,35 +24,35 @@ class Location:
     """A file on disk, or a member of a (nested) archive: `inside` lists the member names, outermost first."""
 
     path: Path
-    inside: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return "/".join([str(self.path), *self.inside])
+        return "/".join([str(self.path), *self.members])
 
     def read(self) -> bytes:
         """The bytes of the file."""
-        if not self.inside:
+        if not self.members:
             if not self.path.is_file():
                 raise Problem(f"{self.path}: no such file")
             return self.path.read_bytes()
         with self.parent.zip() as archive:
             try:
-                return archive.read(self.inside[-1])
+                return archive.read(self.members[-1])
             except KeyError:
                 there = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
                 raise Problem(
-                    f"{self.parent}: {self.inside[-1]} is missing; the archive holds {there}"
+                    f"{self.parent}: {self.members[-1]} is missing; the archive holds {there}"
                 ) from None
 
     @property
     def parent(self) -> Location:
         """The archive that holds this member."""
-        return Location(self.path, self.inside[:-1])
+        return Location(self.path, self.members[:-1])
 
     def zip(self) -> zipfile.ZipFile:
         """This file opened as an archive."""
         try:
-            return zipfile.ZipFile(self.path if not self.inside else io.BytesIO(self.read()))
+            return zipfile.ZipFile(self.path if not self.members else io.BytesIO(self.read()))
         except FileNotFoundError:
             raise Problem(f"{self.path}: no such file") from None
         except zipfile.BadZipFile:
@@ -60,12 +60,12 @@ class Location:
 
     def member(self, name: str) -> Location:
         """A file of this archive, or of this folder."""
-        return Location(self.path / name) if self.is_folder else Location(self.path, (*self.inside, name))
+        return Location(self.path / name) if self.is_folder else Location(self.path, (*self.members, name))
 
     @property
     def is_folder(self) -> bool:
         """True for an unpacked archive."""
-        return not self.inside and self.path.is_dir()
+        return not self.members and self.path.is_dir()
 
     def names(self) -> list[str]:
         """The files of this archive or folder, with forward slashes."""
@@ -74,7 +74,7 @@ class Location:
         with self.zip() as archive:
             return [n for n in archive.namelist() if not n.endswith("/")]
 
-    def beside(self, uri: str) -> Location:
+    def resolve(self, uri: str) -> Location:
         """The file that a relative (or file:) URI found in this file names."""
         try:
             parts = urlsplit(uri)
@@ -84,10 +84,10 @@ class Location:
             return Location(Path(unquote(parts.path)))
         if len(parts.scheme) > 1:
             raise Problem(f"{self}: source {uri!r} cannot be opened, expected a relative path")
-        if not self.inside:
+        if not self.members:
             return Location(self.path.parent / unquote(parts.path))
-        joined = PurePosixPath(self.inside[-1]).parent / unquote(parts.path)
-        return Location(self.path, (*self.inside[:-1], _normal(joined)))
+        joined = PurePosixPath(self.members[-1]).parent / unquote(parts.path)
+        return Location(self.path, (*self.members[:-1], _normalised(joined)))
 
     def extract(self, folder: Path) -> None:
         """Unpack this archive, or copy this folder; members that point outside of the archive are refused."""
@@ -101,7 +101,7 @@ class Location:
             archive.extractall(folder)
 
 
-def _normal(path: PurePosixPath) -> str:
+def _normalised(path: PurePosixPath) -> str:
     """A member name without `.` and `..`."""
     kept: list[str] = []
     for part in path.parts:
@@ -112,17 +112,20 @@ def _normal(path: PurePosixPath) -> str:
     return "/".join(kept)
 
 
-BUILT, MAKE = Path("build/harvester.ssp"), "harvester build"
+DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 
 
-def there(system: Path) -> Path:
+def require_system(system: Path) -> Path:
     """The system, if there is such a file."""
     if not system.exists():
-        raise Problem(f"{system}: no such file" + (f"; make it with: {MAKE}" if system == BUILT else ""))
+        raise Problem(
+            f"{system}: no such file"
+            + (f"; make it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else "")
+        )
     return system
 
 
-def folder(path: Path) -> None:
+def make_folder(path: Path) -> None:
     """Make a folder for files to come, before work is spent on them."""
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -139,7 +142,7 @@ def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], d
     path.write_text("\n".join([",".join(names), *body, ""]), encoding="utf-8", newline="\n")
 
 
-def pack(path: Path, content: Mapping[str, bytes]) -> None:
+def write_zip(path: Path, content: Mapping[str, bytes]) -> None:
     """A zip file with fixed times and order; there is the whole file or the one that was there before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")

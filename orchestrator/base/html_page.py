@@ -15,7 +15,7 @@ from markupsafe import Markup
 from orchestrator.base.text import number, typeset
 from orchestrator.base.units import pretty
 
-HERE = Path(__file__).with_name("templates")
+TEMPLATES = Path(__file__).with_name("templates")
 
 
 def render(template: Path, *, title: str, **content: Any) -> str:
@@ -26,7 +26,7 @@ def render(template: Path, *, title: str, **content: Any) -> str:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
-        loader=FileSystemLoader([template.parent, HERE]),
+        loader=FileSystemLoader([template.parent, TEMPLATES]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -38,7 +38,7 @@ def render(template: Path, *, title: str, **content: Any) -> str:
         pretty=pretty,
         upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
     )
-    styles = (HERE / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
+    styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles))
     return environment.get_template(template.name).render(title=title, style=style, **content)
 
@@ -57,21 +57,23 @@ def write_text(path: Path, text: str) -> Path:
 
 def write_json(path: Path, values: Any) -> Path:
     """Write values as `plain` makes them."""
-    return write_text(path, json.dumps(plain(values), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    return write_text(
+        path, json.dumps(json_values(values), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    )
 
 
-def plain(values: Any) -> Any:
+def json_values(values: Any) -> Any:
     """Dataclasses, mappings, sequences and NumPy numbers as JSON knows them; what is not finite is null."""
     if is_dataclass(values) and not isinstance(values, type):
-        return {field.name: plain(getattr(values, field.name)) for field in fields(values)}
+        return {field.name: json_values(getattr(values, field.name)) for field in fields(values)}
     if isinstance(values, Mapping):
-        return {str(key): plain(value) for key, value in values.items()}
+        return {str(key): json_values(value) for key, value in values.items()}
     if isinstance(values, str | bool | int) or values is None:
         return values
     if isinstance(values, np.generic):
-        return plain(values.item())
+        return json_values(values.item())
     if isinstance(values, float):
         return values if math.isfinite(values) else None
     if isinstance(values, Iterable):
-        return [plain(value) for value in values]
+        return [json_values(value) for value in values]
     return str(values)

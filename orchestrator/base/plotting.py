@@ -27,7 +27,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from orchestrator.base.text import MINUS, typeset
-from orchestrator.base.units import convert, pretty, raised, shown
+from orchestrator.base.units import convert, pretty, reader_unit, superscript
 
 Array = NDArray[np.float64]
 Style = Mapping[str, Any]
@@ -36,7 +36,14 @@ WIDTH = 9.6  # [in]: 1000 pixels of a page
 DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
 DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
 # Lines that differ without colour.
-DASHED: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), (0, (8, 2)))
+LINE_STYLES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 2)),
+    (0, (1, 1.2)),
+    (0, (6, 1.5, 1, 1.5)),
+    (0, (3, 1)),
+    (0, (8, 2)),
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ class Palette:
         """The pair with this number; after the last one they begin again."""
         return self.pairs[place % len(self.pairs)]
 
-    def line(self, place: int) -> str:
+    def colour(self, place: int) -> str:
         """The colour of the line with this number."""
         return self.series[place % len(self.series)]
 
@@ -100,7 +107,7 @@ def new_figure(width: float, height: float, **padding: Any) -> Figure:
     return figure
 
 
-def frame(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
+def style_axes(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
     """Left and bottom spine only, a faint grid, and the labels of the axes."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(PALETTE.faint)
@@ -113,7 +120,7 @@ def frame(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
         axes.set_ylabel(y, color=PALETTE.ink, fontsize=size)
 
 
-def few_ticks(axis: Axis, count: int = 5) -> None:
+def limit_ticks(axis: Axis, count: int = 5) -> None:
     """At most `count` ticks; the power of ten of very large and small numbers stands in the label."""
     axis.set_major_locator(MaxNLocator(count))
     low, high = axis.get_view_interval()
@@ -130,7 +137,7 @@ def few_ticks(axis: Axis, count: int = 5) -> None:
     axis.set_major_formatter(text)
     if power:
         name, bracket, unit = axis.get_label_text().partition("[")
-        axis.set_label_text(f"{name.rstrip()} [10{raised(str(power))}{f' {unit}' if bracket else ']'}")
+        axis.set_label_text(f"{name.rstrip()} [10{superscript(str(power))}{f' {unit}' if bracket else ']'}")
 
 
 def power_ticks(axis: Axis) -> None:
@@ -138,7 +145,7 @@ def power_ticks(axis: Axis) -> None:
     power = _power(axis)
     if not power or axis.get_scale() != "linear":
         return
-    ending = f"·10{raised(str(power))}"
+    ending = f"·10{superscript(str(power))}"
     axis.set_major_formatter(
         lambda value, _: f"{value / 10.0**power:.3g}{ending if value else ''}".replace("-", MINUS)
     )
@@ -168,14 +175,14 @@ def legend(of: Figure | Axes, **options: Any) -> Any:
     )
 
 
-def handle(label: str, **style: Any) -> Line2D:
+def legend_entry(label: str, **style: Any) -> Line2D:
     """An entry of a legend."""
     return Line2D([], [], label=label, **style)
 
 
 REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
 SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
-ROW = 0.46  # [in] for each unit of height
+ROW_HEIGHT = 0.46  # [in] for each unit of height
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ def draw_traces(
     key      what the kinds of lines mean
     """
     heights = [height for panel in panels for height in panel.heights[: 2 if panel.errors else 1]]
-    figure = new_figure(WIDTH, ROW * sum(heights) + 0.9, h_pad=0.02, hspace=0.0)
+    figure = new_figure(WIDTH, ROW_HEIGHT * sum(heights) + 0.9, h_pad=0.02, hspace=0.0)
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     places = iter(axes)
     for panel in panels:
@@ -244,7 +251,7 @@ def draw_traces(
 
 def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     unit = f"[{pretty(panel.unit) or '1'}]"
-    frame(axes, y=f"{panel.label}\n{unit}" if panel.label else unit)
+    style_axes(axes, y=f"{panel.label}\n{unit}" if panel.label else unit)
     for line in panel.lines:
         axes.plot(*decimate(line.time, line.values), label=line.name or None, **line.style)
     axes.margins(y=0.12)
@@ -261,7 +268,7 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
 
 def _draw_errors(axes: Axes, panel: TracePanel) -> None:
     """The strip below a panel, with a scale of its own."""
-    frame(axes, y=f"{panel.error_label}\n[{pretty(panel.error_unit) or '1'}]", size=8)
+    style_axes(axes, y=f"{panel.error_label}\n[{pretty(panel.error_unit) or '1'}]", size=8)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     for line in panel.errors:
         axes.plot(*decimate(line.time, line.values), **{**line.style, "linewidth": 0.9})
@@ -281,10 +288,10 @@ def plot_signals(
     panels: dict[str, list[TraceLine]] = {}
     for name, values in signals.items():
         unit = units.get(name, "")
-        lines = panels.setdefault(shown(unit), [])
-        dashes = DASHED[len(lines) % len(DASHED)]
-        style = {"color": PALETTE.line(len(lines)), "linewidth": 1.3, "linestyle": dashes}
-        lines.append(TraceLine(time, convert(values, unit, shown(unit), name), style, name))
+        lines = panels.setdefault(reader_unit(unit), [])
+        dashes = LINE_STYLES[len(lines) % len(LINE_STYLES)]
+        style = {"color": PALETTE.colour(len(lines)), "linewidth": 1.3, "linestyle": dashes}
+        lines.append(TraceLine(time, convert(values, unit, reader_unit(unit), name), style, name))
     found = [TracePanel(unit, lines, heights=(4.5, 0.0)) for unit, lines in panels.items()]
     return draw_traces(found, (float(time[0]), float(time[-1])), title)
 

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
-from orchestrator.base.units import linear, pretty, raised, shown
+from orchestrator.base.units import factor_and_offset, pretty, reader_unit, superscript
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-NONE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
+NO_VALUE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
 # Errors are smaller than what they are errors of.
-FINER = {"m": "mm", "m/s": "mm/s"}
-SMALL = 0.1  # [m, m/s]: where all numbers of a quantity are below, they are shown in mm or mm/s
+ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}
+SMALL_LENGTH = 0.1  # [m, m/s]: where all numbers of a quantity are below, they are shown in mm or mm/s
 
 
 def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
     """A number with a few significant digits, `zeros` at its end among them; a dash where there is none."""
     if value is None or not math.isfinite(value):
-        return NONE
+        return NO_VALUE
     if value == 0:
         return "0"
     text = f"{value:{'#' if zeros else ''}.{digits}g}".rstrip(".")
@@ -40,19 +40,19 @@ def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
 
 def typeset(text: str) -> str:
     """Numbers in a text as print has them: 2.5e-13 as 2.5·10⁻¹³, +- as ±, a minus sign; a dash for none."""
-    if text == NONE:
+    if text == NO_VALUE:
         return DASH
-    text = re.sub(r"(?<=\d)e([+-]?\d+)\b", lambda m: f"·10{raised(str(int(m[1])))}", text)
+    text = re.sub(r"(?<=\d)e([+-]?\d+)\b", lambda m: f"·10{superscript(str(int(m[1])))}", text)
     return re.sub(r"(?<![\w.+-])-(?=\d)", MINUS, text.replace("+-", "±"))
 
 
-def share(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
+def percentage(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
     """A pure number as percent."""
     found = number(None if value is None else 100 * value, digits, zeros=zeros)
-    return found if found == NONE else f"{found} %"
+    return found if found == NO_VALUE else f"{found} %"
 
 
-def listed(words: Sequence[str]) -> str:
+def join_words(words: Sequence[str]) -> str:
     """Words as a list in a sentence: `a, b and c`."""
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
@@ -68,17 +68,17 @@ class DisplayUnit:
     """The unit of a quantity, and the one that a reader sees; an offset between them does not count."""
 
     unit: str
-    shown: str
+    display: str
 
     @property
     def factor(self) -> float:
         """Value in the display unit = factor * value."""
-        return linear(self.unit, self.shown, "display")[0]
+        return factor_and_offset(self.unit, self.display, "display")[0]
 
     @property
     def name(self) -> str:
         """The display unit as print has it, nothing for pure numbers."""
-        return pretty(self.shown)
+        return pretty(self.display)
 
     def plain(self, value: float, digits: int = 3) -> str:
         """A value for a terminal, without its unit."""
@@ -86,7 +86,7 @@ class DisplayUnit:
 
     def ascii(self, value: float, digits: int = 3) -> str:
         """A value for a terminal, such as `0.12 bar`."""
-        return f"{self.plain(value, digits)} {self.shown}".rstrip()
+        return f"{self.plain(value, digits)} {self.display}".rstrip()
 
     def text(self, value: float, digits: int = 3, *, with_unit: bool = True) -> str:
         """A value for a page, such as `173 bar`."""
@@ -96,15 +96,15 @@ class DisplayUnit:
 
 def display_unit(unit: str, largest: float = math.inf) -> DisplayUnit:
     """The unit to show numbers in, of which `largest` is the largest: bar for Pa, mm for small lengths."""
-    return finer(unit) if abs(largest) < SMALL else DisplayUnit(unit, shown(unit))
+    return error_display_unit(unit) if abs(largest) < SMALL_LENGTH else DisplayUnit(unit, reader_unit(unit))
 
 
-def finer(unit: str) -> DisplayUnit:
+def error_display_unit(unit: str) -> DisplayUnit:
     """The unit to show errors of a quantity in: mm for m, bar for Pa."""
-    return DisplayUnit(unit, FINER.get(unit) or shown(unit))
+    return DisplayUnit(unit, ERROR_UNITS.get(unit) or reader_unit(unit))
 
 
-def labelled(name: str, unit: str) -> str:
+def name_with_unit(name: str, unit: str) -> str:
     """A quantity with its unit, as print has it: `flow [m³/s]`."""
     return f"{name} [{pretty(unit)}]" if pretty(unit) else name
 

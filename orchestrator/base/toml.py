@@ -28,7 +28,7 @@ class Table:
     where: str
     data: Mapping[str, Any]
 
-    def only(self, keys: Collection[str]) -> Table:
+    def allow_only(self, keys: Collection[str]) -> Table:
         """This table, if it has no other keys."""
         for key in self.data:
             if key not in keys:
@@ -36,31 +36,31 @@ class Table:
                 raise Problem(f"{self.where}: unknown key {key!r}{near}")
         return self
 
-    def need(self, key: str, expected: str) -> Any:
+    def require(self, key: str, expected: str) -> Any:
         """The value of a key that has to be there."""
         if key not in self.data:
             raise Problem(f"{self.where}: {key}: expected {expected}, got nothing")
         return self.data[key]
 
-    def wrong(self, key: str, expected: str) -> Problem:
+    def problem(self, key: str, expected: str) -> Problem:
         """What to raise for a value that does not do."""
-        return Problem(f"{self.where}: {key}: expected {expected}, got {_shown(self.data.get(key))}")
+        return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}")
 
     def text(self, key: str) -> str | None:
         """A text that is not empty."""
         value = self.data.get(key)
         if value is not None and not (isinstance(value, str) and value):
-            raise self.wrong(key, "a text")
+            raise self.problem(key, "a text")
         return value
 
     def one_of(self, key: str, known: Iterable[Word]) -> Word:
         """One of some words."""
         names = list(known)
         expected = f"one of {', '.join(names)}"
-        value = self.need(key, expected)
+        value = self.require(key, expected)
         if value not in names:
             near = suggest(value, names) if isinstance(value, str) else ""
-            raise Problem(f"{self.wrong(key, expected)}{near}")
+            raise Problem(f"{self.problem(key, expected)}{near}")
         return names[names.index(value)]
 
     def number(self, key: str, positive: bool = False) -> float | None:
@@ -70,23 +70,23 @@ class Table:
             return None
         expected = "a positive number" if positive else "a number"
         if not is_number(value) or (positive and not value > 0):
-            raise self.wrong(key, expected)
+            raise self.problem(key, expected)
         return float(value)
 
-    def whole(self, key: str, least: int) -> int | None:
+    def integer(self, key: str, least: int) -> int | None:
         """A whole number of at least `least`."""
         value = self.data.get(key)
         if value is None:
             return None
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise self.wrong(key, f"a whole number of at least {least}")
+            raise self.problem(key, f"a whole number of at least {least}")
         return value
 
-    def truth(self, key: str) -> bool:
+    def boolean(self, key: str) -> bool:
         """True or false; false if it is missing."""
         value = self.data.get(key, False)
         if not isinstance(value, bool):
-            raise self.wrong(key, "true or false")
+            raise self.problem(key, "true or false")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
@@ -94,31 +94,31 @@ class Table:
         value = self.data[key]
         found = [value] if isinstance(value, str) else value
         if not isinstance(found, list) or not found or not all(isinstance(v, str) and v for v in found):
-            raise self.wrong(key, "a text or a list of texts")
+            raise self.problem(key, "a text or a list of texts")
         if len(set(found)) < len(found):
-            raise self.wrong(key, "different texts")
+            raise self.problem(key, "different texts")
         return tuple(found)
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers."""
-        value = self.need(key, "a list of numbers")
+        value = self.require(key, "a list of numbers")
         if not isinstance(value, list) or not value or not all(is_number(v) for v in value):
-            raise self.wrong(key, "a list of numbers")
+            raise self.problem(key, "a list of numbers")
         return tuple(float(v) for v in value)
 
     def tables(self, key: str) -> dict[str, Table]:
         """The tables inside a table."""
-        inner = self.inside(key)
+        inner = self.table(key)
         for name, value in inner.data.items():
             if not isinstance(value, dict):
-                raise inner.wrong(name, "a table")
-        return {name: Table(f"{inner.where}.{quoted(name)}", value) for name, value in inner.data.items()}
+                raise inner.problem(name, "a table")
+        return {name: Table(f"{inner.where}.{quote_key(name)}", value) for name, value in inner.data.items()}
 
-    def inside(self, key: str) -> Table:
+    def table(self, key: str) -> Table:
         """The table of a key; an empty one if it is missing."""
         value = self.data.get(key, {})
         if not isinstance(value, dict):
-            raise self.wrong(key, "a table")
+            raise self.problem(key, "a table")
         return Table(f"{self.where}: {key}", value)
 
 
@@ -142,17 +142,17 @@ POSITIVE = Rule("a number above 0", lambda value: value > 0)
 NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
 
 
-def fill(kind: type[Kind], table: Table) -> Kind:
+def read_dataclass(kind: type[Kind], table: Table) -> Kind:
     """A dataclass from a table with its fields as keys; a field without default is a required key.
 
     A field is a str, float, int, bool, date, Literal, tuple of floats, tuple[..., ...] (a list), another
     dataclass (a table), a Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
     """
     hints = get_type_hints(kind, include_extras=True)
-    table.only(hints)
+    table.allow_only(hints)
     for field in fields(kind):  # type: ignore[arg-type]
         if field.default is MISSING and field.default_factory is MISSING:
-            table.need(field.name, _expected(hints[field.name]))
+            table.require(field.name, _expected(hints[field.name]))
     return kind(**{key: _value(hints[key], table, key, f"{table.where}: {key}") for key in table.data})
 
 
@@ -162,25 +162,25 @@ def _value(hint: Any, table: Table, key: str, where: str) -> Any:
     if get_origin(hint) is Annotated:
         found = _value(kinds[0], table, key, where)
         if not kinds[1].holds(found):
-            raise table.wrong(key, kinds[1].expected)
+            raise table.problem(key, kinds[1].expected)
         return found
     choices = _choices(hint)
     if choices != (hint,) and len(choices) == 1:
         return _value(choices[0], table, key, where)
     for choice in choices:
         if isinstance(value, dict) and is_dataclass(choice):
-            return fill(choice, Table(where, value))  # type: ignore[arg-type]
+            return read_dataclass(choice, Table(where, value))  # type: ignore[arg-type]
         if isinstance(value, dict) and get_origin(choice) is Mapping:
             inner = Table(where, value)
             return {
-                name: _value(get_args(choice)[1], inner, name, f"{where}.{quoted(name)}") for name in value
+                name: _value(get_args(choice)[1], inner, name, f"{where}.{quote_key(name)}") for name in value
             }
         if isinstance(value, list) and get_origin(choice) is tuple and get_args(choice)[-1] is Ellipsis:
             inner = Table(where, {str(place): entry for place, entry in enumerate(value, 1)})
             return tuple(_value(get_args(choice)[0], inner, n, f"{where} {n}") for n in inner.data)
         if _fits(choice, value):
             return float(value) if choice is float else tuple(value) if isinstance(value, list) else value
-    raise table.wrong(key, _expected(hint))
+    raise table.problem(key, _expected(hint))
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:
@@ -223,10 +223,10 @@ def is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
 
 
-def quoted(name: str) -> str:
+def quote_key(name: str) -> str:
     """A key as TOML writes it."""
     return f'"{name}"' if "." in name else name
 
 
-def _shown(value: Any) -> str:
+def _repr(value: Any) -> str:
     return "nothing" if value is None else repr(value)

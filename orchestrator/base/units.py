@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-LONGEST = 200  # characters of a unit; brackets inside brackets have an end
+MAX_LENGTH = 200  # characters of a unit; brackets inside brackets have an end
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ _OTHER: Mapping[str, tuple[float, str]] = {
     "%": (0.01, "1"), "1": (1.0, "1"), "-": (1.0, "1"), "": (1.0, "1"),
     "degC": (1.0, "K"), "degF": (5 / 9, "K"),
 }  # fmt: skip
-_ZEROS = {"degC": 273.15, "degF": 273.15 - 32 * 5 / 9}  # K; only of a temperature by itself
+_OFFSETS = {"degC": 273.15, "degF": 273.15 - 32 * 5 / 9}  # K; only of a temperature by itself
 PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 # Prefixes go with these: "kN", not "kpsi".
 _PREFIXED = frozenset(
@@ -91,31 +91,31 @@ _TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:(?P<power>-?\d{1,2})(?!\d))?|1(?!\d
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-class _Unknown(Exception):
+class _UnknownUnit(Exception):
     """The text is no unit that is known."""
 
 
 def parse(text: str, where: str = "unit") -> Unit:
     """The unit written as `text`, such as `N.m.s/rad`, `m3/(s.Pa)`, `m s-1`, `kN` or `L/min`."""
-    plain = spelled(text)
+    plain = normalised(text)
     try:
-        found = _named(plain) if plain in _OTHER else _product(_factors(plain))
+        found = _symbol_unit(plain) if plain in _OTHER else _product(_factors(plain))
         if not (found.factor and isfinite(found.factor)):
-            raise _Unknown
-    except (_Unknown, OverflowError):  # OverflowError: a factor to a power that no number holds
+            raise _UnknownUnit
+    except (_UnknownUnit, OverflowError):  # OverflowError: a factor to a power that no number holds
         raise Problem(
             f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm"
         ) from None
-    return Unit(found.exponents, found.factor, _ZEROS.get(plain, 0.0))
+    return Unit(found.exponents, found.factor, _OFFSETS.get(plain, 0.0))
 
 
-def in_si(text: str) -> str:
+def si_unit(text: str) -> str:
     """The SI unit of the same quantity: "bar.min/L" gives "Pa.s/m3", "kN.m" gives "N.m"."""
     parse(text)
-    plain = spelled(text)
+    plain = normalised(text)
     powers: dict[str, int] = {}
     for name, power in [(plain, 1)] if plain in _OTHER else _factors(plain):
-        symbol = name if _known(name) else name[1:]
+        symbol = name if _is_symbol(name) else name[1:]
         for part, n in _factors(_OTHER[symbol][1]) if symbol in _OTHER else [(symbol, 1)]:
             powers[part] = powers.get(part, 0) + n * power
     above = [_powered(name, n) for name, n in powers.items() if n > 0]
@@ -124,7 +124,7 @@ def in_si(text: str) -> str:
     return (".".join(above) or "1") + (divisor and f"/{divisor}")
 
 
-def spelled(text: str) -> str:
+def normalised(text: str) -> str:
     """The unit in characters of the grammar, from what loggers write: "°C", "m³/s", "N·m"; no unit is "1"."""
     plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "")
     plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
@@ -141,7 +141,7 @@ def per_second(unit: str) -> str:
     return f"{unit}/s"
 
 
-def linear(source: str, target: str, where: str) -> tuple[float, float]:
+def factor_and_offset(source: str, target: str, where: str) -> tuple[float, float]:
     """(factor, offset) so that value in `target` = factor * value in `source` + offset."""
     if source == target:
         return 1.0, 0.0
@@ -153,19 +153,19 @@ def linear(source: str, target: str, where: str) -> tuple[float, float]:
 
 def convert(values: NDArray[np.float64], source: str, target: str, where: str) -> NDArray[np.float64]:
     """Values in unit `source`, any shape, converted to unit `target`."""
-    factor, offset = linear(source, target, where)
+    factor, offset = factor_and_offset(source, target, where)
     return factor * values + offset
 
 
-def shown(unit: str) -> str:
+def reader_unit(unit: str) -> str:
     """The unit in which values of `unit` are shown to a reader: bar for Pa, L/min, deg, deg/s, kN, kW."""
     try:
-        return DISPLAY.get(in_si(unit), unit)
+        return DISPLAY.get(si_unit(unit), unit)
     except Problem:
         return unit
 
 
-def display(unit: str) -> tuple[str, float] | None:
+def display_conversion(unit: str) -> tuple[str, float] | None:
     """The unit to show values of `unit` in and its factor (shown = factor * value), if there is one."""
     if unit not in DISPLAY:
         return None
@@ -176,20 +176,20 @@ def pretty(unit: str) -> str:
     """A unit as print has it: m³/(s·Pa), N·m; nothing for pure numbers."""
     if unit in ("", "1", "-"):
         return ""
-    powers = re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.\d)", lambda m: raised(m[1]), unit)
+    powers = re.sub(r"(?<=[A-Za-z])\^?(-?\d)(?!\d|\.\d)", lambda m: superscript(m[1]), unit)
     return re.sub(r"\.(?!\d)", "·", powers)
 
 
-def raised(digits: str) -> str:
+def superscript(digits: str) -> str:
     """Digits as an exponent."""
     return digits.translate(_RAISED)
 
 
-def _known(name: str) -> bool:
+def _is_symbol(name: str) -> bool:
     return name in BASES or name in _DERIVED or name in _OTHER
 
 
-def _named(name: str) -> Unit:
+def _symbol_unit(name: str) -> Unit:
     """The unit of one symbol, perhaps with a prefix."""
     if name in BASES:
         return Unit(tuple(int(name == base) for base in BASES))
@@ -200,15 +200,15 @@ def _named(name: str) -> Unit:
         found = _product(_factors(of))
         return Unit(found.exponents, count * found.factor)
     if name[:1] in PREFIXES and name[1:] in _PREFIXED:
-        found = _named(name[1:])
+        found = _symbol_unit(name[1:])
         return Unit(found.exponents, PREFIXES[name[0]] * found.factor)
-    raise _Unknown
+    raise _UnknownUnit
 
 
 def _product(factors: list[tuple[str, int]]) -> Unit:
     found = ONE
     for name, power in factors:
-        found = found.times(_named(name), power)
+        found = found.times(_symbol_unit(name), power)
     return found
 
 
@@ -218,12 +218,12 @@ def _powered(name: str, power: int) -> str:
 
 def _factors(text: str) -> list[tuple[str, int]]:
     """Symbols and powers of "a.b2/(c.d)"; what follows a stroke without brackets is one factor."""
-    if len(text) > LONGEST:
-        raise _Unknown
+    if len(text) > MAX_LENGTH:
+        raise _UnknownUnit
     reader = _Reader(list(_tokens(text)))
     found = reader.product()
     if reader.tokens:
-        raise _Unknown
+        raise _UnknownUnit
     return found
 
 
@@ -232,7 +232,7 @@ def _tokens(text: str) -> Iterator[re.Match[str]]:
     while at < len(text):
         token = _TOKEN.match(text, at)
         if token is None:
-            raise _Unknown
+            raise _UnknownUnit
         yield token
         at = token.end()
 
@@ -246,31 +246,31 @@ class _Reader:
     def product(self) -> list[tuple[str, int]]:
         """Factors that are joined by points and strokes; a product below a stroke has brackets."""
         found, below = self._factor(), False
-        while sign := self._taken(".", "/"):
+        while sign := self._accept(".", "/"):
             if below and sign == ".":
-                raise _Unknown  # a/b.c: nobody knows whether c is above or below
+                raise _UnknownUnit  # a/b.c: nobody knows whether c is above or below
             below = sign == "/"
             found += [(name, -power if below else power) for name, power in self._factor()]
         return found
 
     def _factor(self) -> list[tuple[str, int]]:
-        if self._taken("("):
+        if self._accept("("):
             found = self.product()
-            if not self._taken(")"):
-                raise _Unknown
+            if not self._accept(")"):
+                raise _UnknownUnit
             return found
         if not self.tokens or self.tokens[0][0] in "./)":
-            raise _Unknown
+            raise _UnknownUnit
         token = self.tokens.pop(0)
         return [] if token[0] == "1" else [(token["name"], int(token["power"] or 1))]
 
-    def _taken(self, *signs: str) -> str:
+    def _accept(self, *signs: str) -> str:
         """The next token, if it is one of these; else nothing is taken."""
         return self.tokens.pop(0)[0] if self.tokens and self.tokens[0][0] in signs else ""
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearTransformation:
     """The map value -> factor * value + offset."""
 
     factor: float = 1.0
@@ -279,12 +279,12 @@ class Linear:
     def __call__(self, value: float) -> float:
         return self.factor * value + self.offset
 
-    def then(self, after: Linear) -> Linear:
+    def then(self, after: LinearTransformation) -> LinearTransformation:
         """This map first, `after` on its result."""
-        return Linear(after.factor * self.factor, after.factor * self.offset + after.offset)
+        return LinearTransformation(after.factor * self.factor, after.factor * self.offset + after.offset)
 
 
-IDENTITY = Linear()
+IDENTITY = LinearTransformation()
 
 
 @dataclass(frozen=True)
@@ -311,7 +311,7 @@ class DeclaredUnit:
         return f"[{self.name}]"
 
 
-def defined(unit: DeclaredUnit) -> DeclaredUnit:
+def _with_definition(unit: DeclaredUnit) -> DeclaredUnit:
     """The unit itself; one that no file defines by its symbol, if that is known, such as bar or L/min."""
     if unit.exponents is not None:
         return unit
@@ -324,7 +324,7 @@ def defined(unit: DeclaredUnit) -> DeclaredUnit:
 
 def conversion(
     source: DeclaredUnit | None, target: DeclaredUnit | None, where: str
-) -> tuple[Linear, str | None]:
+) -> tuple[LinearTransformation, str | None]:
     """The map from `source` to `target`, and a note when it rests on an assumption.
 
     A side without unit takes the value as it is. Raises Problem, beginning with `where`, when the
@@ -335,14 +335,19 @@ def conversion(
     if source.name == target.name and None in (source.exponents, target.exponents):
         return IDENTITY, None
     for unit in (source, target):
-        if wrong := _wrong(unit):
+        if wrong := _conversion_problem(unit):
             raise Problem(f"{where}: {wrong}")
-    source, target = defined(source), defined(target)
+    source, target = _with_definition(source), _with_definition(target)
     if source.exponents is None or target.exponents is None:
         return IDENTITY, f"{where}: {source} and {target} are not both defined; the value is passed unchanged"
     if source.dimension != target.dimension:
-        raise Problem(f"{where}: the units cannot be converted, {_base(source)} and {_base(target)}")
-    linear = Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+        raise Problem(
+            f"{where}: the units cannot be converted,"
+            f" {_with_base_units(source)} and {_with_base_units(target)}"
+        )
+    linear = LinearTransformation(
+        source.factor / target.factor, (source.offset - target.offset) / target.factor
+    )
     if not (linear.factor and isfinite(linear.factor) and isfinite(linear.offset)):
         message = f"expected a finite factor other than 0, got {linear.factor:g}"
         raise Problem(f"{where}: {source} and {target} are too far apart: {message}")
@@ -351,7 +356,7 @@ def conversion(
     return linear, None
 
 
-def _wrong(unit: DeclaredUnit) -> str:
+def _conversion_problem(unit: DeclaredUnit) -> str:
     """Why values of a unit cannot be converted; empty if they can."""
     if unit.fault or (unit.factor and isfinite(unit.factor) and isfinite(unit.offset)):
         return unit.fault
@@ -359,7 +364,7 @@ def _wrong(unit: DeclaredUnit) -> str:
     return f"{unit}: expected a finite factor other than 0 and a finite offset, got {message}"
 
 
-def _base(unit: DeclaredUnit) -> str:
+def _with_base_units(unit: DeclaredUnit) -> str:
     """The unit and its base units, for a message: 'bar = kg.m-1.s-2'."""
     parts = [f"{b}{n if n != 1 else ''}" for b, n in zip(BASES, unit.exponents or (), strict=False) if n]
     base = ".".join(parts) or "1"

@@ -29,20 +29,20 @@ class XmlElement:
     @property
     def name(self) -> str:
         """The name without namespace or prefix; empty for comments."""
-        return local(self.element)
+        return local_name(self.element)
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """File and line, to begin a message."""
         return f"{self.file}: line {self.element.sourceline}"
 
     def problem(self, text: str) -> Problem:
         """An error in this element."""
-        return Problem(f"{self.place}: {self.name}: {text}")
+        return Problem(f"{self.location}: {self.name}: {text}")
 
     def children(self, *path: str) -> Iterator[XmlElement]:
         """The elements at a path of names; without a path all elements directly inside."""
-        found = children(self.element, *path) if path else (e for e in self.element if local(e))
+        found = children(self.element, *path) if path else (e for e in self.element if local_name(e))
         return (XmlElement(self.file, e) for e in found)
 
     def child(self, *path: str) -> XmlElement | None:
@@ -77,11 +77,11 @@ class XmlElement:
         except ValueError:
             raise self.problem(f"expected a finite number for {name}, got {text!r}") from None
 
-    def truth(self, name: str) -> bool:
+    def boolean(self, name: str) -> bool:
         """An attribute that is true or false; false where it is missing."""
         text = self.element.get(name, "false")
         try:
-            return truth(text)
+            return boolean(text)
         except ValueError:
             raise self.problem(f"expected true or false for {name}, got {text!r}") from None
 
@@ -94,8 +94,8 @@ def read_xml(file: Location, expected: str) -> XmlElement:
 def parse(file: Location, expected: str) -> Element:
     """The root of an XML file as lxml has it; its name must be `expected`."""
     root = _root(file)
-    if local(root) != expected:
-        raise Problem(f"{file}: expected the element {expected}, got {local(root)}")
+    if local_name(root) != expected:
+        raise Problem(f"{file}: expected the element {expected}, got {local_name(root)}")
     return root
 
 
@@ -108,7 +108,7 @@ def _root(file: Location) -> Element:
     try:
         root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        if fault := _fault(error, parser.error_log):
+        if fault := _syntax_error(error, parser.error_log):
             raise Problem(f"{file}: is not XML: {fault}") from error
         root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
     for entity in root.iter(etree.Entity):  # entities are not resolved: their content would be missing
@@ -117,7 +117,7 @@ def _root(file: Location) -> Element:
     return root
 
 
-def _fault(error: Exception, log: Any) -> str:
+def _syntax_error(error: Exception, log: Any) -> str:
     """The first error other than a prefix without declaration; empty if there is no other."""
     from lxml import etree
 
@@ -128,7 +128,7 @@ def _fault(error: Exception, log: Any) -> str:
     return " ".join("".join(others[:1]).split())
 
 
-def local(element: Element) -> str:
+def local_name(element: Element) -> str:
     """The name without namespace or prefix; empty for comments."""
     name = str(element.tag).rpartition("}")[2] if isinstance(element.tag, str) else ""
     return name.rpartition(":")[2]
@@ -142,7 +142,7 @@ def children(element: Element | None, *path: str) -> Iterator[Element]:
         yield element
         return
     for child in element:
-        if local(child) == path[0]:
+        if local_name(child) == path[0]:
             yield from children(child, *path[1:])
 
 
@@ -176,14 +176,14 @@ def finite(text: str) -> float:
     return value
 
 
-def whole(text: str) -> int:
+def integer(text: str) -> int:
     """A whole number; ValueError for any other text."""
     if not _WHOLE.fullmatch(text.strip()):
         raise ValueError(text)
     return int(text)
 
 
-def truth(text: str) -> bool:
+def boolean(text: str) -> bool:
     """true, false, 1 or 0; ValueError for any other text."""
     try:
         return _TRUTH[text.strip()]
@@ -191,7 +191,7 @@ def truth(text: str) -> bool:
         raise ValueError(text) from None
 
 
-def digits(value: float) -> str:
+def shortest_decimal(value: float) -> str:
     """The shortest decimal that reads back as the same number, because tools show it as it stands."""
     short = f"{value:.15g}"
     return short if float(short) == value else repr(value)

@@ -32,7 +32,7 @@ from orchestrator.check.probe_process import run
 from orchestrator.check.probes import first_run
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
-from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, numbers
+from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers
 
 SETTABLE = ("parameter", "structuralParameter", "input")
 
@@ -132,7 +132,7 @@ def _settable(v: DeclaredVariable) -> bool:
 
 def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
     try:
-        values = list(numbers(text))
+        values = list(parse_numbers(text))
     except ValueError:
         values = []
     if len(values) != v.size:

@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.xml import Element, child, children, local, parse, read_xml
+from orchestrator.base.xml import Element, child, children, local_name, parse, read_xml
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{PLACE}/fmi-ls-manifest.xml"
@@ -99,9 +99,11 @@ def experiments(folder: Path, file: Path) -> Iterator[ShippedExperiment | str]:
     root = parse(Location(file), "Experiments")
     for e in children(root, "Experiment"):
         name = e.get("name", file.stem)
-        other = [local(x) for x in e if local(x) in ANALYSES]
+        other = [local_name(x) for x in e if local_name(x) in ANALYSES]
         reference = _source(folder, file, e, "References")
-        strange = [f"{local(x)} of type {x.get('type')}" for x in e if x.get("type", TYPES[0]) not in TYPES]
+        strange = [
+            f"{local_name(x)} of type {x.get('type')}" for x in e if x.get("type", TYPES[0]) not in TYPES
+        ]
         if strange:
             yield f'experiment "{name}" has {strange[0]}, expected {" or ".join(TYPES)}'
         elif other:

@@ -20,10 +20,10 @@ ATTEMPTS = 6  # children for one task, each of which goes on after the crash of 
 class ProbeLimits(WorkerLimits):
     """What a probe may take; `work`: wall time [s] that it fills with steps and instances."""
 
-    call: float = 10.0
-    total: float = 60.0
+    call_time: float = 10.0
+    total_time: float = 60.0
     memory: float = machine_memory() / 4
-    work: float = 0.8
+    work_time: float = 0.8
 
 
 _limits = [ProbeLimits()]
@@ -31,7 +31,7 @@ _halt = threading.Event()  # set by an interrupt: children are to be stopped
 
 
 @contextmanager
-def limits(changed: ProbeLimits) -> Iterator[None]:
+def use_probe_limits(changed: ProbeLimits) -> Iterator[None]:
     """Other limits for the time of a block."""
     _limits.append(changed)
     try:
@@ -40,7 +40,7 @@ def limits(changed: ProbeLimits) -> Iterator[None]:
         _limits.remove(changed)
 
 
-def current() -> ProbeLimits:
+def probe_limits() -> ProbeLimits:
     """The limits in force."""
     return _limits[-1]
 
@@ -79,7 +79,7 @@ def run(
     habits    what is known of the FMU, see `Trial`
     payload   what the task needs
     """
-    trial = {"folder": folder, "description": description, "kind": kind, "seconds": current().work}
+    trial = {"folder": folder, "description": description, "kind": kind, "seconds": probe_limits().work_time}
     trial |= {**(habits or {}), "payload": payload, "first": 0}
     whole = Outcome()
     for _ in range(ATTEMPTS):
@@ -104,7 +104,7 @@ def _attempt(job: Mapping[str, Any]) -> Outcome:
     try:
         child.put(job)
         try:
-            for message in child.messages(current(), _halt):
+            for message in child.messages(probe_limits(), _halt):
                 if "severity" in message:
                     outcome.said.append((message["severity"], message["text"]))
                 outcome.stage = message.get("stage", outcome.stage)
@@ -112,7 +112,7 @@ def _attempt(job: Mapping[str, Any]) -> Outcome:
                 if "done" in message and not outcome.end:
                     done, outcome.result = True, message["result"]
         except LimitExceeded as limit:
-            outcome.end, outcome.late = str(limit), limit.late
+            outcome.end, outcome.late = str(limit), limit.timed_out
         if not done and not outcome.end:
             outcome.end = child.report
         return outcome

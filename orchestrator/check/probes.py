@@ -14,7 +14,7 @@ from pathlib import Path
 from orchestrator.check.finding import MAKE, Check, CheckRule, Finding, note
 from orchestrator.check.probe_process import Outcome, in_parallel, run
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.library import ARM, SYSTEM, find, folders
+from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
 
 KINDS = ("CoSimulation", "ModelExchange")
@@ -78,11 +78,11 @@ def _first_run(subject: Subject) -> FirstRun:
 
 def _certain(fmi: int) -> list[str]:
     """Folders that are for this processor without doubt: linux64 does not tell it, darwin64 is for both."""
-    return folders(fmi)[:1] if ARM and SYSTEM != "darwin" else folders(fmi)
+    return platform_folders(fmi)[:1] if ARM and SYSTEM != "darwin" else platform_folders(fmi)
 
 
 def _has_binary(folder: Path, model: ModelDescription, kind: str) -> bool:
-    path = find(folder, model.interfaces[kind].get("modelIdentifier"), model.major)
+    path = find_library(folder, model.interfaces[kind].get("modelIdentifier"), model.major)
     return path is not None and path.parent.name in _certain(model.major)
 
 
@@ -94,7 +94,7 @@ def _unreadable(model: ModelDescription) -> str:
         for v in model.variables:
             if not v.name or v.reference is None:
                 return f"{v}: expected a name and a value reference"
-            _ = v.size, v.start, v.low, v.high, v.nominal
+            _ = v.size, v.start, v.minimum, v.maximum, v.nominal
         for unknown in (*model.structure.get("outputs", ()), *model.structure.get("derivatives", ())):
             if unknown.variable is None:
                 return f"{unknown}: expected a variable, found none with number {unknown.key}"

@@ -57,9 +57,9 @@ def build(
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
     platforms = select(platform or ["host"])
-    from orchestrator.base.files import folder
+    from orchestrator.base.files import make_folder
 
-    folder(out)
+    make_folder(out)
     if model is not None:
         from fmus.export.python.build import build_model
 

@@ -37,7 +37,7 @@ def check(
     """
     from orchestrator.check import all_rules
     from orchestrator.check import check as run_check
-    from orchestrator.check.probe_process import ProbeLimits, limits
+    from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
     from orchestrator.check.report import table
 
     if rules:
@@ -47,7 +47,7 @@ def check(
         raise Problem("check: expected an FMU or --rules")
     if not timeout > 0:
         raise Problem(f"check: --timeout {timeout:g}: expected a number of seconds above 0")
-    with limits(ProbeLimits(call=timeout, total=max(timeout, ProbeLimits.total))):
+    with use_probe_limits(ProbeLimits(call_time=timeout, total_time=max(timeout, ProbeLimits.total_time))):
         report = run_check(fmu, for_, run=not static)
     print(report.text())
     if json:

@@ -40,11 +40,11 @@ def compare(
 
     Prints the difference of each signal and the cost of each run, and draws the signals.
     """
-    from orchestrator.base.files import folder
+    from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces
     from orchestrator.results.comparison_report import text, write
 
     comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
-    folder(out)
+    make_folder(out)
     picture, numbers = write(comparison, out)
     print(f"{text(comparison)}\n\npicture: {picture}\nnumbers: {numbers}")

@@ -57,7 +57,7 @@ def identify(
     """
     from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
-    from orchestrator.base.files import folder as make_folder
+    from orchestrator.base.files import make_folder
 
     make_folder(out.parent)
     make_folder(report)

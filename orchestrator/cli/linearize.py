@@ -87,7 +87,7 @@ def linearize(
     harvester linearize build/harvester_control.ssp --pose reach --time 2 --set engaged=1
     --set radial_velocity=-0.3 --set swing_velocity=0.3
     """
-    from orchestrator.base.files import folder, there
+    from orchestrator.base.files import make_folder, require_system
     from orchestrator.linear.linearize import linearize as run_linearize
 
     if time is None and (scenario or step):
@@ -97,9 +97,9 @@ def linearize(
     if out.suffix != ".npz":
         raise Problem(f"--out {out}: expected a file name ending in .npz")
     speeds = _speeds(speed or [])
-    folder(out.parent)
+    make_folder(out.parent)
     linear = run_linearize(
-        there(system),
+        require_system(system),
         parameters=pose or (),
         inputs=input_ or (),
         outputs=output or (),

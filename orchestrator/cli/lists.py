@@ -68,9 +68,9 @@ def signals(
     swap: Swap = None,
 ) -> None:
     """List the variables of a system with unit and description."""
-    from orchestrator.base.files import there
+    from orchestrator.base.files import require_system
     from orchestrator.ssp.listing import lines
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
 
-    print("\n".join(lines(with_swaps(load(there(system)), swaps(swap or [])), kind)))
+    print("\n".join(lines(with_swaps(load(require_system(system)), swaps(swap or [])), kind)))

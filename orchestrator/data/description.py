@@ -55,7 +55,7 @@ class Tolerance:
         """The same limit for a signal in another unit."""
         return replace(self, limit=self.limit * factor) if self.in_unit else self
 
-    def use(self, value: float | None) -> float:
+    def fraction_used(self, value: float | None) -> float:
         """How much of the limit a value of the metric uses: 1 at the limit, above it when it fails."""
         if value is None:
             return float("inf")
@@ -88,7 +88,7 @@ class Origin:
 
 
 # A computed trace must be reproducible, so its file must tell all of this.
-NEEDED = {
+REQUIRED_KEYS = {
     "simulation": ("title", "origin", "made_by", "solver", "relative_tolerance", "date", "change"),
     "published": ("title", "origin", "date", "change"),
     "measurement": (),
@@ -129,7 +129,7 @@ class SignalDescription:
     span: Annotated[tuple[float, float], Rule("[lowest, highest]", lambda v: v[0] < v[1])] | None = None
     dead_zone: Annotated[float, NOT_NEGATIVE] = 0.0
 
-    def judged_by(self, groups: Mapping[str, Tolerance | Literal["none"]]) -> Tolerance | None:
+    def tolerance_of(self, groups: Mapping[str, Tolerance | Literal["none"]]) -> Tolerance | None:
         """Its own limit, else that of its group; None if it is only shown."""
         found = groups.get(self.group) if self.tolerance is None else self.tolerance
         return found if isinstance(found, Tolerance) else None
@@ -164,26 +164,26 @@ def read_description(path: Path) -> Description:
     except OSError as error:
         raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
     if not table.data.get("signals"):
-        table.only(Description.__dataclass_fields__)
+        table.allow_only(Description.__dataclass_fields__)
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")
-    found = toml.fill(Description, table)
+    found = toml.read_dataclass(Description, table)
     told = found.reference
-    if missing := [key for key in NEEDED[told.kind] if getattr(told, key) in ("", None)]:
+    if missing := [key for key in REQUIRED_KEYS[told.kind] if getattr(told, key) in ("", None)]:
         raise Problem(
             f"{path}: reference: a trace of kind {told.kind!r} must tell {', '.join(missing)}, got none"
         )
     if "experiment" in table.data:
-        experiment = table.inside("experiment")
-        experiment.need("procedure", "the name of an experiment")
+        experiment = table.table("experiment")
+        experiment.require("procedure", "the name of an experiment")
         if found.experiment.get("use", "train") not in ("train", "test"):
-            raise experiment.wrong("use", "one of train, test")
+            raise experiment.problem("use", "one of train, test")
     if parse(found.time.unit, f"{path}: time").exponents != parse("s").exponents:
         raise Problem(f"{path}: time: unit: expected one of time such as s or ms, got {found.time.unit!r}")
     for name, value in found.experiment.items():
         if isinstance(value, Condition):
             parse(value.unit, f"{path}: experiment: {name}")
     for name, signal in found.signals.items():
-        where = f"{path}: signals.{toml.quoted(name)}"
+        where = f"{path}: signals.{toml.quote_key(name)}"
         parse(signal.unit, where)
         if (
             found.tolerances

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import in_si as si_unit
-from orchestrator.base.units import parse
+from orchestrator.base.units import parse, si_unit
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -27,7 +26,7 @@ from orchestrator.data.description import (
     Tolerance,
     read_description,
 )
-from orchestrator.data.table import DATA, Array, Columns, read_columns
+from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 from orchestrator.data.trace import Trace
 
 Mask = NDArray[np.bool_]
@@ -105,7 +104,7 @@ class Recording:
     criteria: Mapping[str, Criterion] = field(default_factory=dict)
     start: float = -math.inf
     stop: float = math.inf
-    about: Mapping[str, str | float] = field(default_factory=dict)
+    metadata: Mapping[str, str | float] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
         """One signal, shape (n,)."""
@@ -119,7 +118,7 @@ class Recording:
     @property
     def heading(self) -> str:
         """The title in its description, else the name of its file."""
-        return str(self.about.get("title", self.source.name))
+        return str(self.metadata.get("title", self.source.name))
 
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; one of which nothing is known if none is described."""
@@ -129,13 +128,13 @@ class Recording:
         """How a comparison shows and judges a signal."""
         return self.criteria.get(name, Criterion())
 
-    def unit_in_words(self, name: str) -> str:
+    def unit_label(self, name: str) -> str:
         """The unit of a signal as its file has it, and what it is in SI."""
         unit = self.units[name]
         own = self.file_units.get(name, unit)
         return unit if own == unit else f"{own} ({unit})"
 
-    def number(self, name: str) -> float:
+    def numeric_condition(self, name: str) -> float:
         """A condition that is a number, in SI units."""
         value = self.conditions.get(name)
         if not isinstance(value, float):
@@ -143,7 +142,7 @@ class Recording:
             raise Problem(f"{self.source}: experiment: {name}: expected a number with its unit, got {found}")
         return value
 
-    def word(self, name: str) -> str:
+    def text_condition(self, name: str) -> str:
         """A condition that is a word."""
         value = self.conditions.get(name)
         if not isinstance(value, str):
@@ -203,20 +202,20 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         criteria={name: _criterion(spec, description) for name, spec in described},
         start=description.time.start,
         stop=description.time.stop,
-        about={key: value for key, value in about.items() if value not in ("", None)},
+        metadata={key: value for key, value in about.items() if value not in ("", None)},
     )
 
 
-LONGEST = 0.1  # s: a hand takes longer from one position of a lever to another
+LONGEST_GAP = 0.1  # s: a hand takes longer from one position of a lever to another
 
 
-def stretches(mask: Mask) -> list[slice]:
+def true_intervals(mask: Mask) -> list[slice]:
     """The runs of True of a mask."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def bridged(recording: Recording, name: str, longest: float = LONGEST) -> Array:
+def fill_gaps(recording: Recording, name: str, longest: float = LONGEST_GAP) -> Array:
     """A signal that a simulation needs at every sample: straight lines over gaps of at most `longest` [s].
 
     Before its first sample and after its last one it keeps that value.
@@ -225,7 +224,7 @@ def bridged(recording: Recording, name: str, longest: float = LONGEST) -> Array:
     there = np.isfinite(values)
     if not there.any():
         raise Problem(f"{recording.source}: {name} has no sample, expected one to simulate with")
-    for gap in stretches(~there):
+    for gap in true_intervals(~there):
         first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
         if time[last] - time[first] > longest:
             raise Problem(
@@ -240,7 +239,7 @@ def _data_file(path: Path, description: Description) -> Path:
     """The data file that belongs to a description."""
     if description.file.csv:
         return path.with_name(description.file.csv)
-    there = [path.with_suffix(end) for end in DATA if path.with_suffix(end).is_file()]
+    there = [path.with_suffix(end) for end in SUFFIXES if path.with_suffix(end).is_file()]
     if len(there) != 1:
         found = ", ".join(file.name for file in there) or "none"
         raise Problem(f"{path}: expected one data file {path.stem}.csv, .parquet or .mat, got {found}")
@@ -252,10 +251,10 @@ def _seconds(columns: Columns, description: Description) -> Array:
     described = description.time
     raw = columns.values[described.column]
     for k in np.flatnonzero(np.isnan(raw))[:1]:
-        raise Problem(f"{columns.place(k)}: column {described.column!r}: expected a time, got none")
+        raise Problem(f"{columns.location(k)}: column {described.column!r}: expected a time, got none")
     for k in np.flatnonzero(np.diff(raw) <= 0)[:1]:
         raise Problem(
-            f"{columns.place(k + 1)}: column {described.column!r}:"
+            f"{columns.location(k + 1)}: column {described.column!r}:"
             f" expected increasing times, got {raw[k + 1]:.10g} after {raw[k]:.10g}"
         )
     time: Array = parse(described.unit).factor * raw + described.offset
@@ -287,7 +286,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
 def _criterion(spec: SignalDescription, description: Description) -> Criterion:
     """What a comparison needs, in SI."""
     factor = parse(spec.unit).factor
-    tolerance = spec.judged_by(description.tolerances)
+    tolerance = spec.tolerance_of(description.tolerances)
     return Criterion(
         label=spec.label,
         group=spec.group,

@@ -24,10 +24,10 @@ from orchestrator.base.files import Location
 from orchestrator.base.toml import NOT_NEGATIVE
 
 Array = NDArray[np.float64]
-DATA = (".csv", ".parquet", ".mat")
-GAPS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
+SUFFIXES = (".csv", ".parquet", ".mat")
+GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
 CHUNK = 5000  # rows of text that are converted at once, or cell by cell where one has a gap
-MOST_COLUMNS = 256  # of a matrix that are listed one by one
+MAX_LISTED_COLUMNS = 256  # of a matrix that are listed one by one
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class Columns:
     file: str
     values: Mapping[str, Array]
     rows: Sequence[int]
-    row: str = "row"
+    row_word: str = "row"
     units: Mapping[str, str] = field(default_factory=dict)
 
-    def place(self, sample: int) -> str:
+    def location(self, sample: int) -> str:
         """Where a sample stands, for the beginning of a message."""
-        return f"{self.file}: {self.row} {self.rows[sample]}"
+        return f"{self.file}: {self.row_word} {self.rows[sample]}"
 
 
 def read_columns(
@@ -79,7 +79,7 @@ def read_columns(
     named   a text file has a row of names; else its columns are "0", "1", ...
     """
     file = source if isinstance(source, Location) else Location(source)
-    if not file.inside and not file.path.is_file():
+    if not file.members and not file.path.is_file():
         raise Problem(f"{file}: no such file")
     kind = Path(str(file)).suffix.lower()
     if kind == ".parquet":
@@ -91,21 +91,21 @@ def read_columns(
     for name, values in columns.values.items():
         for k in np.flatnonzero(np.isinf(values))[:1]:
             got = f"expected a finite number, got {values[k]:g}"
-            raise Problem(f"{columns.place(k)}: column {name!r}: {got}")
+            raise Problem(f"{columns.location(k)}: column {name!r}: {got}")
     return columns
 
 
 def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
-    text = _Text(file, form or TextFormat(), described=form is not None)
+    text = _Text(file, form or TextFormat(), has_description=form is not None)
     lines = text.lines()
     first = text.form.skip_lines + 1
     text.check_marks(lines[0], first)
     header = [name.strip() for name in text.split(lines[0])]
     if not named:
         header = [str(i) for i in range(len(header))]
-    places = _places(header, names, str(file), f"line {first}: ")
+    places = _column_indices(header, names, str(file), f"line {first}: ")
     blank = " \t" + (text.mark or "")
     rows = {first + i: lines[i] for i in range(int(named), len(lines)) if lines[i].strip(blank)}
     del lines
@@ -116,7 +116,7 @@ def _read_text(
     table = np.empty((len(places), len(rows)))
     for start in range(0, len(rows), CHUNK):
         part = {number: rows[number] for number in numbers[start : start + CHUNK]}
-        table[:, start : start + CHUNK] = text.numbers(part, places).T
+        table[:, start : start + CHUNK] = text.parse_rows(part, places).T
     return Columns(str(file), dict(zip(places, table, strict=True)), numbers, "line")
 
 
@@ -129,7 +129,7 @@ class _Text:
 
     file: Location
     form: TextFormat
-    described: bool
+    has_description: bool
 
     @property
     def delimiter(self) -> str:
@@ -178,7 +178,7 @@ class _Text:
         other = next((mark for mark in ";\t," if mark in line), "")
         if self.mark and self.mark not in line and other:
             shown = other.replace("\t", r"\t")
-            hint = f': set delimiter = "{shown}" in [file]' if self.described else ""
+            hint = f': set delimiter = "{shown}" in [file]' if self.has_description else ""
             raise Problem(
                 f"{self.file}: line {number}: expected cells separated by {self.delimiter!r} ({origin}),"
                 f" got {other!r}{hint}"
@@ -192,7 +192,7 @@ class _Text:
             if (cells := len(self.split(row))) != width:
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}")
 
-    def numbers(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
+    def parse_rows(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
         """The numbers at these places, shape (rows, places): all at once if there is no gap."""
         plain = [row.replace(",", ".") if self.decimal == "," else row for row in rows.values()]
         where = list(places.values())
@@ -205,21 +205,21 @@ class _Text:
         for i, (number, row) in enumerate(rows.items()):
             cells = self.split(row) if '"' in row else row.split(self.mark)
             for j, (name, place) in enumerate(places.items()):
-                table[i, j] = self.number(cells[place], number, name)
+                table[i, j] = self.parse_cell(cells[place], number, name)
         return table
 
-    def number(self, cell: str, line: int, column: str) -> float:
+    def parse_cell(self, cell: str, line: int, column: str) -> float:
         """A cell as a number, NaN for a gap."""
         with_point = cell.replace(",", ".")
         value = _number(with_point if self.decimal == "," else cell)
         if value is None:
-            comma = self.described and self.decimal == "." and _number(with_point) is not None
+            comma = self.has_description and self.decimal == "." and _number(with_point) is not None
             got = f"{cell.strip()!r}" + (': set decimal = "," in [file]' if comma else "")
             raise Problem(f"{self.file}: line {line}: column {column!r}: expected a number, got {got}")
         return value
 
 
-def _places(
+def _column_indices(
     header: Sequence[str], names: Collection[str] | None, file: str, where: str = ""
 ) -> dict[str, int]:
     """Where the columns stand that are asked for (None: all); each must be there once."""
@@ -230,11 +230,13 @@ def _places(
         if count > 1:
             raise Problem(f"{file}: column {name!r} expected once, got {count} times")
         if not count:
-            raise Problem(f"{file}: column {name!r} expected, got {_listed(header)}{suggest(name, header)}")
+            raise Problem(
+                f"{file}: column {name!r} expected, got {_name_list(header)}{suggest(name, header)}"
+            )
     return {name: list(header).index(name) for name in (header if names is None else sorted(names))}
 
 
-def _listed(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str]) -> str:
     return ", ".join([*names[:8], *(["..."] if len(names) > 8 else [])]) or "no names"
 
 
@@ -243,7 +245,7 @@ def _number(cell: str) -> float | None:
     try:
         return float(cell)
     except ValueError:
-        return math.nan if cell.strip().lower() in GAPS else None
+        return math.nan if cell.strip().lower() in GAP_MARKS else None
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
@@ -252,19 +254,19 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     import pyarrow.parquet
 
     try:
-        with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.inside else file.path) as opened:
+        with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
             schema = opened.schema_arrow
-            chosen = list(_places(schema.names, names, str(file)))
+            chosen = list(_column_indices(schema.names, names, str(file)))
             table = opened.read(columns=chosen)
     except (pyarrow.ArrowInvalid, OSError) as error:
         raise Problem(f"{file}: expected a Parquet file, got {_first_line(error)}") from None
-    values = {name: _arrow(table.column(name), f"{file}: row", name) for name in chosen}
+    values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in chosen}
     fields = {name: schema.field(name).metadata or {} for name in chosen}
     units = {name: told[b"unit"].decode() for name, told in fields.items() if b"unit" in told}
     return Columns(str(file), values, range(1, table.num_rows + 1), units=units)
 
 
-def _arrow(column: Any, where: str, name: str) -> Array:
+def _arrow_values(column: Any, where: str, name: str) -> Array:
     """A column of Parquet as numbers; a column of text too if all of it is numbers."""
     import pyarrow
 
@@ -288,9 +290,9 @@ def _first_line(error: Exception) -> str:
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file by name, all of one length."""
-    there = dict(_flat("", _variables(file)))
+    there = dict(_flat_columns("", _variables(file)))
     values = {}
-    for name in _places(list(there), names, str(file)):
+    for name in _column_indices(list(there), names, str(file)):
         found = there[name]
         if isinstance(found, str) or found.dtype.kind not in "fiub":
             got = repr(found[:40]) if isinstance(found, str) else f"{found.dtype} such as {found[0]!r}"
@@ -308,9 +310,9 @@ def _variables(file: Location) -> dict[str, Any]:
     import h5py
     import scipy.io
 
-    source = BytesIO(file.read()) if file.inside else file.path
+    source = BytesIO(file.read()) if file.members else file.path
     try:
-        if file.inside or not h5py.is_hdf5(source):
+        if file.members or not h5py.is_hdf5(source):
             return dict(scipy.io.loadmat(source, simplify_cells=True))
         with h5py.File(source, "r") as opened:
             return _group(opened)
@@ -335,19 +337,19 @@ def _group(group: Any) -> dict[str, Any]:
     return result
 
 
-def _flat(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat_columns(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Names and contents of what could be a column: vectors, columns of a matrix, rows of a wide one."""
     for key, item in struct.items():
         name = f"{prefix}{key}"
         if name.startswith("__"):
             continue
         if isinstance(item, dict):
-            yield from _flat(f"{name}.", item)
+            yield from _flat_columns(f"{name}.", item)
         elif isinstance(item, str):
             yield name, item
         elif (array := np.squeeze(np.asarray(item))).ndim < 2:
             yield name, np.atleast_1d(array)
-        elif array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
+        elif array.ndim == 2 and array.shape[1] <= MAX_LISTED_COLUMNS:
             yield from ((f"{name}(:,{i + 1})", column) for i, column in enumerate(array.T))
-        elif array.ndim == 2 and array.shape[0] <= MOST_COLUMNS:
+        elif array.ndim == 2 and array.shape[0] <= MAX_LISTED_COLUMNS:
             yield from ((f"{name}({i + 1},:)", row) for i, row in enumerate(array))

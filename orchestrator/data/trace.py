@@ -86,18 +86,18 @@ def _check_samples(columns: Columns) -> None:
     """Refuse empty rows, missing samples, times that do not increase, rows that were lost."""
     time, rows = columns.values[TIME], np.asarray(columns.rows)
     for k in np.flatnonzero(np.diff(rows) > 1)[:1]:
-        row = f"{columns.file}: {columns.row} {rows[k] + 1}"
+        row = f"{columns.file}: {columns.row_word} {rows[k] + 1}"
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
     for name, values in columns.values.items():
         for k in np.flatnonzero(np.isnan(values))[:1]:
-            raise Problem(f"{columns.place(k)}: column {name!r}: expected a number, got none")
+            raise Problem(f"{columns.location(k)}: column {name!r}: expected a number, got none")
     steps = np.diff(time)
     for k in np.flatnonzero(steps <= 0)[:1]:
-        raise Problem(f"{columns.place(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
+        raise Problem(f"{columns.location(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
     if (gap := _gap(steps)) is not None:
         usual = f"a sample every {np.median(steps):.6g} s"
         between = f"between {time[gap]!s} and {time[gap + 1]!s} s"
-        raise Problem(f"{columns.place(gap + 1)}: expected {usual}, got none {between}")
+        raise Problem(f"{columns.location(gap + 1)}: expected {usual}, got none {between}")
 
 
 def write(trace: Trace, path: str | Path) -> Path:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
-from orchestrator.fmi.calls import Call, Slave, access
+from orchestrator.fmi.calls import Call, Slave, function_type
 from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 
@@ -59,7 +59,7 @@ class AlgebraicLoop:
 
     def _place(self, port: Port) -> tuple[int, str, str]:
         variable = self._slaves[port.component].interface.variables[port.variable]
-        return list(self._slaves).index(port.component), access(variable), port.variable
+        return list(self._slaves).index(port.component), function_type(variable), port.variable
 
     def _nominal(self, port: Port) -> float:
         return abs(self._slaves[port.component].interface.variables[port.variable].nominal or 0.0)
@@ -87,9 +87,11 @@ class AlgebraicLoop:
                 first_output,
                 len(outputs),
             )
-            made.trusted = slave.interface.directional
+            made.trusted = slave.interface.directional_derivatives
             seed, into = np.zeros(len(inputs)), np.zeros(len(outputs))
-            call = slave.derivative(outputs, inputs, seed, into) if made.trusted else _no_derivative
+            call = (
+                slave.directional_derivative(outputs, inputs, seed, into) if made.trusted else _no_derivative
+            )
             binding.fill_derivative(made.derivative, call, seed, into)
             first, first_output = first + len(inputs), first_output + len(outputs)
             yield made
@@ -109,7 +111,7 @@ class AlgebraicLoop:
 
     # ---- messages
 
-    def judge(self, status: int) -> None:
+    def check_status(self, status: int) -> None:
         """Raise that there is no solution."""
         t = max(self._slaves[p.component].log.time for p in self.inputs)
         raise Problem(f"{self.cycle.text}: no solution at t = {t:.9g} s: {self._why(status)}")

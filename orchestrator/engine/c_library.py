@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.compiler import SUFFIX, shared_library
 from orchestrator.base.errors import Discarded, Problem
-from orchestrator.fmi.calls import Access, Call, Derivative
+from orchestrator.fmi.calls import Access, Call, DirectionalDerivative
 
 FOLDER = Path(__file__).parent / "native"
 FLAGS = (
@@ -105,7 +105,7 @@ def _fields(declaration: str, known: dict[str, Any]) -> Iterable[tuple[str, Any]
 class Checks(Protocol):
     """Raises what there is to say about a status."""
 
-    def judge(self, status: int, /) -> None: ...
+    def check_status(self, status: int, /) -> None: ...
 
 
 CHECK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int32)
@@ -190,11 +190,11 @@ class Binding:
             instance=call.component,
             references=self.at(call.references),
             orders=None if call.orders is None else self.at(call.orders),
-            own=self.at(call.own),
+            own=self.at(call.fmu_values),
             values=self.at(call.values),
             count=len(call.names),
             fmi=call.fmi,
-            type=ELEMENTS.index(call.own.dtype),
+            type=ELEMENTS.index(call.fmu_values.dtype),
             bank=self.bank(call.values),
             sets=call.sets,
         )
@@ -212,9 +212,9 @@ class Binding:
     def fill_derivative(self, made: Any, call: Call, seed: NDArray[Any], into: NDArray[Any]) -> None:
         """Fill a `Derivative`, which stays where it is; `seed` and `into` are those of the call."""
         made.seed, made.into, made.count, made.outputs = self.at(seed), self.at(into), len(seed), len(into)
-        if isinstance(call, Derivative):
+        if isinstance(call, DirectionalDerivative):
             made.function, made.instance, made.fmi = call.address, call.component, call.fmi
-            made.of, made.by = self.at(call.of), self.at(call.by)
+            made.of, made.by = self.at(call.unknowns), self.at(call.knowns)
             self.checked(made, call)
         else:
             made.index = self._in_python(call)
@@ -228,9 +228,9 @@ class Binding:
             if status == self.h.WITHDRAWN:
                 self.withdraw()
             elif where in self._checks:
-                self._checks[where].judge(status)
+                self._checks[where].check_status(status)
             else:
-                self.components[component].judge(where, status)
+                self.components[component].check_status(where, status)
 
         return self._verdict(check)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.engine.c_library import Binding
-from orchestrator.fmi.calls import Buffer, Call, Slave, Stepping, access
+from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, function_type
 
 MakeCall = Callable[[Sequence[str], Buffer], Call]
 
@@ -18,7 +18,7 @@ MakeCall = Callable[[Sequence[str], Buffer], Call]
 def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: MakeCall) -> list[Call]:
     """One call for each row of variables of one type; `values`, shape (n,), are in the order of the names."""
     made, first = list[Call](), 0
-    for _, group in groupby(names, key=lambda name: access(slave.interface.variables[name])):
+    for _, group in groupby(names, key=lambda name: function_type(slave.interface.variables[name])):
         row = list(group)
         made.append(make(row, values[first : first + len(row)]))
         first += len(row)
@@ -49,7 +49,7 @@ class RunningComponent:
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.input_writes: list[Call] = []
         self._state: Any = None
-        self._stepping: Stepping | None = None
+        self._stepping: StepCalls | None = None
         self.made: Any = None
 
     def follow(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
@@ -72,12 +72,16 @@ class RunningComponent:
         face, first = self.slave.interface, 0
 
         def word(row: tuple[str, int]) -> str:
-            return "" if face.interpolates else access(face.variables[face.rates[row[0]]])
+            return (
+                "" if face.can_interpolate_inputs else function_type(face.variables[face.rate_inputs[row[0]]])
+            )
 
         for _, group in groupby(rows, key=word):
             names, orders = zip(*group, strict=True)
             into = self.derivatives[first : first + len(names)]
-            write = self.slave.slope_writer(names, into, orders if face.interpolates else ())
+            write = self.slave.input_derivative_writer(
+                names, into, orders if face.can_interpolate_inputs else ()
+            )
             self.input_writes.append(write)
             first += len(names)
 
@@ -86,7 +90,7 @@ class RunningComponent:
     def fill(self, binding: Binding, made: Any) -> None:
         """Fill what it takes to step the FMU. Python steps it where its class has no `stepping`."""
         self.made, step = made, None
-        make: Callable[[bool], Stepping] | None = getattr(self.slave, "stepping", None)
+        make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
         if make:
             self._stepping = step = make(self.rollback)
             made.instance, made.fmi, made.flags = step.component, step.fmi, step.flags
@@ -116,12 +120,12 @@ class RunningComponent:
         """Time in its steps [s]."""
         return float(self.made.busy) if self.made else 0.0
 
-    def judge(self, where: int | None, status: int) -> None:
+    def check_status(self, where: int | None, status: int) -> None:
         """Raise what there is to say about the status of a step, or of saving or restoring the state."""
         assert self._stepping is not None
         step = self._stepping
-        judges = {step.get_state: step.judge_get, step.set_state: step.judge_set}
-        (judges[where] if where else step.judge)(status)
+        checks = {step.get_state: step.check_get, step.set_state: step.check_set}
+        (checks[where] if where else step.check_step)(status)
 
     # ---- rollback where Python steps it
 
@@ -138,5 +142,5 @@ class RunningComponent:
         if self.made is not None and self.made.state:
             self._state, self.made.state = ctypes.c_void_p(self.made.state), None
         if self._state is not None:
-            self.slave.forget(self._state)
+            self.slave.free_state(self._state)
             self._state = None

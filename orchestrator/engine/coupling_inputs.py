@@ -100,9 +100,9 @@ class CouplingInputs:
         power = {p for bond in find_bonds(network.system) for p in (bond.effort, bond.flow)}
         found = set[Port]()
         for name, slave in network.slaves.items():
-            for u, rate in slave.interface.rates.items():
+            for u, rate in slave.interface.rate_inputs.items():
                 port, speed = Port(name, u), Port(name, rate)
-                if u not in slave.interface.sloped and speed in fed:
+                if u not in slave.interface.ramp_inputs and speed in fed:
                     found.add(port)
                 if port in moved and port not in found and speed not in power:
                     found.add(speed)
@@ -115,15 +115,15 @@ class CouplingInputs:
         sources = dict.fromkeys(c.source for c in self._wired.values() if self._plan.asks(c.source.component))
         slaves = self._network.slaves
         inputs = (*self._wired, *self.driven)
-        held = {p for p in inputs if not slaves[p.component].follows(p.variable, 1)}
+        held = {p for p in inputs if not slaves[p.component].input_degree(p.variable, 1)}
         for name, slave in slaves.items():
             mine = [p for p in sources if p.component == name and not self._blind(p, held)]
-            given = set(slave.tells([p.variable for p in mine]) if mine else ())
+            given = set(slave.outputs_with_derivatives([p.variable for p in mine]) if mine else ())
             yield from (p for p in mine if p.variable in given)
 
     def _blind(self, output: Port, held: set[Port]) -> bool:
         """Would its FMU give a slope without that of an input, because it takes none?"""
-        depends = self._network.slaves[output.component].interface.depends(output.variable)
+        depends = self._network.slaves[output.component].interface.direct_inputs(output.variable)
         return any(Port(output.component, u) in held for u in depends)
 
     # ---- what they follow
@@ -139,14 +139,14 @@ class CouplingInputs:
         )
 
     def _follow_scenario(self, port: Port) -> dict[str, Any]:
-        degree = self._network.slaves[port.component].follows(port.variable, 1)
+        degree = self._network.slaves[port.component].input_degree(port.variable, 1)
         driven, none = self._h.DRIVEN, self._h.NO_SLOPE
         return {"source": -1, "source_component": driven, "slope_index": none, "degree": degree, "wanted": 1}
 
     def _follow(self, port: Port, wire: Connection) -> dict[str, Any]:
         network, plan, moved = self._network, self._plan, port in self._moved
         slave, source = network.slaves[port.component], wire.source
-        rate = Port(port.component, slave.interface.rates.get(port.variable, ""))
+        rate = Port(port.component, slave.interface.rate_inputs.get(port.variable, ""))
         rated = any(c.target == rate for c in network.connections)  # then it moves by itself, at a line
         wanted = max(plan.extrapolation, plan.degree, int(plan.corrected)) if moved else 0
         return {
@@ -155,7 +155,7 @@ class CouplingInputs:
             "offset": wire.map.offset,
             "source_component": list(network.slaves).index(source.component),
             "slope_index": self.sloped.get(source, self._h.NO_SLOPE),
-            "degree": slave.follows(port.variable, wanted),
+            "degree": slave.input_degree(port.variable, wanted),
             "wanted": wanted,
             "order": plan.extrapolation if moved else min(1, plan.extrapolation + rated),
             "autonomous": not network.system.components[source.component].interface.of("input"),
@@ -175,7 +175,7 @@ class CouplingInputs:
             if outputs:
                 rows = [*outputs.values()]
                 into = self.slopes[rows[0] : rows[-1] + 1]
-                component.slope_reads = [component.slave.slope_reader(list(outputs), into)]
+                component.slope_reads = [component.slave.output_derivative_reader(list(outputs), into)]
 
     def held(self, order: Sequence[int]) -> list[list[Connection]]:
         """Of each component the connections from earlier ones whose inputs do not move."""

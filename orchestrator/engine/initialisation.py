@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from orchestrator.base.errors import Problem
 from orchestrator.engine.algebraic_loop import solver
 from orchestrator.fmi.calls import Slave
-from orchestrator.fmi.description import Interface, Value
+from orchestrator.fmi.description import FmuInterface, Value
 from orchestrator.ssp.dependencies import DependencyCycle, Feedthrough, strongly_connected
 from orchestrator.ssp.system import Connection, Port, System
 
@@ -38,9 +38,9 @@ def initialise(
         slave.exit()
 
 
-def _end(interface: Interface, stop: float) -> float:
+def _end(interface: FmuInterface, stop: float) -> float:
     """The stop time to announce [s]: the sum of equal steps may be past the true one by its rounding."""
-    return stop if interface.varies else stop + 4.0 * math.ulp(stop)
+    return stop if interface.variable_step else stop + 4.0 * math.ulp(stop)
 
 
 def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:

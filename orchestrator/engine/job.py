@@ -165,19 +165,19 @@ class Job:
         if c.adaptive is None:
             if not guarded(self.system, c):
                 return None
-            smallest = min(max(c.limits[0], times.least), times.step)
-            return StepControl(times.step, smallest, times.step, c.guarded)
-        if c.by_energy and not inputs.bonds:
+            smallest = min(max(c.step_limits[0], times.least), times.step)
+            return StepControl(times.step, smallest, times.step, c.guard_tolerance)
+        if c.controls_energy and not inputs.bonds:
             wanted = "a power bond with inputs that may move on both sides"
             raise Problem(f"control of the energy: expected {wanted}, got none")
         faces = {name: component.interface for name, component in self.system.components.items()}
-        if even := [name for name, face in faces.items() if not face.varies]:
+        if even := [name for name, face in faces.items() if not face.variable_step]:
             got = f"{', '.join(even)}: the FMU takes steps of one length only"
             raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {got}")
         rolls = all(face.rollback for face in faces.values())
         first = times.first if rolls else CAUTIOUS * times.first
-        smallest, largest = c.limits
-        return StepControl(first, max(smallest, times.least), largest, c.adaptive, c.by_energy, rolls)
+        smallest, largest = c.step_limits
+        return StepControl(first, max(smallest, times.least), largest, c.adaptive, c.controls_energy, rolls)
 
     def _stuck(self) -> tuple[str, ...]:
         """A note on components whose adaptive steps stand."""
@@ -200,7 +200,9 @@ class Job:
         logs = [s.log for s in network.slaves.values()]
         trace = opened.recorder.trace(list(self.system.outputs.values()))
         faces = {name: c.interface for name, c in self.system.components.items()}
-        left_out = tuple(f"{name}: {face.left_out}" for name, face in faces.items() if face.refused)
+        left_out = tuple(
+            f"{name}: {face.unsupported_note}" for name, face in faces.items() if face.unsupported
+        )
         reached = state.t - times.start
         card = Card(
             master=self.coupling.text,
@@ -225,7 +227,7 @@ class Job:
 def guarded(system: System, coupling: Coupling) -> bool:
     """Are steps divided where they would go wrong? All components must go back and vary their steps."""
     faces = [component.interface for component in system.components.values()]
-    return coupling.guarded > 0 and all(face.rollback and face.varies for face in faces)
+    return coupling.guard_tolerance > 0 and all(face.rollback and face.variable_step for face in faces)
 
 
 def _check_single(system: System) -> None:
@@ -233,7 +235,7 @@ def _check_single(system: System) -> None:
     seen: dict[tuple[str, str], str] = {}
     for name, component in system.components.items():
         face = component.interface
-        if face.only_one and (other := seen.setdefault((face.guid, face.identifier), name)) != name:
+        if face.one_per_process and (other := seen.setdefault((face.guid, face.identifier), name)) != name:
             raise Problem(f"{other} and {name}: expected one instance, their FMU can have no more, got two")
 
 

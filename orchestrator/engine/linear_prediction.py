@@ -69,7 +69,7 @@ class Linearisation:
 
     def _groups(self, slave: Slave) -> list[list[tuple[int, int]]]:
         """Entries of each column: a known joins others as long as no unknown depends on two of them."""
-        declared = [slave.interface.knowns.get(name) for name in self._unknowns]
+        declared = [slave.interface.dependencies.get(name) for name in self._unknowns]
         groups: list[list[tuple[int, int]]] = []
         for j, known in enumerate(self._knowns):
             mine = [i for i, on in enumerate(declared) if on is None or known in on]
@@ -85,7 +85,7 @@ class Linearisation:
         rows, knowns = sorted({i for i, _ in entries}), sorted({j for _, j in entries})
         of, by = [self._unknowns[i] for i in rows], [self._knowns[j] for j in knowns]
         seed, into = np.ones(len(by)), np.zeros(len(rows))
-        return Column(slave.derivative(of, by, seed, into), seed, into, rows, entries)
+        return Column(slave.directional_derivative(of, by, seed, into), seed, into, rows, entries)
 
 
 VECTORS = "f x f0 x0 q"  # of the states

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.fmi.description import Interface
+from orchestrator.fmi.description import FmuInterface
 from orchestrator.ssp.dependencies import gauss_seidel_order
 from orchestrator.ssp.system import Connection, Port, System
 
@@ -107,7 +107,7 @@ def jacobi_plan(system: System, coupling: Coupling) -> Plan:
     """
     order = coupling.extrapolation
     moved = system.connections if order or coupling.correct else ()
-    watches = coupling.judges
+    watches = coupling.estimates_error
     everybody = range(len(system.components))
     return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)
 
@@ -128,7 +128,7 @@ def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
         degree=min(order + 1, 3),
         sequential=True,
         corrected=coupling.correct,
-        watches=coupling.judges,
+        watches=coupling.estimates_error,
     )
 
 
@@ -153,12 +153,12 @@ def hermite_plan(system: System, coupling: Coupling) -> Plan:
         coupling.extrapolation,
         degree=3,
         sequential=True,
-        passes=1 if stuck else coupling.rounds,
-        tolerance=coupling.miss,
+        passes=1 if stuck else coupling.max_passes,
+        tolerance=coupling.pass_tolerance,
         corrected=coupling.correct,
-        watches=coupling.judges,
+        watches=coupling.estimates_error,
         repeated=repeated,
-        notes=(note,) if stuck and coupling.rounds > 1 else (),
+        notes=(note,) if stuck and coupling.max_passes > 1 else (),
     )
 
 
@@ -178,7 +178,7 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
         coupling.extrapolation,
         degree=3,
         sequential=True,
-        watches=coupling.judges,
+        watches=coupling.estimates_error,
         prediction=Prediction(len(leads), linearised, linearised == needed, relevant, coupling.lag),
     )
 
@@ -187,7 +187,7 @@ def _relevant(system: System) -> frozenset[Port]:
     """Inputs that a state depends on, or an output that feeds another component."""
     sources: dict[str, set[str]] = {name: set() for name in system.components}
     for c in system.connections:
-        if c.target.variable not in system.components[c.target.component].interface.inert:
+        if c.target.variable not in system.components[c.target.component].interface.unused_inputs:
             sources[c.source.component].add(c.source.variable)
     return frozenset(
         Port(name, v.name)
@@ -197,14 +197,14 @@ def _relevant(system: System) -> frozenset[Port]:
     )
 
 
-def _changes_something(face: Interface, variable: str, outputs: Iterable[str]) -> bool:
-    if variable in face.inert:
+def _changes_something(face: FmuInterface, variable: str, outputs: Iterable[str]) -> bool:
+    if variable in face.unused_inputs:
         return False
     if not (face.states or face.stateless):
         return True
-    declared = [face.knowns.get(rate) for rate in face.states.values()]
+    declared = [face.dependencies.get(rate) for rate in face.states.values()]
     moves = any(known is None or variable in known for known in declared)
-    return moves or any(variable in face.depends(y) for y in outputs)
+    return moves or any(variable in face.direct_inputs(y) for y in outputs)
 
 
 def _leads(system: System, relevant: frozenset[Port]) -> set[int]:
@@ -227,9 +227,9 @@ def _needed(system: System, leads: set[int], relevant: frozenset[Port]) -> froze
     return frozenset({c.source.component for c in wires} & others)
 
 
-def _linearisable(face: Interface) -> bool:
+def _linearisable(face: FmuInterface) -> bool:
     """Does a component declare directional derivatives, of all its states and outputs?"""
-    return face.directional and bool(face.states or face.stateless)
+    return face.directional_derivatives and bool(face.states or face.stateless)
 
 
 MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {

@@ -19,7 +19,7 @@ from orchestrator.engine.algebraic_loop import AlgebraicLoop
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import RunningComponent
 from orchestrator.engine.scenario import Scenario
-from orchestrator.fmi.calls import Buffer, Call, Slave, access
+from orchestrator.fmi.calls import Buffer, Call, Slave, function_type
 from orchestrator.ssp.dependencies import OutputOrder, output_order
 from orchestrator.ssp.system import Connection, Port, System
 
@@ -47,7 +47,7 @@ class Bank:
         """Append ports, grouped into blocks."""
         groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
         for port, when in stages.items():
-            groups.setdefault((port.component, access(system.variable(port)), when), []).append(port)
+            groups.setdefault((port.component, function_type(system.variable(port)), when), []).append(port)
         added = []
         for (component, kind, when), ports in groups.items():
             added.append(Block(component, kind, when, tuple(ports), len(self.index)))
@@ -138,7 +138,7 @@ class Network:
         """Does anything that others use depend on this input?"""
         face = self.slaves[port.component].interface
         used = {c.source.variable for c in self.connections if c.source.component == port.component}
-        return port.variable not in face.inert and face.matters(port.variable, used)
+        return port.variable not in face.unused_inputs and face.may_affect(port.variable, used)
 
     def bank(self, port: Port) -> Bank:
         """The bank that holds this port's value."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.files import Location, folder, there
+from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.data.trace import Trace, check_suffix, read, write
 from orchestrator.engine.job import Execution, Job, Record, estimated, guarded, open_slave
 from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
@@ -141,13 +141,13 @@ def simulated(
     swap          other FMUs: component -> name of a variant, or path
     """
     check_suffix(out)
-    loaded = with_swaps(load(there(system)).without(*cut), swap or {})
+    loaded = with_swaps(load(require_system(system)).without(*cut), swap or {})
     loaded = loaded.coupled(coupling) if coupling else loaded
     if record_step is None and loaded.coupling and loaded.coupling.adaptive is not None:
         interval = None if everywhere else RECORD
     else:
         interval = thinned(step_length(loaded, step)) if record_step is None else record_step
-    folder(out.parent)
+    make_folder(out.parent)
     try:
         return run(loaded, scenario, step=step, record_step=interval, progress=True, **options)
     except (RunFailed, Interrupted) as ended:

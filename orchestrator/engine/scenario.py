@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
-from orchestrator.base.units import Linear
+from orchestrator.base.units import LinearTransformation
 from orchestrator.data.trace import Trace
-from orchestrator.fmi.description import Value, Variable
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
 LARGEST = 2**31 - 1  # of whole numbers in a run
@@ -70,7 +70,7 @@ class Scenario:
     """Which input follows which column of a table, through which linear map."""
 
     table: ScenarioTable
-    columns: Mapping[Port, tuple[int, Linear]]
+    columns: Mapping[Port, tuple[int, LinearTransformation]]
 
     def released(self, system: System) -> System:
         """The system without the connections that the scenario replaces.
@@ -92,14 +92,14 @@ class Scenario:
     def _rates(self, system: System) -> Iterator[Port]:
         """The inputs that are declared as time derivatives of driven ones."""
         for port in self.columns:
-            rates = system.components[port.component].interface.rates
+            rates = system.components[port.component].interface.rate_inputs
             if port.variable in rates:
                 yield Port(port.component, rates[port.variable])
 
     def _slopes(self, system: System) -> Iterator[Port]:
         """The inputs that are rates of driven ones by their names, where a run gives the slope itself."""
         for port in self.columns:
-            if port.variable in system.components[port.component].interface.sloped:
+            if port.variable in system.components[port.component].interface.ramp_inputs:
                 yield Port(port.component, f"{port.variable}_rate")
 
     def _replaced(self, system: System, component: str) -> str:
@@ -131,7 +131,7 @@ class Scenario:
 
 def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     """Match the columns of a scenario with inputs, named as `System.targets` knows them."""
-    columns: dict[Port, tuple[int, Linear]] = {}
+    columns: dict[Port, tuple[int, LinearTransformation]] = {}
     for k, name in enumerate(trace.signals):
         for port, linear in _targets(system, name, label):
             if port in columns:
@@ -143,7 +143,7 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     return Scenario(ScenarioTable(trace.time, table), columns)
 
 
-def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:
+def _whole(variable: FmuVariable, values: NDArray[np.float64], where: str) -> None:
     """Refuse what a run cannot keep as a whole number."""
     wrong = ~(np.abs(values) <= LARGEST)
     if not variable.is_real and wrong.any():
@@ -151,7 +151,7 @@ def _whole(variable: Variable, values: NDArray[np.float64], where: str) -> None:
         raise Problem(f"{where}: expected whole numbers up to {LARGEST}, got {found:.17g}")
 
 
-def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, Linear], ...]:
+def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearTransformation], ...]:
     """The inputs that a column drives."""
     try:
         targets = system.targets(name)

@@ -120,7 +120,7 @@ class SimulationLoop:
         """Forget what the FMUs said and returned in the step that is going to be repeated."""
         for slave in self._network.slaves.values():
             slave.log.time = self.state.t
-            slave.resume()
+            slave.after_rollback()
 
     # ---- what C works with
 
@@ -143,7 +143,7 @@ class SimulationLoop:
         for c in self._components:
             face = c.slave.interface
             c.rollback = saves and face.rollback
-            c.even = 0.0 if face.varies else times.step / c.factor
+            c.even = 0.0 if face.variable_step else times.step / c.factor
         self.state.saves = saves
         self.state.rollback = all(c.rollback and not c.even for c in self._components)
 

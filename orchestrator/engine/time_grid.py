@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import isfinite, ulp
 
-from orchestrator.base.coupling import INSTEAD
+from orchestrator.base.coupling import OVERRIDE_HINT
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import System
@@ -94,7 +94,7 @@ def free_grid(
     first = step_length(system, first)
     _positive("step", first)
     if system.coupling is not None:
-        _check_steps("largest step", begin, end, system.coupling.limits[1])
+        _check_steps("largest step", begin, end, system.coupling.step_limits[1])
     points = replace(points, first=first, free=record_step is None, events=inside)
     return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
 
@@ -144,7 +144,7 @@ def step_length(system: System, step: float | None) -> float:
     if step is not None:
         return step
     if system.refusal:
-        raise Problem(f"{system.refusal}; {INSTEAD}")
+        raise Problem(f"{system.refusal}; {OVERRIDE_HINT}")
     if system.step is not None:
         return system.step
     return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)
@@ -156,10 +156,10 @@ def _with_place(system: System, step: float | None) -> Iterator[None]:
     try:
         yield
     except Problem as problem:
-        place = system.suggestion.place
+        place = system.suggestion.location
         if step is not None or system.step is None or not place:
             raise
-        raise Problem(f"{place}: {problem}; {INSTEAD}") from None
+        raise Problem(f"{place}: {problem}; {OVERRIDE_HINT}") from None
 
 
 def _least(start: float, stop: float) -> float:

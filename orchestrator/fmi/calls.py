@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.description import Interface, Value, Variable
-from orchestrator.fmi.instance import Bound
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.instance import BoundCall
 from orchestrator.fmi.messages import Log
 
 Buffer = NDArray[Any]  # float64 for Real, int32 for all whole numbers, Enumeration and Boolean
@@ -36,7 +36,7 @@ class Slave(Protocol):
     """
 
     name: str
-    interface: Interface
+    interface: FmuInterface
     log: Log
     busy: float
 
@@ -47,24 +47,28 @@ class Slave(Protocol):
     def set(self, variable: str, value: Value) -> None: ...
     def reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
     def writer(self, variables: Sequence[str], values: Buffer) -> Call: ...
-    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
-    def slope_writer(self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()) -> Call: ...
-    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Call: ...
-    def follows(self, variable: str, degree: int) -> int: ...
-    def tells(self, outputs: Sequence[str]) -> Sequence[str]: ...
+    def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
+    def input_derivative_writer(
+        self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()
+    ) -> Call: ...
+    def directional_derivative(
+        self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer
+    ) -> Call: ...
+    def input_degree(self, variable: str, degree: int) -> int: ...
+    def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]: ...
     def step(self, t: float, h: float) -> None: ...
-    def resume(self) -> None: ...
+    def after_rollback(self) -> None: ...
     def save(self, state: Any = None) -> Any: ...
     def restore(self, state: Any) -> None: ...
-    def forget(self, state: Any) -> None: ...
-    def pack(self, state: Any) -> bytes: ...
-    def unpack(self, data: bytes) -> Any: ...
+    def free_state(self, state: Any) -> None: ...
+    def serialize(self, state: Any) -> bytes: ...
+    def deserialize(self, data: bytes) -> Any: ...
     def close(self) -> None: ...
 
 
-def access(variable: Variable) -> str:
+def function_type(variable: FmuVariable) -> str:
     """The word in the FMI function that reads or writes this variable."""
-    return variable.word or ("Integer" if variable.kind == "Enumeration" else variable.kind)
+    return variable.fmi_type or ("Integer" if variable.kind == "Enumeration" else variable.kind)
 
 
 def address(values: Buffer) -> ctypes.c_void_p:
@@ -72,7 +76,7 @@ def address(values: Buffer) -> ctypes.c_void_p:
     return ctypes.c_void_p(values.ctypes.data)
 
 
-def packed(variable: Variable, kind: Any, value: Value) -> Any:
+def to_ctypes(variable: FmuVariable, kind: Any, value: Value) -> Any:
     """One value as a ctypes object."""
     if variable.kind == "String":
         return ctypes.c_char_p(str(value).encode())
@@ -80,11 +84,11 @@ def packed(variable: Variable, kind: Any, value: Value) -> Any:
         return kind(float(value))
     cell = kind(int(value))
     if cell.value != int(value) and variable.kind != "Boolean":
-        raise Problem(f"{variable.name}: {value} does not fit into {variable.word or variable.kind}")
+        raise Problem(f"{variable.name}: {value} does not fit into {variable.fmi_type or variable.kind}")
     return cell
 
 
-def unpacked(variable: Variable, cell: Any) -> Value:
+def from_ctypes(variable: FmuVariable, cell: Any) -> Value:
     """The value in a ctypes object."""
     if variable.kind == "String":
         return (cell.value or b"").decode(errors="replace")
@@ -111,43 +115,43 @@ class Access:
     names        of the variables
     """
 
-    call: Bound
+    call: BoundCall
     address: int
     component: int
     fmi: int
     references: NDArray[np.uint32]
     orders: NDArray[np.int32] | None
-    own: Buffer
+    fmu_values: Buffer
     values: Buffer
     sets: bool
     names: Sequence[str]
 
     def __call__(self) -> None:
-        if self.own.dtype == self.values.dtype:
+        if self.fmu_values.dtype == self.values.dtype:
             self.call()
         elif self.sets:
             with np.errstate(over="ignore"):  # what is too large in single precision becomes infinite
-                self.own[:] = self.values
-            check(self.values, self.own, self.names)
+                self.fmu_values[:] = self.values
+            check_range(self.values, self.fmu_values, self.names)
             self.call()
         else:
             self.call()
-            self.values[:] = self.own
-            check(self.own, self.values, self.names)
+            self.values[:] = self.fmu_values
+            check_range(self.fmu_values, self.values, self.names)
 
-    def judge(self, status: int) -> None:
+    def check_status(self, status: int) -> None:
         """Raise what the call from Python would raise; after a call from C, which does not judge."""
         if status == OUT_OF_RANGE:
             if self.sets:
-                self.own[:] = self.values
-                check(self.values, self.own, self.names)
-            self.values[:] = self.own
-            check(self.own, self.values, self.names)
-        self.call.judge(status)
+                self.fmu_values[:] = self.values
+                check_range(self.values, self.fmu_values, self.names)
+            self.values[:] = self.fmu_values
+            check_range(self.fmu_values, self.values, self.names)
+        self.call.check_status(status)
 
 
 @dataclass(frozen=True)
-class Derivative:
+class DirectionalDerivative:
     """A call of fmiXGetDirectionalDerivative with all its arguments fixed.
 
     call, address, component, fmi   as in `Access`
@@ -155,25 +159,25 @@ class Derivative:
     seed, into                      the direction in which the inputs move, and how the outputs change
     """
 
-    call: Bound
+    call: BoundCall
     address: int
     component: int
     fmi: int
-    of: NDArray[np.uint32]
-    by: NDArray[np.uint32]
+    unknowns: NDArray[np.uint32]
+    knowns: NDArray[np.uint32]
     seed: Buffer
-    into: Buffer
+    sensitivity: Buffer
 
     def __call__(self) -> None:
         self.call()
 
-    def judge(self, status: int) -> None:
+    def check_status(self, status: int) -> None:
         """Raise what the call from Python would raise; after a call from C, which does not judge."""
-        self.call.judge(status)
+        self.call.check_status(status)
 
 
 @dataclass(frozen=True)
-class Stepping:
+class StepCalls:
     """What it takes to step an instance, and to save and restore its state, from C.
 
     do_step, get_state, set_state   addresses of the FMI functions; 0 for those that are not needed
@@ -190,20 +194,20 @@ class Stepping:
     set_state: int
     results: tuple[int, ...]
     flags: int
-    judge: Callable[[int], None]
-    judge_get: Callable[[int], None]
-    judge_set: Callable[[int], None]
+    check_step: Callable[[int], None]
+    check_get: Callable[[int], None]
+    check_set: Callable[[int], None]
     clock: NDArray[np.float64]
 
 
-def fitting(values: Buffer, count: int, kind: Any) -> Buffer:
+def compatible_buffer(values: Buffer, count: int, kind: Any) -> Buffer:
     """`values` itself where an FMU of this ctypes kind can use it directly, else an array that it can use."""
     if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int32):
         raise ValueError(f"expected {count} contiguous values, got shape {values.shape} of {values.dtype}")
     return values[:count] if values.dtype == np.dtype(kind) else np.zeros(count, kind)
 
 
-def check(before: Buffer, after: Buffer, names: Sequence[str]) -> None:
+def check_range(before: Buffer, after: Buffer, names: Sequence[str]) -> None:
     """Refuse whole numbers that the other type cannot hold; real ones may be rounded."""
     if after.dtype.kind in "iu" and not np.array_equal(before, after):
         at = int(np.flatnonzero(before != after)[0])

@@ -20,20 +20,20 @@ from orchestrator.fmi.calls import (
     Access,
     Buffer,
     Call,
-    Derivative,
-    Stepping,
-    access,
+    DirectionalDerivative,
+    StepCalls,
     address,
-    fitting,
-    packed,
-    unpacked,
+    compatible_buffer,
+    from_ctypes,
+    function_type,
+    to_ctypes,
 )
-from orchestrator.fmi.description import Interface, Value
-from orchestrator.fmi.instance import Before, FmuInstance, resources
-from orchestrator.fmi.library import unpacked_library
-from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, label
+from orchestrator.fmi.description import FmuInterface, Value
+from orchestrator.fmi.instance import CallHook, FmuInstance, resources_location
+from orchestrator.fmi.library import load_library
+from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
-LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
 class RunningFmu:
@@ -44,7 +44,9 @@ class RunningFmu:
 
     exchange = False
 
-    def __init__(self, name: str, interface: Interface, fmu: Location, before: Before | None = None) -> None:
+    def __init__(
+        self, name: str, interface: FmuInterface, fmu: Location, before: CallHook | None = None
+    ) -> None:
         names = {v.reference: v.name for v in interface.variables.values()} if interface.fmi == 3 else {}
         self.name, self.interface, self.log = name, interface, Log(name, names)
         self._label, self._stepping, self._before = f"{name} ({fmu})", False, before
@@ -61,15 +63,15 @@ class RunningFmu:
         if not fmu.is_folder:
             self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
             fmu.extract(folder)
-        library = unpacked_library(folder, face.identifier, face.fmi, self._label)
+        library = load_library(folder, face.identifier, face.fmi, self._label)
         self.fmu = FmuInstance(library, self.log, self.exchange, self._before)
         self._undo.callback(self._unless_fatal, library.close)
         self._undo.callback(self.fmu.free)
-        place = resources(folder, face.fmi)
+        place = resources_location(folder, face.fmi)
         if not any(self.fmu.instantiate(face.guid, place, verbose=verbose) for verbose in (False, True)):
             # the second, verbose try made it say what is wrong
-            raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.last()}")
-        wanted = [c.encode() for c in LOGGED if c in face.categories]
+            raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
+        wanted = [c.encode() for c in LOG_CATEGORIES if c in face.categories]
         if wanted:
             array = (ctypes.c_char_p * len(wanted))(*wanted)
             with suppress(Problem):  # an FMU that cannot choose its messages still runs
@@ -111,7 +113,7 @@ class RunningFmu:
     ) -> Access:
         """The call of a function that gets or sets a row of variables of the type `word`."""
         count, references = len(variables), self._references(variables)
-        own = fitting(values, count, self.fmu.types[word])
+        own = compatible_buffer(values, count, self.fmu.types[word])
         given = [(ctypes.c_int * count)(*orders)] if orders else []
         arguments = *self.fmu.references(references), *given, *self.fmu.values(address(own), count)
         return Access(
@@ -121,7 +123,7 @@ class RunningFmu:
             fmi=self.interface.fmi,
             references=np.array(references, np.uint32),
             orders=np.array(orders, np.int32) if orders else None,
-            own=own,
+            fmu_values=own,
             values=values[:count],
             sets=function.startswith("Set"),
             names=variables,
@@ -129,52 +131,59 @@ class RunningFmu:
 
     def reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that reads the variables into `into`, shape (n,)."""
-        word = access(self.interface.variables[variables[0]])
+        word = function_type(self.interface.variables[variables[0]])
         return self._access(f"Get{word}", variables, into, word)
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Access:
         """A call that sets the variables to what stands in `values`, shape (n,)."""
-        word = access(self.interface.variables[variables[0]])
+        word = function_type(self.interface.variables[variables[0]])
         return self._access(f"Set{word}", variables, values, word)
 
-    def slope_reader(self, variables: Sequence[str], into: Buffer) -> Access:
+    def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
         return self._access("GetOutputDerivatives", variables, into, self._real, [1] * len(variables))
 
-    def slope_writer(self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()) -> Access:
+    def input_derivative_writer(
+        self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()
+    ) -> Access:
         """A call that gives inputs the time derivatives in `slopes`, shape (n,), for the next step.
 
         orders   of each derivative; default: all 1
         FMI 3.0 has no function for it; there the inputs that carry the derivatives are set.
         """
         orders = orders or [1] * len(variables)
-        if self.interface.interpolates:
+        if self.interface.can_interpolate_inputs:
             return self._access("SetRealInputDerivatives", variables, slopes, self._real, orders)
         for v, order in zip(variables, orders, strict=True):
-            if v not in self.interface.sloped or order != 1:
+            if v not in self.interface.ramp_inputs or order != 1:
                 raise Problem(f"{self.name}: {v}: the FMU takes no derivative of order {order} of this input")
-        return self.writer([self.interface.rates[v] for v in variables], slopes)
+        return self.writer([self.interface.rate_inputs[v] for v in variables], slopes)
 
     @property
     def _real(self) -> str:
         return "Real" if self.interface.fmi == 2 else "Float64"
 
-    def derivative(self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer) -> Derivative:
+    def directional_derivative(
+        self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer
+    ) -> DirectionalDerivative:
         """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
         function, unknowns, knowns = "GetDirectionalDerivative", self._references(of), self._references(by)
-        seed, into = fitting(seed, len(by), ctypes.c_double), fitting(into, len(of), ctypes.c_double)
+        seed, into = (
+            compatible_buffer(seed, len(by), ctypes.c_double),
+            compatible_buffer(into, len(of), ctypes.c_double),
+        )
         given = *self.fmu.references(unknowns), *self.fmu.references(knowns)
         seeds = self.fmu.values(address(seed), len(by))
         changes = self.fmu.values(address(into), len(of))
-        return Derivative(
+        return DirectionalDerivative(
             call=self.fmu.bound(function, *given, *seeds, *changes, of=of),
             address=self.fmu.address(function),
             component=self.fmu.handle.value or 0,
             fmi=self.interface.fmi,
-            of=np.array(unknowns, np.uint32),
-            by=np.array(knowns, np.uint32),
+            unknowns=np.array(unknowns, np.uint32),
+            knowns=np.array(knowns, np.uint32),
             seed=seed,
-            into=into,
+            sensitivity=into,
         )
 
     # ---- single variables
@@ -182,14 +191,14 @@ class RunningFmu:
     def get(self, variable: str) -> Value:
         """The value of one variable."""
         known = self.interface.variables[variable]
-        cell = self.fmu.types[access(known)]()
+        cell = self.fmu.types[function_type(known)]()
         self._single("Get", variable, cell)
-        return unpacked(known, cell)
+        return from_ctypes(known, cell)
 
     def set(self, variable: str, value: Value) -> None:
         """Set one variable of any kind."""
         known = self.interface.variables[variable]
-        cell = packed(known, self.fmu.types[access(known)], value)
+        cell = to_ctypes(known, self.fmu.types[function_type(known)], value)
         structural = known.causality == "structuralParameter"
         if structural:
             self.fmu.call("EnterConfigurationMode")
@@ -200,7 +209,7 @@ class RunningFmu:
     def _single(self, verb: str, variable: str, cell: Any) -> None:
         known = self.interface.variables[variable]
         given = *self.fmu.references([known.reference]), *self.fmu.values(ctypes.byref(cell), 1)
-        self.fmu.call(verb + access(known), *given, of=[variable])
+        self.fmu.call(verb + function_type(known), *given, of=[variable])
 
 
 class CoSimulationFmu(RunningFmu):
@@ -209,14 +218,14 @@ class CoSimulationFmu(RunningFmu):
     def __init__(
         self,
         name: str,
-        interface: Interface,
+        interface: FmuInterface,
         fmu: Location,
         start: Mapping[str, Value] | None = None,
-        before: Before | None = None,
+        before: CallHook | None = None,
     ) -> None:
         """start: values for instances that only try what the FMU does; this one gets its own by `set`."""
         self._source, self._start = fmu, start or {}
-        self._rehearsal = Rehearsal(self._another)
+        self._trial = CapabilityTrial(self._spare_instance)
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
         self.busy = 0.0
@@ -224,43 +233,48 @@ class CoSimulationFmu(RunningFmu):
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
-        self._rehearsal.end()
+        self._trial.end()
         super().setup(start, stop, tolerance)
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
-        self._rehearsal.end()
+        self._trial.end()
         super().close()
 
     # ---- what it is able to
 
-    def follows(self, variable: str, degree: int) -> int:
+    def input_degree(self, variable: str, degree: int) -> int:
         """The highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3."""
-        if variable not in self.interface.sloped or degree == 0:
+        if variable not in self.interface.ramp_inputs or degree == 0:
             return 0
-        if degree == 1 or not self.interface.interpolates:
+        if degree == 1 or not self.interface.can_interpolate_inputs:
             return 1
         if self._cubic is None:  # FMI 2.0 has no declaration for it
             ask = partial(
-                CoSimulationFmu.slope_writer, variables=[variable] * 3, slopes=np.zeros(3), orders=[1, 2, 3]
+                CoSimulationFmu.input_derivative_writer,
+                variables=[variable] * 3,
+                slopes=np.zeros(3),
+                orders=[1, 2, 3],
             )
-            self._cubic = self._rehearsal.passes(ask) or False
+            self._cubic = self._trial.succeeds(ask) or False
         return 3 if self._cubic else 1
 
-    def tells(self, outputs: Sequence[str]) -> Sequence[str]:
+    def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]:
         """Those of the outputs whose first time derivatives the FMU gives; some give only those of states."""
-        if self.interface.slopes < 1:
+        if self.interface.max_output_derivative_order < 1:
             return []
 
         def refused(names: Sequence[str]) -> bool:
-            ask = partial(CoSimulationFmu.slope_reader, variables=names, into=np.zeros(len(names)))
-            return self._rehearsal.passes(ask) is False
+            ask = partial(
+                CoSimulationFmu.output_derivative_reader, variables=names, into=np.zeros(len(names))
+            )
+            return self._trial.succeeds(ask) is False
 
         return [y for y in outputs if not refused([y])] if refused(outputs) else outputs
 
-    def _another(self) -> CoSimulationFmu:
+    def _spare_instance(self) -> CoSimulationFmu:
         """One more instance, ready for its first step."""
-        if self.interface.only_one:
+        if self.interface.one_per_process:
             raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
         other = CoSimulationFmu(self.name, self.interface, self._source)
         try:
@@ -289,27 +303,29 @@ class CoSimulationFmu(RunningFmu):
         end = self.fmu.step_end(status)
         if end.terminate and status != ERROR:
             text = f"is the last: the FMU asks to end the simulation at t = {end.reached:.9g} s"
-            ended = Ended(self.log.located("the step", text))
+            ended = Ended(self.log.error_message("the step", text))
             ended.reached = end.reached
             raise ended
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
             far = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
-            discarded = Discarded(self.log.located("the step failed", f"with status {label(status)}{far}"))
+            discarded = Discarded(
+                self.log.error_message("the step failed", f"with status {status_label(status)}{far}")
+            )
             discarded.reached, self.fmu.worst = reached, max(self.fmu.worst, status)
             raise discarded
         if status:
-            self.fmu.judge(status, "the step")
+            self.fmu.check_status(status, "the step")
         if end.early:
             text = f"ended early at t = {end.reached:.9g} s, which was not allowed"
-            raise Problem(self.log.located("the step", text))
+            raise Problem(self.log.error_message("the step", text))
         if end.event:
             self.log.add(WARNING, "the FMU asks for event handling, which it was told to do itself")
 
-    def stepping(self, rolls: bool) -> Stepping:
+    def stepping(self, rolls: bool) -> StepCalls:
         """What it takes to step from C; rolls: the state is to be saved and restored, too."""
         get, set_ = "GetFMUState", "SetFMUState"
-        return Stepping(
+        return StepCalls(
             component=self.fmu.handle.value or 0,
             fmi=self.interface.fmi,
             do_step=self.fmu.address("DoStep"),
@@ -317,9 +333,9 @@ class CoSimulationFmu(RunningFmu):
             set_state=self.fmu.address(set_) if rolls else 0,
             results=self.fmu.results,
             flags=ctypes.addressof(self.fmu.flags) if self.fmu.results else 0,
-            judge=self._judge_step,
-            judge_get=lambda status: self.fmu.judge(status, self.fmu.what(get)),
-            judge_set=lambda status: self.fmu.judge(status, self.fmu.what(set_)),
+            check_step=self._judge_step,
+            check_get=lambda status: self.fmu.check_status(status, self.fmu.describe_call(get)),
+            check_set=lambda status: self.fmu.check_status(status, self.fmu.describe_call(set_)),
             clock=np.ctypeslib.as_array(self.log.clock),
         )
 
@@ -334,27 +350,27 @@ class CoSimulationFmu(RunningFmu):
         """Go back to a snapshot."""
         self.fmu.restore(state)
 
-    def resume(self) -> None:
+    def after_rollback(self) -> None:
         """Forget what the FMU said and returned in a step that is going to be repeated from a saved state."""
-        self.log.withdraw()
+        self.log.discard_repeated()
         if self.fmu.worst < FATAL:
             self.fmu.worst = min(self.fmu.worst, WARNING)
 
-    def forget(self, state: ctypes.c_void_p) -> None:
+    def free_state(self, state: ctypes.c_void_p) -> None:
         """Free a snapshot; after an error it is only tried."""
         with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
-            self._unless_fatal(partial(self.fmu.forget, state))
+            self._unless_fatal(partial(self.fmu.free_state, state))
 
-    def pack(self, state: ctypes.c_void_p) -> bytes:
+    def serialize(self, state: ctypes.c_void_p) -> bytes:
         """A snapshot as bytes, for another process."""
-        return self.fmu.pack(state)
+        return self.fmu.serialize(state)
 
-    def unpack(self, data: bytes) -> ctypes.c_void_p:
+    def deserialize(self, data: bytes) -> ctypes.c_void_p:
         """The snapshot in bytes that `pack` made; give it back with `forget`."""
-        return self.fmu.unpack(data)
+        return self.fmu.deserialize(data)
 
 
-class Rehearsal:
+class CapabilityTrial:
     """Tries what the description of an FMU leaves open, on an instance that nobody uses.
 
     An instance that refused a call is given up, because an error may have broken it.
@@ -365,7 +381,7 @@ class Rehearsal:
         self._fresh, self._able = fresh, True
         self._instance: CoSimulationFmu | None = None
 
-    def passes(self, ask: Callable[[CoSimulationFmu], Call]) -> bool | None:
+    def succeeds(self, ask: Callable[[CoSimulationFmu], Call]) -> bool | None:
         """Does the FMU do this without a complaint? None: there is no instance to try it on."""
         if self._instance is None and self._able:
             try:

@@ -23,7 +23,7 @@ from orchestrator.fmi.raw_description import (
     ModelDescription,
     UnitDefinition,
     Unknown,
-    whole,
+    parse_int,
 )
 from orchestrator.fmi.read_description import read_description
 
@@ -34,11 +34,11 @@ KINDS = {
     **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
-SHOWN = 5  # names in a list
+MAX_LISTED = 5  # names in a list
 
 
 @dataclass(frozen=True)
-class Variable:
+class FmuVariable:
     """One scalar variable.
 
     kind      Real, Integer, Boolean, String or Enumeration
@@ -58,8 +58,8 @@ class Variable:
     start: str | None = None
     items: Mapping[str, int] = field(default_factory=dict)
     nominal: float | None = None
-    text: str = ""
-    word: str = ""
+    description: str = ""
+    fmi_type: str = ""
     minimum: float | None = None
     maximum: float | None = None
 
@@ -81,7 +81,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Interface:
+class FmuInterface:
     """The declared outside of one FMU.
 
     feedthrough   output -> inputs it depends on directly; None when the FMU does not say
@@ -106,27 +106,27 @@ class Interface:
     version, tool, text   of the FMU: its version, what made it, its description
     """
 
-    variables: Mapping[str, Variable]
+    variables: Mapping[str, FmuVariable]
     feedthrough: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
-    initially: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    initial_dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     identifier: str = ""
     guid: str = ""
     fmi: int = 2
-    refused: Mapping[str, str] = field(default_factory=dict)
-    interpolates: bool = False
-    rates: Mapping[str, str] = field(default_factory=dict)
-    slopes: int = 0
+    unsupported: Mapping[str, str] = field(default_factory=dict)
+    can_interpolate_inputs: bool = False
+    rate_inputs: Mapping[str, str] = field(default_factory=dict)
+    max_output_derivative_order: int = 0
     rollback: bool = False
-    serializes: bool = False
-    only_one: bool = False
-    needs_tool: bool = False
-    indicators: int = 0
-    varies: bool = True
+    can_serialize: bool = False
+    one_per_process: bool = False
+    needs_execution_tool: bool = False
+    event_indicators: int = 0
+    variable_step: bool = True
     stateless: bool = False
-    inert: frozenset[str] = frozenset()
-    directional: bool = False
+    unused_inputs: frozenset[str] = frozenset()
+    directional_derivatives: bool = False
     states: Mapping[str, str] = field(default_factory=dict)
-    knowns: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     categories: tuple[str, ...] = ()
     start: float | None = None
     step: float | None = None
@@ -134,53 +134,53 @@ class Interface:
     tolerance: float | None = None
     version: str = ""
     tool: str = ""
-    text: str = ""
+    description: str = ""
 
-    def of(self, causality: str) -> list[Variable]:
+    def of(self, causality: str) -> list[FmuVariable]:
         """All variables of one causality, in declaration order."""
         return [v for v in self.variables.values() if v.causality == causality]
 
-    def depends(self, output: str) -> frozenset[str]:
+    def direct_inputs(self, output: str) -> frozenset[str]:
         """Inputs that feed directly through to `output`; all of them when the FMU does not say."""
         known = self.feedthrough.get(output)
         return frozenset(v.name for v in self.of("input")) if known is None else known
 
-    def depends_initially(self, output: str) -> frozenset[str]:
+    def initial_knowns(self, output: str) -> frozenset[str]:
         """Variables that decide `output` in initialisation mode."""
-        known = self.initially.get(output)
+        known = self.initial_dependencies.get(output)
         if known is None:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return known
 
-    def matters(self, variable: str, outputs: Iterable[str]) -> bool:
+    def may_affect(self, variable: str, outputs: Iterable[str]) -> bool:
         """False for an input that none of these outputs depends on: not directly, and there is no state."""
-        return not self.stateless or any(variable in self.depends(y) for y in outputs)
+        return not self.stateless or any(variable in self.direct_inputs(y) for y in outputs)
 
     @property
-    def sloped(self) -> frozenset[str]:
+    def ramp_inputs(self) -> frozenset[str]:
         """Inputs that a master may move inside a step at a constant slope."""
-        if self.interpolates:
+        if self.can_interpolate_inputs:
             return frozenset(v.name for v in self.of("input") if v.is_real)
-        return frozenset(u for u, rate in self.rates.items() if rate not in self.rates)
+        return frozenset(u for u, rate in self.rate_inputs.items() if rate not in self.rate_inputs)
 
-    def allow(self, variable: str, where: str) -> None:
+    def check_supported(self, variable: str, where: str) -> None:
         """Refuse, beginning with `where`, a variable of a kind that is not supported."""
-        if variable in self.refused:
-            kind = self.refused[variable]
+        if variable in self.unsupported:
+            kind = self.unsupported[variable]
             raise Unsupported(f"{where}: expected a scalar number or text, got {kind}, not supported")
 
     @property
-    def left_out(self) -> str:
+    def unsupported_note(self) -> str:
         """The refused variables as text; empty when there are none."""
-        told = [f"{name}, {what}" for name, what in self.refused.items()]
-        more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        return f"left out: {'; '.join(told[:SHOWN])}{more}" if told else ""
+        told = [f"{name}, {what}" for name, what in self.unsupported.items()]
+        more = f"; and {len(told) - MAX_LISTED} more" if len(told) > MAX_LISTED else ""
+        return f"left out: {'; '.join(told[:MAX_LISTED])}{more}" if told else ""
 
 
-SECOND = (0, 0, 1, 0, 0, 0, 0, 0)
+SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
-def read_interface(fmu: Location, exchange: bool = False) -> Interface:
+def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
     """Read the model description of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
     exchange   as an FMU for Model Exchange; else for Co-Simulation
@@ -202,10 +202,10 @@ def read_interface(fmu: Location, exchange: bool = False) -> Interface:
         raise Problem(f"{fmu}: {problem}") from None
 
 
-def _interface(description: ModelDescription, kind: str) -> Interface:
+def _interface(description: ModelDescription, kind: str) -> FmuInterface:
     fmi, able, about = description.major, description.interfaces[kind], description.attributes
     units = {u.name: _unit(u) for u in description.units}
-    declared = list(_named(description))
+    declared = list(_with_aliases(description))
     refused = {v.name: what for v in declared if (what := _refusal(v))}
     variables = {v.name: _variable(v, description, units) for v in declared if v.name not in refused}
     _check(variables, refused, declared)
@@ -220,28 +220,34 @@ def _interface(description: ModelDescription, kind: str) -> Interface:
     silent = not exchange or None in needed
     experiment = description.experiment.attributes if description.experiment else {}
     indicators = description.structure["indicators"]
-    return Interface(
+    return FmuInterface(
         variables=variables,
         feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
-        initially=outputs | initial,
+        initial_dependencies=outputs | initial,
         identifier=able.get("modelIdentifier"),
         guid=description.token,
         fmi=fmi,
-        refused=refused,
-        interpolates=able.declares("canInterpolateInputs") and fmi == 2,
-        rates=_rates(declared, description, variables),
-        slopes=whole(able.get("maxOutputDerivativeOrder")) or 0,
+        unsupported=refused,
+        can_interpolate_inputs=able.declares("canInterpolateInputs") and fmi == 2,
+        rate_inputs=_rates(declared, description, variables),
+        max_output_derivative_order=parse_int(able.get("maxOutputDerivativeOrder")) or 0,
         rollback=able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-        serializes=able.declares("canSerializeFMUstate", "canSerializeFMUState"),
-        only_one=able.declares("canBeInstantiatedOnlyOncePerProcess"),
-        needs_tool=able.declares("needsExecutionTool"),
-        indicators=len(indicators) if fmi == 3 else whole(about.get("numberOfEventIndicators")) or 0,
-        varies=able.declares("canHandleVariableCommunicationStepSize"),
+        can_serialize=able.declares("canSerializeFMUstate", "canSerializeFMUState"),
+        one_per_process=able.declares("canBeInstantiatedOnlyOncePerProcess"),
+        needs_execution_tool=able.declares("needsExecutionTool"),
+        event_indicators=len(indicators)
+        if fmi == 3
+        else parse_int(about.get("numberOfEventIndicators")) or 0,
+        variable_step=able.declares("canHandleVariableCommunicationStepSize"),
         stateless=exchange and not derivatives,
-        inert=frozenset() if silent else frozenset(inputs.difference(*(d for d in needed if d is not None))),
+        unused_inputs=frozenset()
+        if silent
+        else frozenset(inputs.difference(*(d for d in needed if d is not None))),
         states=_states(description, variables),
-        knowns=outputs | derivatives,
-        directional=able.declares("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+        dependencies=outputs | derivatives,
+        directional_derivatives=able.declares(
+            "providesDirectionalDerivative", "providesDirectionalDerivatives"
+        ),
         categories=description.categories,
         start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(able.attributes, "fixedInternalStepSize"),
@@ -249,11 +255,11 @@ def _interface(description: ModelDescription, kind: str) -> Interface:
         tolerance=_number(experiment, "tolerance"),
         version=about.get("version", ""),
         tool=about.get("generationTool", ""),
-        text=about.get("description", ""),
+        description=about.get("description", ""),
     )
 
 
-def _named(description: ModelDescription) -> Iterator[DeclaredVariable]:
+def _with_aliases(description: ModelDescription) -> Iterator[DeclaredVariable]:
     """The variables, then their aliases as variables of their own."""
     yield from (v for v in description.variables if v.name)
     for v in description.variables:
@@ -271,7 +277,7 @@ def _refusal(v: DeclaredVariable) -> str:
 
 
 def _check(
-    variables: Mapping[str, Variable], refused: Mapping[str, str], declared: Iterable[DeclaredVariable]
+    variables: Mapping[str, FmuVariable], refused: Mapping[str, str], declared: Iterable[DeclaredVariable]
 ) -> None:
     """Refuse what cannot be run at all: clocks, arrays only, a time that is not in seconds."""
     for name, what in refused.items():
@@ -283,13 +289,13 @@ def _check(
         raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
     for v in variables.values():
         unit = v.unit if v.causality == "independent" else None
-        if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND, 1, 0):
+        if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND_EXPONENTS, 1, 0):
             raise Problem(f"{v.name}: expected time in seconds, got {unit}")
 
 
 def _variable(
     v: DeclaredVariable, description: ModelDescription, units: Mapping[str, DeclaredUnit]
-) -> Variable:
+) -> FmuVariable:
     """A scalar variable; raises Problem, by name, for what no FMU may declare."""
     type_ = v.attributes.get("declaredType")
     if type_ is not None and type_ not in description.types:
@@ -305,7 +311,7 @@ def _variable(
         nominal, minimum, maximum = (_number(v.attributes, name) for name in ("nominal", "min", "max"))
     except (Problem, ValueError) as problem:
         raise Problem(f"{v}: {problem}") from None
-    return Variable(
+    return FmuVariable(
         name=v.name,
         kind=KINDS[v.type],
         causality=v.causality,
@@ -316,19 +322,19 @@ def _variable(
         start=" ".join(v.starts) if v.starts else None,
         items=values,
         nominal=nominal if v.is_float else None,
-        text=v.get("description"),
-        word=word if description.major == 3 else "",
+        description=v.get("description"),
+        fmi_type=word if description.major == 3 else "",
         minimum=minimum,
         maximum=maximum,
     )
 
 
 def _unit(unit: UnitDefinition) -> DeclaredUnit:
-    if unit.base is None:
+    if unit.base_unit is None:
         return DeclaredUnit(unit.name)
     try:
-        exponents = tuple(int(unit.base.get(b, "0")) for b in BASES)
-        factor, offset = float(unit.base.get("factor", "1")), float(unit.base.get("offset", "0"))
+        exponents = tuple(int(unit.base_unit.get(b, "0")) for b in BASES)
+        factor, offset = float(unit.base_unit.get("factor", "1")), float(unit.base_unit.get("offset", "0"))
     except ValueError as error:
         raise Problem(f"modelDescription.xml line {unit.line}: unit {unit.name}: {error}") from None
     return DeclaredUnit(unit.name, exponents, factor, offset)
@@ -352,7 +358,7 @@ def _dependencies(
     return found
 
 
-def _states(description: ModelDescription, variables: Mapping[str, Variable]) -> dict[str, str]:
+def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
     """Continuous states and their time derivatives; empty where one of them is missing or cannot be used."""
     pairs = [(description.state_of(v), v) for v in description.derivatives]
     found = {state.name: v.name for state, v in pairs if state}
@@ -361,7 +367,7 @@ def _states(description: ModelDescription, variables: Mapping[str, Variable]) ->
 
 
 def _rates(
-    declared: Iterable[DeclaredVariable], description: ModelDescription, variables: Mapping[str, Variable]
+    declared: Iterable[DeclaredVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
 ) -> dict[str, str]:
     """Inputs and the inputs that are their time derivatives, where the units agree.
 
@@ -384,7 +390,7 @@ def _per_second(unit: DeclaredUnit | None, rate: DeclaredUnit | None) -> bool:
         return unit is rate
     if unit.exponents is None or rate.exponents is None or unit.offset or rate.offset:
         return False
-    expected = tuple(a - b for a, b in zip(unit.exponents, SECOND, strict=True))
+    expected = tuple(a - b for a, b in zip(unit.exponents, SECOND_EXPONENTS, strict=True))
     return rate.exponents == expected and rate.factor == unit.factor
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.library import Library, callbacks2, listen, logger3, silence
-from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, label
+from orchestrator.fmi.library import Library, callbacks2, logger3, register_log, unregister_log
+from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
-SPELLING = {  # FMI 3.0 -> FMI 2.0
+FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "GetFMUState": "GetFMUstate",
     "SetFMUState": "SetFMUstate",
     "FreeFMUState": "FreeFMUstate",
@@ -47,8 +47,8 @@ TYPES: dict[int, dict[str, Any]] = {  # word in the name of a function -> what i
     },
 }
 LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
-GUARD = 64  # bytes behind a serialised state that the FMU must leave alone
-Before = Callable[[str, float], None]
+GUARD_BYTES = 64  # bytes behind a serialised state that the FMU must leave alone
+CallHook = Callable[[str, float], None]
 
 
 class CallFailed(Problem):
@@ -85,7 +85,7 @@ class StepEnd:
     reached: float = math.nan
 
 
-def ready(argument: Any) -> Any:
+def as_parameter(argument: Any) -> Any:
     """An argument in the form that ctypes passes on as it is, which halves the cost of a call."""
     if isinstance(argument, ctypes.Array):
         return ctypes.byref(argument)
@@ -94,18 +94,18 @@ def ready(argument: Any) -> Any:
     return argument
 
 
-class Bound:
-    """A call with all its arguments fixed; `judge` raises on a status that does not do."""
+class BoundCall:
+    """A call with all its arguments fixed; `check_status` raises on a status that does not do."""
 
-    __slots__ = ("_call", "judge")
+    __slots__ = ("_call", "check_status")
 
-    def __init__(self, call: Callable[[], int], judge: Callable[[int], None]) -> None:
-        self._call, self.judge = call, judge
+    def __init__(self, call: Callable[[], int], check_status: Callable[[int], None]) -> None:
+        self._call, self.check_status = call, check_status
 
     def __call__(self) -> None:
         status = self._call()
         if status:
-            self.judge(status)
+            self.check_status(status)
 
 
 class FmuInstance:
@@ -120,25 +120,25 @@ class FmuInstance:
     """
 
     def __init__(
-        self, library: Library, log: Log, exchange: bool = False, before: Before | None = None
+        self, library: Library, log: Log, exchange: bool = False, before: CallHook | None = None
     ) -> None:
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
         self.handle, self.worst = ctypes.c_void_p(), 0
-        self._environment: int = listen(log)
+        self._environment: int = register_log(log)
         self._experiment: tuple[Any, ...] = ()
         self.flags, self.reached = ctypes.c_uint32(0), ctypes.c_double(math.nan)
         first = ctypes.addressof(self.flags)
         places = (first, first + 1, first + 2, ctypes.addressof(self.reached))
         self.results = places if self.fmi == 3 else ()
-        self._results = tuple(ready(ctypes.c_void_p(place)) for place in self.results)
+        self._results = tuple(as_parameter(ctypes.c_void_p(place)) for place in self.results)
         self._step: Callable[..., int] = partial(self.status, "DoStep")
 
     # ---- calls
 
     def name(self, function: str) -> str:
         """A function as the FMU calls it, without prefix."""
-        return SPELLING.get(function, function) if self.fmi == 2 else function
+        return FMI2_NAMES.get(function, function) if self.fmi == 2 else function
 
     def address(self, function: str) -> int:
         """Where a function is in memory, for calls from C."""
@@ -162,26 +162,28 @@ class FmuInstance:
         """Call and judge; `of` are the variables that it is about."""
         status = self.status(function, *arguments)
         if status:
-            self.judge(status, self.what(function, of))
+            self.check_status(status, self.describe_call(function, of))
 
-    def bound(self, function: str, *arguments: Any, of: Sequence[str] = ()) -> Bound:
+    def bound(self, function: str, *arguments: Any, of: Sequence[str] = ()) -> BoundCall:
         """A call with all arguments fixed."""
-        name, what = self.name(function), self.what(function, of)
-        call = partial(self.library.function(name), ready(self.handle), *map(ready, arguments))
+        name, what = self.name(function), self.describe_call(function, of)
+        call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
             call = partial(self._call, name, self.handle, *arguments)
-        return Bound(call, lambda status: self.judge(status, what))
+        return BoundCall(call, lambda status: self.check_status(status, what))
 
-    def what(self, function: str, of: Sequence[str] = ()) -> str:
+    def describe_call(self, function: str, of: Sequence[str] = ()) -> str:
         """A call in words: fmi2GetReal of a, b, c, ..."""
         about = f" of {', '.join(of[:3])}{', ...' * (len(of) > 3)}" if of else ""
         return f"{self.library.prefix}{self.name(function)}{about}"
 
-    def judge(self, status: int, what: str) -> None:
+    def check_status(self, status: int, what: str) -> None:
         """Let warnings pass, raise on anything worse."""
         self.worst = max(self.worst, status)
         if status != WARNING:
-            raise CallFailed(self.log.located(f"{what} failed", f"with status {label(status)}"), status)
+            raise CallFailed(
+                self.log.error_message(f"{what} failed", f"with status {status_label(status)}"), status
+            )
 
     def flag(self, value: bool = False) -> Any:
         """A boolean of this version of FMI."""
@@ -221,7 +223,7 @@ class FmuInstance:
             arguments += [] if self.exchange else [update]
         self.handle = ctypes.c_void_p(self._call(function, *arguments, result=ctypes.c_void_p))
         if self.before is None and self.library.has("DoStep"):  # the shorter way
-            self._step = partial(self.library.function("DoStep"), ready(self.handle))
+            self._step = partial(self.library.function("DoStep"), as_parameter(self.handle))
         return bool(self.handle)
 
     def setup(self, start: float, stop: float | None = None, tolerance: float | None = None) -> None:
@@ -246,7 +248,7 @@ class FmuInstance:
         if self.handle and self.worst < FATAL:
             self._call("FreeInstance", self.handle, result=None)
         self.handle = ctypes.c_void_p()
-        silence(self._environment)
+        unregister_log(self._environment)
 
     # ---- values
 
@@ -258,7 +260,7 @@ class FmuInstance:
         """Values as arguments of a call: FMI 3.0 has their number, too."""
         return (values, ctypes.c_size_t(count)) if self.fmi == 3 else (values,)
 
-    def doubles(self, function: str, *arguments: Any, count: int) -> list[float]:
+    def read_doubles(self, function: str, *arguments: Any, count: int) -> list[float]:
         """What a function writes behind its other arguments, shape (count,)."""
         result = (ctypes.c_double * count)()
         self.call(function, *arguments, *self.values(result, count))
@@ -268,19 +270,19 @@ class FmuInstance:
         """Derivatives of the unknowns with respect to one known, by value references."""
         given = *self.references(unknowns), *self.references([known])
         seed = self.values((ctypes.c_double * 1)(1.0), 1)
-        return self.doubles("GetDirectionalDerivative", *given, *seed, count=len(unknowns))
+        return self.read_doubles("GetDirectionalDerivative", *given, *seed, count=len(unknowns))
 
     def adjoint(self, unknown: int, knowns: Sequence[int]) -> list[float]:
         """Derivatives of one unknown with respect to the knowns (FMI 3.0)."""
         given = *self.references([unknown]), *self.references(knowns)
         seed = self.values((ctypes.c_double * 1)(1.0), 1)
-        return self.doubles("GetAdjointDerivative", *given, *seed, count=len(knowns))
+        return self.read_doubles("GetAdjointDerivative", *given, *seed, count=len(knowns))
 
     def output_derivatives(self, references: Sequence[int]) -> list[float]:
         """First time derivatives of outputs."""
         count = len(references)
         orders = (ctypes.c_int32 * count)(*[1] * count)
-        return self.doubles("GetOutputDerivatives", *self.references(references), orders, count=count)
+        return self.read_doubles("GetOutputDerivatives", *self.references(references), orders, count=count)
 
     # ---- steps
 
@@ -316,21 +318,21 @@ class FmuInstance:
         """Go back to a snapshot."""
         self.call("SetFMUState", state)
 
-    def forget(self, state: ctypes.c_void_p) -> None:
+    def free_state(self, state: ctypes.c_void_p) -> None:
         """Free a snapshot."""
         self.call("FreeFMUState", ctypes.byref(state))
 
-    def pack(self, state: ctypes.c_void_p) -> bytes:
+    def serialize(self, state: ctypes.c_void_p) -> bytes:
         """A snapshot as bytes, for another process."""
         size = ctypes.c_size_t()
         self.call("SerializedFMUStateSize", state, ctypes.byref(size))
-        room = (ctypes.c_ubyte * (size.value + GUARD))(*[0] * size.value, *[0xA5] * GUARD)
+        room = (ctypes.c_ubyte * (size.value + GUARD_BYTES))(*[0] * size.value, *[0xA5] * GUARD_BYTES)
         self.call("SerializeFMUState", state, room, size)
-        if bytes(room[size.value :]) != b"\xa5" * GUARD:
+        if bytes(room[size.value :]) != b"\xa5" * GUARD_BYTES:
             raise CallFailed(f"serialising a state: more is written than the announced {size.value} bytes")
         return bytes(room[: size.value])
 
-    def unpack(self, data: bytes) -> ctypes.c_void_p:
+    def deserialize(self, data: bytes) -> ctypes.c_void_p:
         """The snapshot in bytes that `pack` made; give it back with `forget`."""
         state, room = ctypes.c_void_p(), (ctypes.c_ubyte * max(len(data), 1)).from_buffer_copy(data or b"\0")
         self.call("DeserializeFMUState", room, ctypes.c_size_t(len(data)), ctypes.byref(state))
@@ -359,7 +361,7 @@ class FmuInstance:
         return flags[0].value, flags[1].value, following.value if flags[4].value else math.inf
 
 
-def resources(folder: Path, fmi: int) -> str | None:
+def resources_location(folder: Path, fmi: int) -> str | None:
     """The location of the resources of an unpacked FMU, in the form of its version; None: it has none."""
     there = folder / "resources"
     if fmi == 2:

@@ -16,42 +16,48 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.messages import Log, label
+from orchestrator.fmi.messages import Log, status_label
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
 MACHINE = os.uname().machine if hasattr(os, "uname") else os.environ.get("PROCESSOR_ARCHITECTURE", "")
 ARM = MACHINE.lower() in ("arm64", "aarch64")
 BITS = 64 if sys.maxsize > 2**32 else 32
 SUFFIX = {"windows": ".dll", "darwin": ".dylib"}.get(SYSTEM, ".so")
-TUPLE = f"{'aarch64' if ARM else 'x86_64' if BITS == 64 else 'x86'}-{SYSTEM}"  # FMI 3.0: x86_64-linux
-PLATFORM = f"{SYSTEM.removesuffix('dows')}{BITS}"  # FMI 2.0: linux64, win64, darwin64
+PLATFORM_TUPLE = (
+    f"{'aarch64' if ARM else 'x86_64' if BITS == 64 else 'x86'}-{SYSTEM}"  # FMI 3.0: x86_64-linux
+)
+FMI2_PLATFORM = f"{SYSTEM.removesuffix('dows')}{BITS}"  # FMI 2.0: linux64, win64, darwin64
 
 
 class MissingFunction(Problem):
     """A function that the binary of an FMU does not have."""
 
 
-def folders(fmi: int) -> list[str]:
+def platform_folders(fmi: int) -> list[str]:
     """Where in binaries/ the library may lie, the most fitting first.
 
     FMI 2.0 has linux64 and the like, which do not tell the processor; on ARM the tuple of FMI 3.0 is first.
     """
     if fmi == 3:
-        return [TUPLE]
-    return [TUPLE, PLATFORM] if TUPLE.startswith("aarch64") else [PLATFORM, TUPLE]
+        return [PLATFORM_TUPLE]
+    return (
+        [PLATFORM_TUPLE, FMI2_PLATFORM]
+        if PLATFORM_TUPLE.startswith("aarch64")
+        else [FMI2_PLATFORM, PLATFORM_TUPLE]
+    )
 
 
-def find(folder: Path, identifier: str, fmi: int) -> Path | None:
+def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:
     """The library for this machine in an unpacked FMU."""
-    paths = (folder / "binaries" / place / f"{identifier}{SUFFIX}" for place in folders(fmi))
+    paths = (folder / "binaries" / place / f"{identifier}{SUFFIX}" for place in platform_folders(fmi))
     return next((p for p in paths if p.is_file()), None)
 
 
-def unpacked_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
+def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
     """The library of an unpacked FMU, loaded; else raises Problem, which begins with `name`."""
-    path = find(folder, identifier, fmi)
+    path = find_library(folder, identifier, fmi)
     if path is None:
-        expected = f"binaries/{folders(fmi)[0]}/{identifier}{SUFFIX}"
+        expected = f"binaries/{platform_folders(fmi)[0]}/{identifier}{SUFFIX}"
         files = (folder / "binaries").rglob("*")
         there = ", ".join(sorted(p.relative_to(folder).as_posix() for p in files if p.is_file()))
         found = there or "no binaries at all"
@@ -112,14 +118,14 @@ class Library:
 _logs: dict[int, Log] = {}  # environment -> log
 
 
-def listen(log: Log) -> int:
+def register_log(log: Log) -> int:
     """Let messages come to a log; returns the environment that an instance gives back with each of them."""
     key = max(_logs, default=0) + 1
     _logs[key] = log
     return key
 
 
-def silence(environment: int) -> None:
+def unregister_log(environment: int) -> None:
     """Stop listening."""
     _logs.pop(environment, None)
 
@@ -141,7 +147,7 @@ def _receive2(
     else:
         import logging  # late: it takes as long to import as all the rest
 
-        logging.getLogger(__name__).warning("%s: %s: %s", _text(name), label(status), _text(text))
+        logging.getLogger(__name__).warning("%s: %s: %s", _text(name), status_label(status), _text(text))
 
 
 def _receive3(environment: int | None, status: int, category: bytes | None, text: bytes | None) -> None:
@@ -183,7 +189,7 @@ def _proxy() -> Any:
     spec = find_spec("fmpy")  # finds the folder, imports nothing
     if spec is None or spec.origin is None:
         return None
-    path = Path(spec.origin).parent / "logging" / PLATFORM / f"logging{SUFFIX}"
+    path = Path(spec.origin).parent / "logging" / FMI2_PLATFORM / f"logging{SUFFIX}"
     try:
         return ctypes.CDLL(str(path)).addLoggerProxy
     except (OSError, AttributeError):

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
-LONGEST = 300  # characters of a message that are quoted at the end of an error
+MAX_QUOTED = 300  # characters of a message that are quoted at the end of an error
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _NAME = re.compile(r"([\w.\[\]]+) = ")  # a message that begins with a variable and its value
 _TIME = re.compile(rf"\bt = {_NUMBER.pattern}")
 
 
-def label(status: int) -> str:
+def status_label(status: int) -> str:
     """What a status is called."""
     return STATUS[status] if 0 <= status < len(STATUS) else str(status)
 
@@ -52,7 +52,7 @@ class Log:
 
     component: str = ""
     names: Mapping[int, str] = field(default_factory=dict)
-    kept: int = 1000
+    limit: int = 1000
     messages: list[LogMessage] = field(default_factory=list)
     dropped: int = 0
     clock: ctypes.Array[ctypes.c_double] = field(
@@ -74,31 +74,31 @@ class Log:
 
     def add(self, status: int, text: str, category: str | None = None) -> None:
         """Keep a message; in FMI 3.0 #12# stands for the variable 12 and ## for #."""
-        if len(self.messages) >= self.kept:
+        if len(self.messages) >= self.limit:
             self.dropped += 1
             return
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # the function that was called is of no use to a reader
-        text = " ".join(named(text, self.names).split() if self.names else text.split())
+        text = " ".join(with_variable_names(text, self.names).split() if self.names else text.split())
         self.messages.append(
-            LogMessage(self.time, self.component, label(status), text, self.clock[1], category)
+            LogMessage(self.time, self.component, status_label(status), text, self.clock[1], category)
         )
 
-    def withdraw(self) -> None:
+    def discard_repeated(self) -> None:
         """Forget the messages of steps from the last communication point on, which are to be repeated."""
         self.messages = [m for m in self.messages if not m.step >= self.time]
 
-    def located(self, what: str, more: str) -> str:
+    def error_message(self, what: str, more: str) -> str:
         """An error message: what happened in which component, when, and the FMU's own reason for it."""
         name = f"{self.component}: " if self.component else ""
         when = f" at t = {self.time:.9g} s" if self.time == self.time else ""
-        return f"{name}{what}{when} {more}{self.last()}"
+        return f"{name}{what}{when} {more}{self.quoted_messages()}"
 
-    def last(self, count: int = 3) -> str:
+    def quoted_messages(self, count: int = 3) -> str:
         """The last messages of the latest step, or its errors, as one line to end an error with."""
         recent = self.messages[-count:]
         recent = [m for m in recent if m.time == self.time] or recent
         recent = [m for m in recent if m.status not in ("ok", "warning")] or recent
-        texts = list(dict.fromkeys(m.text[:LONGEST] for m in recent))
+        texts = list(dict.fromkeys(m.text[:MAX_QUOTED] for m in recent))
         return "".join(f"; it says: {text}" for text in texts)
 
     def warnings(self, trace: Trace | None = None) -> list[str]:
@@ -114,7 +114,7 @@ class Log:
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
 
 
-def named(text: str, names: Mapping[int, str]) -> str:
+def with_variable_names(text: str, names: Mapping[int, str]) -> str:
     """A message of FMI 3.0 with names in place of value references: #12# is the variable 12, ## is #."""
 
     def name(found: re.Match[str]) -> str:

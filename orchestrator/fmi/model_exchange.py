@@ -11,7 +11,7 @@ from orchestrator.fmi.calls import Buffer, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
 
-ROUNDS = 100  # of event iteration; a model that wants more never settles
+MAX_EVENT_ITERATIONS = 100  # of event iteration; a model that wants more never settles
 
 
 class ExchangeFmu(RunningFmu):
@@ -22,7 +22,7 @@ class ExchangeFmu(RunningFmu):
     def exit(self) -> None:
         """Leave initialisation mode, handle the events of the start, and be ready to be asked."""
         super().exit()
-        for _ in range(ROUNDS):
+        for _ in range(MAX_EVENT_ITERATIONS):
             if not self.fmu.update_discrete_states()[0]:
                 self.fmu.call("EnterContinuousTimeMode")
                 return

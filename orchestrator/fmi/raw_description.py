@@ -15,9 +15,9 @@ from functools import cached_property
 FLOATS = ("Real", "Float64", "Float32")
 SIGNED = {"Integer": 32, "Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64}  # type -> bits
 UNSIGNED = {"UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
-NUMBERS = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
-TYPES = (*NUMBERS, "String", "Binary", "Clock")
-TRUTH = {"true": 1.0, "false": 0.0}
+NUMERIC = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
+TYPES = (*NUMERIC, "String", "Binary", "Clock")
+BOOLEANS = {"true": 1.0, "false": 0.0}
 INTERFACES = {  # element -> what it is called
     "ModelExchange": "model exchange",
     "CoSimulation": "co-simulation",
@@ -33,7 +33,7 @@ INITIAL = {  # default of `initial` by causality and variability, both versions
 COMBINATIONS = {*INITIAL, ("input", "discrete"), ("input", "continuous"), ("independent", "continuous")}
 
 
-def whole(text: str | None) -> int | None:
+def parse_int(text: str | None) -> int | None:
     """A whole number, or None."""
     try:
         return None if text is None else int(text)
@@ -41,9 +41,9 @@ def whole(text: str | None) -> int | None:
         return None
 
 
-def numbers(text: str) -> tuple[float, ...]:
+def parse_numbers(text: str) -> tuple[float, ...]:
     """Numbers and truth values; raises ValueError for anything else."""
-    return tuple(TRUTH[w] if w in TRUTH else float(w) for w in text.split())
+    return tuple(BOOLEANS[w] if w in BOOLEANS else float(w) for w in text.split())
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Entry:
 
     def declares(self, *names: str) -> bool:
         """Is one of these attributes true, or above 0? The versions of FMI spell some in two ways."""
-        return any(self.get(name) == "true" or (whole(self.get(name)) or 0) > 0 for name in names)
+        return any(self.get(name) == "true" or (parse_int(self.get(name)) or 0) > 0 for name in names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class DeclaredVariable(Entry):
 
     @property
     def is_number(self) -> bool:
-        return self.type in NUMBERS
+        return self.type in NUMERIC
 
     @property
     def unit(self) -> str | None:
@@ -122,14 +122,14 @@ class DeclaredVariable(Entry):
     @cached_property
     def start(self) -> tuple[float, ...]:
         """Start values of a numeric variable."""
-        return numbers(" ".join(self.starts or ())) if self.is_number else ()
+        return parse_numbers(" ".join(self.starts or ())) if self.is_number else ()
 
     @cached_property
-    def low(self) -> float:
+    def minimum(self) -> float:
         return float(self.get("min", "-inf")) if self.is_number else -math.inf
 
     @cached_property
-    def high(self) -> float:
+    def maximum(self) -> float:
         return float(self.get("max", "inf")) if self.is_number else math.inf
 
     @cached_property
@@ -151,7 +151,7 @@ class Unknown:
     line: int
     key: int | None
     dependencies: tuple[int | None, ...] | None
-    kinds: tuple[str, ...] | None
+    dependency_kinds: tuple[str, ...] | None
     variable: DeclaredVariable | None = None
 
     def __str__(self) -> str:
@@ -165,8 +165,8 @@ class UnitDefinition:
 
     name: str
     line: int
-    base: Mapping[str, str] | None
-    displays: Mapping[str, Mapping[str, str]]
+    base_unit: Mapping[str, str] | None
+    display_units: Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,5 +233,5 @@ class ModelDescription:
 
     def state_of(self, derivative: DeclaredVariable) -> DeclaredVariable | None:
         """What a variable is the time derivative of."""
-        key = whole(derivative.attributes.get("derivative"))
+        key = parse_int(derivative.attributes.get("derivative"))
         return None if key is None else self.by_key.get(key)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from orchestrator.base.xml import Element, child, children, local
+from orchestrator.base.xml import Element, child, children, local_name
 from orchestrator.fmi.raw_description import (
     FLOATS,
     INITIAL,
@@ -16,7 +16,7 @@ from orchestrator.fmi.raw_description import (
     TypeDefinition,
     UnitDefinition,
     Unknown,
-    whole,
+    parse_int,
 )
 
 SECTIONS = {  # list of ModelStructure -> its path in FMI 2 and in FMI 3
@@ -30,12 +30,12 @@ SECTIONS = {  # list of ModelStructure -> its path in FMI 2 and in FMI 3
 
 def read_description(root: Element | None, major: int) -> ModelDescription:
     """The description behind a root element; empty when there is none or its version is not known."""
-    if root is None or not major or local(root) != "fmiModelDescription":
+    if root is None or not major or local_name(root) != "fmiModelDescription":
         return ModelDescription(major)
     types = dict(_types(root, major))
     listed = child(root, "ModelVariables")
-    elements = [e for e in (() if listed is None else listed) if local(e)]
-    lengths = {e.get("valueReference"): whole(e.get("start")) for e in elements if e.get("start")}
+    elements = [e for e in (() if listed is None else listed) if local_name(e)]
+    lengths = {e.get("valueReference"): parse_int(e.get("start")) for e in elements if e.get("start")}
     variables = tuple(_variable(e, index, major, types, lengths) for index, e in enumerate(elements, 1))
     by_key = {v.index if major == 2 else v.reference: v for v in reversed(variables)}
     known = {k: v for k, v in by_key.items() if k is not None}
@@ -69,8 +69,8 @@ def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
     """Type definitions by name: in FMI 2 a SimpleType holds the type, in FMI 3 the element is Float64Type."""
     listed = child(root, "TypeDefinitions")
     for outer in () if listed is None else listed:
-        inner = next((e for e in outer if local(e) in TYPES), None) if major == 2 else outer
-        type_ = "" if inner is None else local(inner).removesuffix("Type")
+        inner = next((e for e in outer if local_name(e) in TYPES), None) if major == 2 else outer
+        type_ = "" if inner is None else local_name(inner).removesuffix("Type")
         if inner is not None and type_ in TYPES:
             own = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
             items = tuple((i.get("name", ""), i.get("value", "")) for i in children(inner, "Item"))
@@ -85,9 +85,9 @@ def _variable(
     lengths: Mapping[str, int | None],
 ) -> DeclaredVariable:
     """One variable: in FMI 2 a child of the element holds the type, in FMI 3 the element is the type."""
-    inner = next((i for i in e if local(i) in TYPES), e) if major == 2 else e
+    inner = next((i for i in e if local_name(i) in TYPES), e) if major == 2 else e
     own = {**e.attrib, **inner.attrib}
-    type_, causality = local(inner), own.get("causality", "local")
+    type_, causality = local_name(inner), own.get("causality", "local")
     variability = own.get("variability") or _variability(type_, causality, major)
     default = "exact" if (major, causality) == (3, "input") else INITIAL.get((causality, variability), "")
     declared = types.get(own.get("declaredType", ""))
@@ -102,12 +102,12 @@ def _variable(
         name=own.get("name", ""),
         index=index,
         type=type_,
-        reference=whole(own.get("valueReference")),
+        reference=parse_int(own.get("valueReference")),
         causality=causality,
         variability=variability,
         initial=own.get("initial", default),
         starts=starts if starts or "start" in own else None,
-        shape=tuple(whole(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
+        shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),
     )
 
@@ -120,14 +120,14 @@ def _variability(type_: str, causality: str, major: int) -> str:
 
 
 def _unknown(e: Element, section: str, known: Mapping[int, DeclaredVariable], major: int) -> Unknown:
-    key = whole(e.get("index" if major == 2 else "valueReference"))
+    key = parse_int(e.get("index" if major == 2 else "valueReference"))
     names, kinds = e.get("dependencies"), e.get("dependenciesKind")
     return Unknown(
         section=section,
         line=e.sourceline,
         key=key,
-        dependencies=None if names is None else tuple(whole(n) for n in names.split()),
-        kinds=None if kinds is None else tuple(kinds.split()),
+        dependencies=None if names is None else tuple(parse_int(n) for n in names.split()),
+        dependency_kinds=None if kinds is None else tuple(kinds.split()),
         variable=None if key is None else known.get(key),
     )
 

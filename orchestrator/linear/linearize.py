@@ -12,18 +12,18 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
-from orchestrator.linear.cut_system import choose
-from orchestrator.linear.cut_system import outputs as chosen_outputs
-from orchestrator.linear.model import LinearModel, Named
+from orchestrator.linear.cut_system import cut_at_inputs
+from orchestrator.linear.cut_system import matching_outputs as chosen_outputs
+from orchestrator.linear.model import LinearModel, LinearVariable
 from orchestrator.linear.plant import Array, Plant
-from orchestrator.linear.steady_state import steady as find_steady
+from orchestrator.linear.steady_state import find_steady_state as find_steady
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 
 
-def along(
+def settle_at_time(
     plant: Plant, system: System, scenario: Trace | str | Path | None, time: float, step: float | None
 ) -> tuple[str, ...]:
     """Bring the plant to where a run of the system is at `time` [s]. Returns notes.
@@ -43,28 +43,28 @@ def along(
     if abs(float(result.trace.time[-1]) - time) > 1e-9 * max(1.0, time):
         end = f"the run ends at {result.trace.time[-1]:g} s"
         raise Problem(f"--time {time:g}: expected a multiple of the communication step, {end}")
-    plant.at(time)
+    plant.set_time(time)
     plant.v[:] = [last[str(p)] for p in plant.inputs]
-    plant.constant[~plant.fed] = plant.v[~plant.fed]
+    plant.constant[~plant.connected] = plant.v[~plant.connected]
     plant.settle(np.array([last[str(p)] for p in plant.states]), plant.u)
     return ()
 
 
-WHY = "a command in its dead band or beyond its range, a controller that is off"
+NO_EFFECT_REASON = "a command in its dead band or beyond its range, a controller that is off"
 
 
-def silent(plant: Plant, b: Array) -> tuple[str, ...]:
+def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:
     """Notes. b: of the inputs of the linear model, the first ones of the plant."""
     if not len(b):
         return ()
-    inlets = plant.choice.inputs[: b.shape[1]]
+    inlets = plant.cut.inputs[: b.shape[1]]
     none = [inlet.name for inlet, column in zip(inlets, b.T, strict=True) if not column.any()]
-    cut = [str(port) for port in _cut(plant)]
-    notes = (f"no state depends here on {', '.join(none)} ({WHY})",) if none else ()
-    return (*notes, f"loops are open here at {', '.join(cut)} ({WHY})") if cut else notes
+    cut = [str(port) for port in _open_loops(plant)]
+    notes = (f"no state depends here on {', '.join(none)} ({NO_EFFECT_REASON})",) if none else ()
+    return (*notes, f"loops are open here at {', '.join(cut)} ({NO_EFFECT_REASON})") if cut else notes
 
 
-def _cut(plant: Plant) -> Iterator[Port]:
+def _open_loops(plant: Plant) -> Iterator[Port]:
     """Outputs that go nowhere here, of components that stand between the inputs and the rest.
 
     Such an output is wired to an input on which a state may depend, and no state depends on any input that
@@ -72,23 +72,23 @@ def _cut(plant: Plant) -> Iterator[Port]:
     that no pressure depends on a position where nothing flows opens no loop.
     """
     own = plant.blocks()
-    moved = np.asarray((own.b @ plant.closed(own.d)).any(axis=0))
-    between = {port.component for inlet in plant.choice.inputs for port, _ in inlet.targets}
+    moved = np.asarray((own.b @ plant.loop_inverse(own.d)).any(axis=0))
+    between = {port.component for inlet in plant.cut.inputs for port, _ in inlet.targets}
     for j, output in enumerate(plant.outputs):
-        fed = [i for i, row in enumerate(plant.wires) if row[j]]
-        able = any(_able(plant, plant.inputs[i]) for i in fed)
+        fed = [i for i, row in enumerate(plant.connections) if row[j]]
+        able = any(_may_affect_state(plant, plant.inputs[i]) for i in fed)
         if output.component in between and able and not moved[fed].any():
             yield output
 
 
-def _able(plant: Plant, port: Port) -> bool:
+def _may_affect_state(plant: Plant, port: Port) -> bool:
     """May a state of the component depend on this input, as far as its model description tells?"""
     face = plant.system.components[port.component].interface
-    known = [face.knowns.get(rate) for rate in face.states.values()]
+    known = [face.dependencies.get(rate) for rate in face.states.values()]
     return any(inputs is None or port.variable in inputs for inputs in known)
 
 
-SPAN = 1.0  # [s] that the run lasts, as announced to the FMUs; nothing depends on it
+EXPERIMENT_LENGTH = 1.0  # [s] that the run lasts, as announced to the FMUs; nothing depends on it
 
 
 def linearize(
@@ -122,20 +122,20 @@ def linearize(
     whole = with_sets(whole, parameters)
     if speeds and not steady:
         raise Problem("--speed: expected --steady with it, only a steady state has given speeds")
-    choice = choose(whole, inputs, steady)
+    choice = cut_at_inputs(whole, inputs, steady)
     if time is not None:
-        _unfed(whole, set or {}, "--scenario, which plays it in the run")
-    choice = replace(choice, system=_started(choice.system, whole, set or {}))
+        _refuse_connected(whole, set or {}, "--scenario, which plays it in the run")
+    choice = replace(choice, system=_with_start_values(choice.system, whole, set or {}))
     ports = chosen_outputs(choice.system, outputs)
     start = whole.start or 0.0
     plant = Plant(choice)
     try:
-        plant.start((start, start + SPAN))
+        plant.start((start, start + EXPERIMENT_LENGTH))
         notes = choice.notes + plant.notes
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:
-            notes += along(plant, whole.with_start(set or {}), scenario, time, step)
+            notes += settle_at_time(plant, whole.with_start(set or {}), scenario, time, step)
         if steady:
             notes += find_steady(plant, speeds)
         return _result(plant, ports, start if time is None else time, notes)
@@ -143,13 +143,13 @@ def linearize(
         plant.close()
 
 
-def _started(system: System, whole: System, values: Mapping[str, Value | str]) -> System:
+def _with_start_values(system: System, whole: System, values: Mapping[str, Value | str]) -> System:
     """With start values; those of components that were left out, such as levers, count in a run only."""
-    _unfed(system, values, "--input of that name as well, which cuts the wire")
+    _refuse_connected(system, values, "--input of that name as well, which cuts the wire")
     return system.with_start({n: v for n, v in values.items() if system.has(n) or not whole.has(n)})
 
 
-def _unfed(system: System, names: Iterable[str], instead: str) -> None:
+def _refuse_connected(system: System, names: Iterable[str], instead: str) -> None:
     """No wire feeds what these names stand for."""
     wires = {c.target: c for c in system.connections}
     for name in filter(system.has, names):
@@ -165,15 +165,15 @@ def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, 
             raise Problem(f"{plant.system.name}: {name} has values that are not finite")
     at = {port: i for i, port in enumerate(plant.outputs)}
     rows = [at[port] for port in ports]
-    count = plant.choice.asked
-    inlets = plant.choice.inputs[:count]
+    count = plant.cut.requested_count
+    inlets = plant.cut.inputs[:count]
     return LinearModel(
         name=plant.system.name,
-        states=tuple(_named(plant.system, port) for port in plant.states),
+        states=tuple(_linear_variable(plant.system, port) for port in plant.states),
         inputs=tuple(
-            _named(plant.system, i.targets[0][0])._replace(name=i.name, unit=i.unit) for i in inlets
+            _linear_variable(plant.system, i.targets[0][0])._replace(name=i.name, unit=i.unit) for i in inlets
         ),
-        outputs=tuple(_named(plant.system, port) for port in ports),
+        outputs=tuple(_linear_variable(plant.system, port) for port in ports),
         a=matrices.a,
         b=matrices.b[:, :count],
         c=matrices.c[rows],
@@ -183,10 +183,10 @@ def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, 
         y0=plant.y[rows],
         f0=plant.f.copy(),
         time=time,
-        notes=notes + silent(plant, matrices.b[:, :count]),
+        notes=notes + no_effect_notes(plant, matrices.b[:, :count]),
     )
 
 
-def _named(system: System, port: Port) -> Named:
+def _linear_variable(system: System, port: Port) -> LinearVariable:
     variable = system.variable(port)
-    return Named(str(port), variable.unit, variable.text, variable.nominal or 1.0)
+    return LinearVariable(str(port), variable.unit, variable.description, variable.nominal or 1.0)

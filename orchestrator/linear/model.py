@@ -18,21 +18,21 @@ from orchestrator.base.text import TextTable
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.linear.modes import Mode, modes
 
-HEAD = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
+COLUMNS = ("frequency [Hz]", "damping [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12
-AT_REST = 1e-4  # of its size per second: a state that moves no faster counts as steady in the text
-AT_ONCE = 1e-3  # s: a state that settles so soon does not count as moving ...
-LITTLE = 1e-2  # ... if it goes no further than this share of its size
+STEADY_RATE = 1e-4  # of its size per second: a state that moves no faster counts as steady in the text
+FAST = 1e-3  # s: a state that settles so soon does not count as moving ...
+FAST_RANGE = 1e-2  # ... if it goes no further than this share of its size
 Array = NDArray[np.float64]
 
 
-class Named(NamedTuple):
+class LinearVariable(NamedTuple):
     """A state, input or output: its name, unit, description, and usual magnitude."""
 
     name: str
     unit: DeclaredUnit | None
-    text: str
-    size: float
+    description: str
+    nominal: float
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class LinearModel:
     """
 
     name: str
-    states: tuple[Named, ...]
-    inputs: tuple[Named, ...]
-    outputs: tuple[Named, ...]
+    states: tuple[LinearVariable, ...]
+    inputs: tuple[LinearVariable, ...]
+    outputs: tuple[LinearVariable, ...]
     a: Array
     b: Array
     c: Array
@@ -68,12 +68,12 @@ class LinearModel:
         """Operating point and modes."""
         groups = {"state": self.states, "input": self.inputs, "output": self.outputs}
         count = ", ".join(f"{len(group)} {word}{'s' * (len(group) != 1)}" for word, group in groups.items())
-        lines = [f"{self.name} at t = {self.time:g} s: {count}", *_point(self)]
+        lines = [f"{self.name} at t = {self.time:g} s: {count}", *_operating_point(self)]
         lines += [_stability(self.modes), ""] if self.modes else [""]
-        lines += TextTable(HEAD, [_row(m) for m in self.modes], left=(3, 4)).lines()
+        lines += TextTable(COLUMNS, [_row(m) for m in self.modes], left=(3, 4)).lines()
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
-    def control(self) -> Any:
+    def to_control(self) -> Any:
         """A StateSpace of the package python-control; names have _ where it does not allow a dot."""
         try:
             import control
@@ -93,13 +93,18 @@ class LinearModel:
         points = {"x0": self.x0, "u0": self.u0, "y0": self.y0, "f0": self.f0}
         np.savez(path, allow_pickle=False, **arrays, **points)
         names = path.with_suffix(".json")
-        names.write_text(json.dumps(self._described(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        names.write_text(json.dumps(self._as_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         return path, names
 
-    def _described(self) -> dict[str, Any]:
-        def described(group: tuple[Named, ...], values: Array) -> list[dict[str, Any]]:
+    def _as_dict(self) -> dict[str, Any]:
+        def described(group: tuple[LinearVariable, ...], values: Array) -> list[dict[str, Any]]:
             return [
-                {"name": n.name, "unit": n.unit.name if n.unit else "", "text": n.text, "value": float(v)}
+                {
+                    "name": n.name,
+                    "unit": n.unit.name if n.unit else "",
+                    "text": n.description,
+                    "value": float(v),
+                }
                 for n, v in zip(group, values, strict=True)
             ]
 
@@ -109,7 +114,7 @@ class LinearModel:
             "states": described(self.states, self.x0),
             "inputs": described(self.inputs, self.u0),
             "outputs": described(self.outputs, self.y0),
-            "modes": [m.described() for m in self.modes],
+            "modes": [m.as_dict() for m in self.modes],
             "notes": list(self.notes),
         }
 
@@ -117,23 +122,23 @@ class LinearModel:
 Linear = LinearModel  # its name until this release
 
 
-def _point(linear: LinearModel) -> list[str]:
+def _operating_point(linear: LinearModel) -> list[str]:
     """The inputs, and what is not at rest."""
     inputs = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
-    rate = _rates(linear)
-    fastest = [(linear.states[i], linear.f0[i]) for i in np.argsort(-rate)[:3] if rate[i] > AT_REST]
+    rate = _relative_rates(linear)
+    fastest = [(linear.states[i], linear.f0[i]) for i in np.argsort(-rate)[:3] if rate[i] > STEADY_RATE]
     moving = [f"{state.name} by {f:.3g}{_unit(state)} per s" for state, f in fastest]
     return [f"inputs: {', '.join(inputs) or 'none'}", f"not at rest: {', '.join(moving) or 'nothing'}"]
 
 
-def _rates(linear: LinearModel) -> Array:
+def _relative_rates(linear: LinearModel) -> Array:
     """How fast each state moves, of its size per second; 0 where it settles at once, as the flow in a line.
 
     By itself a state of time constant T = -1 / A_ii goes f0 T further.
     """
-    rate = np.abs(linear.f0) / np.array([s.size for s in linear.states])
+    rate = np.abs(linear.f0) / np.array([s.nominal for s in linear.states])
     own = -np.diag(linear.a)
-    return np.where((own > 1.0 / AT_ONCE) & (rate <= LITTLE * own), 0.0, rate)
+    return np.where((own > 1.0 / FAST) & (rate <= FAST_RANGE * own), 0.0, rate)
 
 
 def _stability(modes: Sequence[Mode]) -> str:
@@ -144,12 +149,12 @@ def _stability(modes: Sequence[Mode]) -> str:
     return f"{result}; on the limit: {', '.join(stays)}" if stays else result
 
 
-def _value(value: float, named: Named) -> str:
+def _value(value: float, named: LinearVariable) -> str:
     """With 6 digits; 0 for what is rounding next to its usual magnitude."""
-    return f"{0.0 if abs(value) < ROUNDING * named.size else value:.6g}"
+    return f"{0.0 if abs(value) < ROUNDING * named.nominal else value:.6g}"
 
 
-def _unit(named: Named) -> str:
+def _unit(named: LinearVariable) -> str:
     return f" {named.unit.name}" if named.unit and named.unit.name != "1" else ""
 
 
@@ -157,4 +162,4 @@ def _row(mode: Mode) -> tuple[str, ...]:
     frequency = f"{mode.frequency:.4g}" if mode.oscillates else ""
     lasts = f"{mode.time_constant:.4g}" if math.isfinite(mode.time_constant) else ""
     damping = f"{mode.damping:.3f}" if mode.oscillates else ""
-    return frequency, damping, lasts, mode.name, ", ".join(mode.members)
+    return frequency, damping, lasts, mode.name, ", ".join(mode.main_states)

@@ -19,11 +19,14 @@ from scipy.linalg import eig, matrix_balance
 from orchestrator.base.units import DeclaredUnit
 
 if TYPE_CHECKING:
-    from orchestrator.linear.model import Named
+    from orchestrator.linear.model import LinearVariable
 
-MAIN_SHARE, MAIN_COUNT = 0.8, 4  # states are listed until they have this share of a mode, and at most so many
-SMALL = 0.04  # a state with less is not listed
-PART = 0.12  # of a mode that a kind of states has to have, to be in its name
+MAIN_PARTICIPATION, MAIN_COUNT = (
+    0.8,
+    4,
+)  # states are listed until they have this share of a mode, and at most so many
+MIN_PARTICIPATION = 0.04  # a state with less is not listed
+MIN_KIND_PARTICIPATION = 0.12  # of a mode that a kind of states has to have, to be in its name
 KINDS = {  # exponents of kg, m, s without the radian
     (0, 1, 0): "position",
     (0, 1, -1): "speed",
@@ -31,31 +34,31 @@ KINDS = {  # exponents of kg, m, s without the radian
     (0, 3, -1): "flow",
     (0, 3, 0): "volume",
 }
-TURNING = {0: "position", -1: "speed"}  # with the radian: by the exponent of the second
+ROTATION_KINDS = {0: "position", -1: "speed"}  # with the radian: by the exponent of the second
 QUANTITIES = {"angle", "flow", "position", "pressure", "speed", "velocity", "volume"}
 MOTION = {"position", "speed"}
 OIL = {"pressure", "flow"}
 
 
-def labelled(states: Sequence[Named]) -> list[str]:
+def short_names(states: Sequence[LinearVariable]) -> list[str]:
     """Names of states without their component, where that is enough."""
     bare = [s.name.rpartition(".")[2] for s in states]
     return [b if bare.count(b) == 1 else s.name for b, s in zip(bare, states, strict=True)]
 
 
-def name(
+def mode_name(
     value: complex, share: NDArray[np.float64], labels: Sequence[str], units: Sequence[DeclaredUnit | None]
 ) -> tuple[str, tuple[str, ...]]:
     """What a mode is, and the names of the states that make most of it, the largest first."""
     weight = dict[str, float]()
     for part, unit in zip(share, units, strict=True):
-        weight[kind(unit)] = weight.get(kind(unit), 0.0) + float(part)
-    kinds = {k for k, total in weight.items() if total >= PART}
+        weight[quantity_kind(unit)] = weight.get(quantity_kind(unit), 0.0) + float(part)
+    kinds = {k for k, total in weight.items() if total >= MIN_KIND_PARTICIPATION}
     main = tuple(labels[i] for i in _main_states(share))
     return _phrase(value, kinds, main), main
 
 
-def kind(unit: DeclaredUnit | None) -> str:
+def quantity_kind(unit: DeclaredUnit | None) -> str:
     """What a quantity with this unit is; empty where that is not known."""
     if unit is None or unit.exponents is None:
         return ""
@@ -63,7 +66,7 @@ def kind(unit: DeclaredUnit | None) -> str:
     if any(base[3:]):
         return ""
     if radian == 1 and not any(base[:2]):
-        return TURNING.get(base[2], "")
+        return ROTATION_KINDS.get(base[2], "")
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
@@ -71,7 +74,7 @@ def _main_states(share: NDArray[np.float64]) -> list[int]:
     """The states to name, the largest first."""
     order, found, total = np.argsort(-share, kind="stable"), list[int](), 0.0
     for i in order[:MAIN_COUNT]:
-        if found and (total >= MAIN_SHARE or share[i] < SMALL):
+        if found and (total >= MAIN_PARTICIPATION or share[i] < MIN_PARTICIPATION):
             break
         found.append(int(i))
         total += float(share[i])
@@ -119,7 +122,7 @@ def _subject(names: Sequence[str]) -> str:
 
 
 Array = NDArray[np.float64]
-ZERO = 1e-18  # of the norm of the balanced matrix: what is left of a zero after that
+ZERO_EIGENVALUE = 1e-18  # of the norm of the balanced matrix: what is left of a zero after that
 
 
 @dataclass(frozen=True)
@@ -133,9 +136,9 @@ class Mode:
     """
 
     value: complex
-    share: Array
+    participation: Array
     name: str
-    members: tuple[str, ...]
+    main_states: tuple[str, ...]
 
     @property
     def oscillates(self) -> bool:
@@ -157,12 +160,12 @@ class Mode:
         """Of the decay [s]; negative where it grows, infinite where it stays."""
         return -1.0 / self.value.real if self.value.real else math.inf
 
-    def described(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """For a file."""
         lasts = self.time_constant
         return {
             "name": self.name,
-            "states": list(self.members),
+            "states": list(self.main_states),
             "real": self.value.real,
             "imaginary": self.value.imag,
             "frequency": self.frequency,
@@ -171,16 +174,18 @@ class Mode:
         }
 
 
-def modes(a: Array, states: Sequence[Named]) -> tuple[Mode, ...]:
+def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
     """The modes of dx/dt = A x, the slowest first."""
-    values, left, right = eigen(a, np.array([s.size for s in states]))
-    labels, found = labelled(states), []
+    values, left, right = eigen(a, np.array([s.nominal for s in states]))
+    labels, found = short_names(states), []
     for k in np.lexsort((values.imag, np.abs(values))):
         if values[k].imag >= 0.0:
             share = np.abs(left[:, k] * right[:, k])
             share = share / share.sum() if share.sum() else share
             units = [s.unit for s in states]
-            found.append(Mode(complex(values[k]), share, *name(complex(values[k]), share, labels, units)))
+            found.append(
+                Mode(complex(values[k]), share, *mode_name(complex(values[k]), share, labels, units))
+            )
     return tuple(_numbered(found))
 
 
@@ -209,6 +214,6 @@ def eigen(a: Array, size: Array) -> tuple[NDArray[np.complex128], ...]:
     upper = np.einsum("ik,ij,jk->k", left.conj(), scaled, right)
     usable = np.abs(over) > 1e-6  # else nearly defective: left and right vectors are at right angles
     values = np.where(usable, upper / np.where(usable, over, 1.0), values)
-    values[np.abs(values) <= ZERO * np.linalg.norm(scaled)] = 0.0
+    values[np.abs(values) <= ZERO_EIGENVALUE * np.linalg.norm(scaled)] = 0.0
     values.imag[np.abs(values.imag) <= 1e-12 * np.abs(values)] = 0.0
     return values, left, right

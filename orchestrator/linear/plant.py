@@ -24,7 +24,9 @@ from orchestrator.linear.cut_system import CutSystem
 from orchestrator.ssp.system import Port
 
 Array = NDArray[np.float64]
-SHIFT = 6e-6  # of the size of a value: the cube root of the rounding, where both errors of a difference meet
+RELATIVE_STEP = (
+    6e-6  # of the size of a value: the cube root of the rounding, where both errors of a difference meet
+)
 
 
 def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Sequence[Array]) -> Array:
@@ -32,7 +34,7 @@ def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Seq
     columns = []
     for known in knowns:
         for j, here in enumerate(known.tolist()):
-            step, looks = SHIFT * max(abs(here), 1.0), []
+            step, looks = RELATIVE_STEP * max(abs(here), 1.0), []
             for value in (here + step, here - step):
                 known[j] = value
                 look()
@@ -43,7 +45,7 @@ def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Seq
     return np.array(columns).T.reshape(sum(map(len, unknowns)), -1)
 
 
-class Stacked(Protocol):
+class StackedArrays(Protocol):
     """The arrays of all components: states, inputs, outputs, and time derivatives of the states."""
 
     x: Array
@@ -61,7 +63,7 @@ class PlantComponent:
         self.inputs = [u.name for u in face.of("input") if u.is_continuous]
         self.outputs = [u.name for u in face.of("output") if u.is_continuous]
 
-    def open(self, plant: Stacked) -> None:
+    def open(self, plant: StackedArrays) -> None:
         """Bind the calls to the arrays of the plant."""
         f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
         self._tangent = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
@@ -73,7 +75,7 @@ class PlantComponent:
     def _rows(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:
         return [make(names, values)] if names else []
 
-    def look(self) -> None:
+    def evaluate(self) -> None:
         """Set states and inputs, read derivatives and outputs."""
         self.slave.set_states(self._plant.x[self.x])
         for call in (*self.writes, *self.reads):
@@ -81,14 +83,16 @@ class PlantComponent:
 
     def jacobian(self) -> Array:
         """d(f, y) / d(x, v) of this component."""
-        if self.slave.interface.directional:
+        if self.slave.interface.directional_derivatives:
             return self._tangent.matrix()
         p = self._plant
-        return differences(self.look, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
+        return differences(self.evaluate, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
 
 
-ROUNDS = 30  # of Newton's method over the wires; without feed-through loops as many as stages are enough
-EXACT = 1e-13  # of the size of a signal: rounding
+MAX_ITERATIONS = (
+    30  # of Newton's method over the wires; without feed-through loops as many as stages are enough
+)
+AGREEMENT = 1e-13  # of the size of a signal: rounding
 
 
 class Matrices(NamedTuple):
@@ -108,7 +112,7 @@ class Plant:
     """
 
     def __init__(self, choice: CutSystem) -> None:
-        self.choice, self.system = choice, choice.system
+        self.cut, self.system = choice, choice.system
         self.slaves: dict[str, ExchangeFmu] = {}
         self.members: list[PlantComponent] = []
         try:
@@ -133,21 +137,24 @@ class Plant:
     def _wire(self) -> None:
         """L, M and what is constant of v."""
         at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
-        self.wires, self.feeds = np.zeros((len(at), len(of))), np.zeros((len(at), len(self.choice.inputs)))
-        self.constant, self.fed = np.zeros(len(at)), np.zeros(len(at), bool)
+        self.connections, self.input_map = (
+            np.zeros((len(at), len(of))),
+            np.zeros((len(at), len(self.cut.inputs))),
+        )
+        self.constant, self.connected = np.zeros(len(at)), np.zeros(len(at), bool)
         for c in self.system.connections:
             if c.source in of and c.target in at:
-                self.wires[at[c.target], of[c.source]] = c.map.factor
-                self.constant[at[c.target]], self.fed[at[c.target]] = c.map.offset, True
-        for j, inlet in enumerate(self.choice.inputs):
+                self.connections[at[c.target], of[c.source]] = c.map.factor
+                self.constant[at[c.target]], self.connected[at[c.target]] = c.map.offset, True
+        for j, inlet in enumerate(self.cut.inputs):
             for port, linear in inlet.targets:
-                self.feeds[at[port], j], self.fed[at[port]] = linear.factor, True
+                self.input_map[at[port], j], self.connected[at[port]] = linear.factor, True
                 self.constant[at[port]] = linear.offset
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What to say about the components."""
-        plain = [name for name, slave in self.slaves.items() if not slave.interface.directional]
+        plain = [name for name, slave in self.slaves.items() if not slave.interface.directional_derivatives]
         text = "gives no directional derivatives, so these are finite differences"
         return tuple(f"{name}: the FMU {text}" for name in plain)
 
@@ -158,39 +165,42 @@ class Plant:
             member.open(self)
             for call in member.starts:
                 call()
-        self.constant[~self.fed] = self.v[~self.fed]
-        self.nominal = np.array([_size(self, p) for p in self.states])
+        self.constant[~self.connected] = self.v[~self.connected]
+        self.nominal = np.array([_nominal(self, p) for p in self.states])
 
     @property
     def u(self) -> Array:
         """What the inputs from outside are now."""
         at = {p: i for i, p in enumerate(self.inputs)}
-        first = [(at[inlet.targets[0][0]], inlet.targets[0][1]) for inlet in self.choice.inputs]
+        first = [(at[inlet.targets[0][0]], inlet.targets[0][1]) for inlet in self.cut.inputs]
         return np.array([(self.v[i] - linear.offset) / linear.factor for i, linear in first])
 
     def settle(self, x: Array, u: Array) -> None:
         """Set states and inputs, and make all agree over the wires: v = L y + M u + constant."""
         self.x[:] = x
-        outside = self.feeds @ u + self.constant
-        for _ in range(ROUNDS):
-            self.look()
-            wanted = self.wires @ self.y + outside
+        outside = self.input_map @ u + self.constant
+        for _ in range(MAX_ITERATIONS):
+            self.evaluate()
+            wanted = self.connections @ self.y + outside
             off = wanted - self.v
             if not np.isfinite(off).all():
                 break
-            if (np.abs(off) <= EXACT * np.maximum(np.abs(wanted), np.abs(self.wires) @ np.abs(self.y))).all():
+            if (
+                np.abs(off)
+                <= AGREEMENT * np.maximum(np.abs(wanted), np.abs(self.connections) @ np.abs(self.y))
+            ).all():
                 return
-            self.v += self.closed(self.blocks().d) @ off
+            self.v += self.loop_inverse(self.blocks().d) @ off
         raise Problem(f"{self.system.name}: its wires cannot be made to agree: {self._worst(off)}")
 
     def _worst(self, off: Array) -> str:
         k = int(np.argmax(np.where(np.isfinite(off), np.abs(off), np.inf)))
         return f"{self.inputs[k]} is off by {off[k]:.3g}"
 
-    def look(self) -> None:
+    def evaluate(self) -> None:
         """Set states and inputs as they stand in the arrays, read derivatives and outputs."""
         for member in self.members:
-            member.look()
+            member.evaluate()
 
     def blocks(self) -> Matrices:
         """The components' own matrices, side by side, with respect to all their inputs."""
@@ -205,13 +215,13 @@ class Plant:
     def matrices(self) -> Matrices:
         """A, B, C, D from the inputs from outside to all outputs."""
         own = self.blocks()
-        closed = self.closed(own.d)
-        of_x, of_u = closed @ (self.wires @ own.c), closed @ self.feeds
+        closed = self.loop_inverse(own.d)
+        of_x, of_u = closed @ (self.connections @ own.c), closed @ self.input_map
         return Matrices(own.a + own.b @ of_x, own.b @ of_u, own.c + own.d @ of_x, own.d @ of_u)
 
-    def closed(self, d: Array) -> Array:
+    def loop_inverse(self, d: Array) -> Array:
         """K = 1 / (1 - L D). Without a loop of direct feed-through a finite sum, without rounding."""
-        through = self.wires @ d
+        through = self.connections @ d
         total = power = np.eye(len(through))
         for _ in range(len(through)):
             power = through @ power
@@ -223,7 +233,7 @@ class Plant:
         except np.linalg.LinAlgError:
             raise Problem(f"{self.system.name}: a loop of direct feed-through has no one solution") from None
 
-    def at(self, time: float) -> None:
+    def set_time(self, time: float) -> None:
         """Set the time [s]."""
         for slave in self.slaves.values():
             slave.set_time(time)
@@ -234,5 +244,5 @@ class Plant:
             slave.close()
 
 
-def _size(plant: Plant, port: Port) -> float:
+def _nominal(plant: Plant, port: Port) -> float:
     return plant.system.variable(port).nominal or 1.0

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.description import Interface, Value, Variable
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.modelica.syntax import Scope, literal, number, quoted
 from orchestrator.ssp.system import Component
 
@@ -31,7 +31,7 @@ class BlockParameter:
     """A parameter of the block: its name in Modelica, the FMU's variable and its value in the FMU."""
 
     name: str
-    variable: Variable
+    variable: FmuVariable
     value: Value
 
     @property
@@ -39,7 +39,8 @@ class BlockParameter:
         """Its declaration."""
         v = self.variable
         kind = TYPES[v.kind]
-        return f"  parameter {kind} {self.name}{attributes(v)} = {literal(self.value)} {quoted(v.text)};\n"
+        start = literal(self.value)
+        return f"  parameter {kind} {self.name}{attributes(v)} = {start} {quoted(v.description)};\n"
 
     @property
     def passed(self) -> str:
@@ -51,7 +52,7 @@ class BlockParameter:
 class OptionalInput:
     """An input that has a value where nothing is connected, and the names that this takes."""
 
-    variable: Variable
+    variable: FmuVariable
     value: float
     use: str
     constant: str
@@ -64,7 +65,8 @@ class OptionalInput:
         return (
             f'  parameter Boolean {self.use} = false "= true, if {v.name} comes from its connector"\n'
             "    annotation(Evaluate = true, choices(checkBox = true));\n"
-            f"  parameter Real {self.constant}{attributes(v)} = {number(self.value)} {quoted(v.text)}\n"
+            f"  parameter Real {self.constant}{attributes(v)} = {number(self.value)}"
+            f" {quoted(v.description)}\n"
             f"    annotation(Dialog(enable = not {self.use}));\n"
         )
 
@@ -84,27 +86,30 @@ class FmuBlock:
     name: str
     folder: str
     component: Component
-    inputs: Sequence[Variable]
-    outputs: Sequence[Variable]
+    inputs: Sequence[FmuVariable]
+    outputs: Sequence[FmuVariable]
     names: Mapping[str, str]
     parameters: Sequence[BlockParameter]
     optional: Mapping[str, OptionalInput]
     scope: Scope
 
     @property
-    def interface(self) -> Interface:
+    def interface(self) -> FmuInterface:
         """The FMU's interface."""
         return self.component.interface
 
     @property
-    def states(self) -> list[Variable]:
+    def states(self) -> list[FmuVariable]:
         """The continuous states."""
         return [self.interface.variables[name] for name in self.interface.states]
 
     def text(self, package: str) -> str:
         """The block in Modelica."""
         states = self.states
-        text = [f"block {self.name} {quoted(self.interface.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
+        text = [
+            f"block {self.name} {quoted(self.interface.description)}\n"
+            "  extends Modelica.Blocks.Icons.Block;\n"
+        ]
         text += [p.text for p in self.parameters]
         text += [optional.text for optional in self.optional.values()]
         text += signals(self, self.inputs, self.outputs)
@@ -158,7 +163,7 @@ class FmuBlock:
         """States at the start, in groups that depend on the same inputs."""
         groups: dict[frozenset[str], list[int]] = {}
         for k, v in enumerate(self.states):
-            known = frozenset() if v.initial == "exact" else self.interface.initially.get(v.name)
+            known = frozenset() if v.initial == "exact" else self.interface.initial_dependencies.get(v.name)
             groups.setdefault(self._inputs_among([known]), []).append(k)
         text = ["initial equation\n"] if groups else []
         for needed, rows in groups.items():
@@ -169,12 +174,12 @@ class FmuBlock:
 
     def _equations(self) -> list[str]:
         """Derivatives, and outputs in groups that depend on the same inputs."""
-        text, known = list[str](), self.interface.knowns
+        text, known = list[str](), self.interface.dependencies
         if self.states:
             needed = self._inputs_among(known.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
             text.append(_assigned(names, self._call("derivatives", "fmu_states, ", needed, "")))
-        groups: dict[frozenset[str], list[Variable]] = {}
+        groups: dict[frozenset[str], list[FmuVariable]] = {}
         for y in self.outputs:
             groups.setdefault(self._inputs_among([known.get(y.name)]), []).append(y)
         for needed, outputs in groups.items():
@@ -195,7 +200,7 @@ class FmuBlock:
         inputs = frozenset(v.name for v in self.inputs)
         return frozenset().union(*(inputs if names is None else names & inputs for names in known))
 
-    def _value(self, v: Variable) -> str:
+    def _value(self, v: FmuVariable) -> str:
         """The value of an input in the equations."""
         return self.optional[v.name].internal if v.name in self.optional else self.names[v.name]
 
@@ -227,15 +232,15 @@ def fmu_block(name: str, folder: str, component: Component, held: Collection[str
     return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, scope)
 
 
-def _check(where: str, interface: Interface) -> None:
+def _check(where: str, interface: FmuInterface) -> None:
     """Refuse FMUs that the functions of the package cannot run."""
     if interface.fmi != 2:
         raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {interface.fmi}.0")
-    if interface.indicators:
+    if interface.event_indicators:
         raise Problem(f"{where}: expected an FMU without event indicators, state events are not supported")
-    if interface.only_one:
+    if interface.one_per_process:
         raise Problem(f"{where}: expected an FMU that can be instantiated twice in a process")
-    if interface.needs_tool:
+    if interface.needs_execution_tool:
         raise Problem(f"{where}: expected an FMU that runs by itself, this one needs the tool that made it")
     if not interface.states and not interface.stateless:
         raise Problem(f"{where}: expected continuous states with all their derivatives among the variables")
@@ -246,19 +251,21 @@ def _check(where: str, interface: Interface) -> None:
             raise Problem(f"{where}: {v.name}: expected a continuous input, got a {v.variability} one")
 
 
-def _useful(interface: Interface) -> tuple[list[Variable], list[Variable]]:
+def _useful(interface: FmuInterface) -> tuple[list[FmuVariable], list[FmuVariable]]:
     """Outputs and inputs of the block.
 
     In Model Exchange inputs move by themselves: inputs that only are the rate of another one, and outputs
     that only give such rates on, have no use.
     """
-    inputs, known = {v.name for v in interface.of("input")}, interface.knowns
+    inputs, known = {v.name for v in interface.of("input")}, interface.dependencies
     starts = [
-        interface.initially.get(x) for x in interface.states if interface.variables[x].initial != "exact"
+        interface.initial_dependencies.get(x)
+        for x in interface.states
+        if interface.variables[x].initial != "exact"
     ]
     needed = [*(known.get(dx) for dx in interface.states.values()), *starts]
     matter = inputs if None in needed else inputs & {name for names in needed for name in names or ()}
-    rates = set(interface.rates.values()) - matter
+    rates = set(interface.rate_inputs.values()) - matter
     outputs = [y for y in interface.of("output") if not rates & (known.get(y.name) or frozenset())]
     direct = [known.get(y.name) for y in outputs]
     used = matter.union(*(inputs if names is None else names for names in direct)) - rates
@@ -268,7 +275,7 @@ def _useful(interface: Interface) -> tuple[list[Variable], list[Variable]]:
 # ---- text --------------------------------------------------------------------------------------------------
 
 
-def attributes(v: Variable) -> str:
+def attributes(v: FmuVariable) -> str:
     """(unit="Pa", displayUnit="bar", ...) or nothing."""
     if not v.is_real:
         return ""
@@ -284,7 +291,7 @@ def attributes(v: Variable) -> str:
 
 
 def signals(
-    m: FmuBlock, inputs: Sequence[Variable], outputs: Sequence[Variable], at_sides: bool = True
+    m: FmuBlock, inputs: Sequence[FmuVariable], outputs: Sequence[FmuVariable], at_sides: bool = True
 ) -> list[str]:
     """Connectors for some inputs and outputs: left and right of the icon, or below and above it."""
     text = []
@@ -292,7 +299,7 @@ def signals(
         for v, along in zip(variables, places(len(variables)), strict=True):
             place = placement(edge, along) if at_sides else placement(along, edge)
             condition = f" if {m.optional[v.name].use}" if v.name in m.optional else ""
-            declared = f"{m.names[v.name]}{attributes(v)}{condition} {quoted(v.text)}"
+            declared = f"{m.names[v.name]}{attributes(v)}{condition} {quoted(v.description)}"
             text.append(f"  Modelica.Blocks.Interfaces.{kind} {declared}\n    annotation({place});\n")
     return text
 
@@ -308,7 +315,7 @@ def places(count: int) -> list[float]:
     return [SIDE - 2 * SIDE * (k + 0.5) / count for k in range(count)]
 
 
-def _references(variables: Iterable[Variable]) -> str:
+def _references(variables: Iterable[FmuVariable]) -> str:
     return _vector((str(v.reference) for v in variables), "0")
 
 

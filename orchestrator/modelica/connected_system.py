@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import IDENTITY, Linear
-from orchestrator.fmi.description import Variable
+from orchestrator.base.units import IDENTITY, LinearTransformation
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.modelica.block import FmuBlock, attributes
 from orchestrator.modelica.syntax import Scope, literal, number, quoted
 from orchestrator.ssp.system import Component, Port, System
@@ -86,7 +86,7 @@ class _ConnectedSystem:
             else:
                 self._equation(c.target, self._at(c.source), c.map)
 
-    def _equation(self, target: Port, source: str, linear: Linear) -> None:
+    def _equation(self, target: Port, source: str, linear: LinearTransformation) -> None:
         mapped = f"{number(linear.factor)} * {source} + {number(linear.offset)}"
         self._equations.append(f"  {self._at(target)} = {source if linear == IDENTITY else mapped};\n")
 
@@ -108,10 +108,10 @@ class _ConnectedSystem:
                     name = self._declare(f"{component}_{v.name}", attributes(v), self._start(port), v)
                     self._equation(port, name, IDENTITY)
 
-    def _declare(self, wanted: str, unit: str, value: float, of: Variable) -> str:
+    def _declare(self, wanted: str, unit: str, value: float, of: FmuVariable) -> str:
         """Declare a variable of the model; its name."""
         name = self._scope.add(wanted)
-        declared = f"  Real {name}{unit} = {number(value)} {quoted(of.text)} annotation(Dialog);\n"
+        declared = f"  Real {name}{unit} = {number(value)} {quoted(of.description)} annotation(Dialog);\n"
         self._declared.append(declared)
         return name
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from orchestrator.fmi.description import Variable
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.modelica.block import FmuBlock, placement, places, signals
 from orchestrator.modelica.syntax import Scope, quoted
 
@@ -87,7 +87,7 @@ def with_flanges(m: FmuBlock, wanted: Collection[str]) -> str:
     scope = Scope()
     scope.taken |= m.scope.taken
     ends = {stem: (scope.add(stem), scope.add(f"{stem}_adapter")) for stem in found}
-    text = [f"model {m.name} {quoted(m.interface.text)}\n  extends Modelica.Blocks.Icons.Block;\n"]
+    text = [f"model {m.name} {quoted(m.interface.description)}\n  extends Modelica.Blocks.Icons.Block;\n"]
     text += [p.text for p in m.parameters]
     text += [m.optional[v.name].text for v in inputs if v.name in m.optional]
     text += signals(m, inputs, outputs, at_sides=False)
@@ -105,7 +105,7 @@ def with_flanges(m: FmuBlock, wanted: Collection[str]) -> str:
     return "".join([*text, f"end {m.name};\n"])
 
 
-def _passed(m: FmuBlock, inputs: Sequence[Variable]) -> str:
+def _passed(m: FmuBlock, inputs: Sequence[FmuVariable]) -> str:
     """Parameters of the block that are those of the model."""
     held = [m.optional[v.name] for v in inputs if v.name in m.optional]
     names = [p.name for p in m.parameters] + [name for h in held for name in (h.use, h.constant)]

@@ -97,7 +97,7 @@ def write_package(
 
 def _stem(source: Location) -> str:
     """Name of an FMU's file without .fmu."""
-    name = PurePosixPath(source.inside[-1]).name if source.inside else source.path.name
+    name = PurePosixPath(source.members[-1]).name if source.members else source.path.name
     return name.removesuffix(".fmu")
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.units import linear, parse
+from orchestrator.base.units import factor_and_offset, parse
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read
@@ -139,7 +139,9 @@ class Comparison:
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, whether it moves or not."""
         rows = [row for row in self.against[label].rows if row.group == quantity]
-        return max(rows, key=lambda r: r.metrics.maximum_error * linear(r.unit, rows[0].unit, r.signal)[0])
+        return max(
+            rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, rows[0].unit, r.signal)[0]
+        )
 
 
 def compare(

@@ -13,9 +13,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from orchestrator.base.html_page import write_json
-from orchestrator.base.plotting import DASHED, PALETTE, TraceLine, TracePanel, draw_traces, handle, png
-from orchestrator.base.text import NONE, TextTable, finer, number, share
-from orchestrator.base.units import convert, linear, shown
+from orchestrator.base.plotting import (
+    LINE_STYLES,
+    PALETTE,
+    TraceLine,
+    TracePanel,
+    draw_traces,
+    legend_entry,
+    png,
+)
+from orchestrator.base.text import NO_VALUE, TextTable, error_display_unit, number, percentage
+from orchestrator.base.units import convert, factor_and_offset, reader_unit
 from orchestrator.engine.result import RunMetadata
 from orchestrator.results.comparison import CONSTANT, DEFAULT_QUANTITIES, Comparison, Run
 from orchestrator.results.validation import ValidatedSignal
@@ -61,11 +69,11 @@ def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure
     reference = comparison.reference
     styles = {reference.label: {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}}
     for place, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
-        dashes = DASHED[place % len(DASHED)]
-        styles[run.label] = {"color": PALETTE.line(place), "linewidth": 1.2, "linestyle": dashes}
+        dashes = LINE_STYLES[place % len(LINE_STYLES)]
+        styles[run.label] = {"color": PALETTE.colour(place), "linewidth": 1.2, "linestyle": dashes}
     names = list(signals) if signals is not None else chosen(comparison)
     key = [
-        handle(f"{label} (reference)" if label == reference.label else label, **style)
+        legend_entry(f"{label} (reference)" if label == reference.label else label, **style)
         for label, style in styles.items()
     ]
     return draw_traces([_panel(comparison, styles, name) for name in names], comparison.window, key=key)
@@ -79,17 +87,21 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
     for label, style in styles.items():
         trace = runs[label]
         seen = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
-        values = convert(trace[name][seen], trace.units.get(name, unit), shown(unit), name)
+        values = convert(trace[name][seen], trace.units.get(name, unit), reader_unit(unit), name)
         lines.append(TraceLine(trace.time[seen], values, style))
     rows = {label: validation[name] for label, validation in comparison.against.items()}
-    error_unit = finer(next(iter(rows.values())).unit).shown if rows else ""
+    error_unit = error_display_unit(next(iter(rows.values())).unit).display if rows else ""
     errors = [
         TraceLine(
-            row.time, linear(row.unit, error_unit, name)[0] * (row.simulation - row.reference), styles[label]
+            row.time,
+            factor_and_offset(row.unit, error_unit, name)[0] * (row.simulation - row.reference),
+            styles[label],
         )
         for label, row in rows.items()
     ]
-    return TracePanel(shown(unit), lines, "", name, errors, "difference", error_unit, heights=(2.5, 1.2))
+    return TracePanel(
+        reader_unit(unit), lines, "", name, errors, "difference", error_unit, heights=(2.5, 1.2)
+    )
 
 
 def text(comparison: Comparison) -> str:
@@ -127,7 +139,7 @@ def _costs(comparison: Comparison) -> list[str]:
 
 def _cost(run: Run, reference: Run) -> list[str]:
     if run.facts is None:
-        return [run.label, *[NONE] * 6, ""]
+        return [run.label, *[NO_VALUE] * 6, ""]
     known, length = run.facts, run.facts.simulated or float("nan")
     inside, usual = _inside(known), sum(_inside(reference.facts).values())
     ranked = sorted(inside.items(), key=lambda entry: -entry[1])
@@ -169,10 +181,10 @@ def _worst(comparison: Comparison, label: str) -> list[str]:
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)
         most = largest.metrics.maximum_error
-        nrmse = share(worst.metrics.nrmse) if worst else NONE
+        nrmse = percentage(worst.metrics.nrmse) if worst else NO_VALUE
         same = "the same" if worst and largest.signal == worst.signal else largest.signal
         rows.append([quantity, str(len(groups[quantity])), nrmse, _who(worst)])
-        rows[-1] += [finer(largest.unit).ascii(most), same if most else ""]
+        rows[-1] += [error_display_unit(largest.unit).ascii(most), same if most else ""]
     against = f"{label} against {comparison.reference.label}, all signals"
     head = [against, "number", "largest NRMSE", "of", "largest difference", "of"]
     return TextTable(head, rows, left=(0, 3, 5)).lines()
@@ -204,8 +216,8 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
     """NRMSE, of a reference that stands still none, and the largest difference in the unit of a reader."""
     m = row.metrics
     still = any(note.startswith("the reference is") for note in row.metrics.notes)
-    nrmse = NONE if still and m.rmse else share(m.nrmse)
-    return nrmse, finer(row.unit).ascii(m.maximum_error)
+    nrmse = NO_VALUE if still and m.rmse else percentage(m.nrmse)
+    return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 
 def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path]:

@@ -146,7 +146,7 @@ def read_layout(path: Path) -> Layout:
         raise Problem(f"{path}: no such file") from None
     except OSError as error:
         raise Problem(f"{path}: cannot be read: {error.strerror}") from None
-    file = toml.fill(_File, toml.read(path, data))
+    file = toml.read_dataclass(_File, toml.read(path, data))
     for figure in file.figure:
         if not figure.panels:
             raise Problem(f"{path}: figure {figure.title!r}: panels: expected at least one, got none")

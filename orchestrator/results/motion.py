@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.plotting import PALETTE, WIDTH, frame, heading, new_figure
+from orchestrator.base.plotting import PALETTE, WIDTH, heading, new_figure, style_axes
 
 Array = NDArray[np.float64]
 
@@ -138,10 +138,10 @@ def strobe(motion: Motion, poses: int = 9, title: str = "") -> Figure:
 def _draw_view(axes: Axes, motion: Motion, view: str) -> None:
     """The path of the tip, ground or axis of rotation, labels; both axes to one scale."""
     if view == "side":
-        frame(axes, "along the arm [m]" if motion.turning else "x [m]", "height [m]", size=10)
+        style_axes(axes, "along the arm [m]" if motion.turning else "x [m]", "height [m]", size=10)
         axes.axhline(motion.ground, color=PALETTE.faint, linewidth=1.2)
     else:
-        frame(axes, "x [m]", "y [m]", size=10)
+        style_axes(axes, "x [m]", "y [m]", size=10)
         axes.plot(0, 0, marker="+", color=PALETTE.faint, markersize=10)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title({"side": "Side view", "top": "From above"}[view], loc="left", fontsize=10)

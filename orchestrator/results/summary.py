@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
-from orchestrator.base.text import NONE, finer, number, share
+from orchestrator.base.text import NO_VALUE, error_display_unit, number, percentage
 from orchestrator.data.description import METRICS
 from orchestrator.results.validation import ValidatedSignal, Validation
 
@@ -27,24 +27,24 @@ NAMES = {
 
 def percent(value: float | None) -> str:
     """Fit or VAF [%], rounded down: only a perfect one shows 100 %."""
-    return NONE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
+    return NO_VALUE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
 
 
 def judged(row: ValidatedSignal, value: float | None) -> str:
     """A value or limit of the row's tolerance in the words of its metric."""
     if row.tolerance is None or value is None:
-        return NONE
+        return NO_VALUE
     if row.tolerance.in_unit:
-        return finer(row.unit).ascii(value)
+        return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
-        return share(value)
+        return percentage(value)
     return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
 
 
 def limit(row: ValidatedSignal) -> str:
     """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
     if row.tolerance is None:
-        return NONE
+        return NO_VALUE
     sign = "≤" if METRICS[row.tolerance.metric] else "≥"
     return f"{NAMES[row.tolerance.metric]} {sign} {judged(row, row.tolerance.limit)}"
 
@@ -66,7 +66,7 @@ def miss(row: ValidatedSignal) -> str:
 
 def outcome(row: ValidatedSignal) -> str:
     """`pass`, `fail` or a dash."""
-    return {True: "pass", False: "fail", None: NONE}[row.passed]
+    return {True: "pass", False: "fail", None: NO_VALUE}[row.passed]
 
 
 def rating(row: ValidatedSignal) -> str:
@@ -125,7 +125,7 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
     sections: dict[str, list[ValidatedSignal]] = {}
     for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
         rule = limit(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-        title = f"{row.group or 'signals'} [{finer(row.unit).shown or '1'}]: {rule}"
+        title = f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {rule}"
         sections.setdefault(title, []).append(row)
     room = min(max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12))
     yield Text(_line("  ", "", room, _HEADINGS), "dim")
@@ -147,14 +147,14 @@ def _remarks(validation: Validation) -> list[str]:
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, ...]:
-    m, unit = row.metrics, finer(row.unit)
+    m, unit = row.metrics, error_display_unit(row.unit)
     fits = ("<-999" if v is not None and v < -999 else percent(v).removesuffix(" %") for v in (m.fit, m.vaf))
     return (
         unit.plain(m.maximum_error),
         unit.plain(m.rmse),
-        share(m.nrmse).removesuffix(" %"),
+        percentage(m.nrmse).removesuffix(" %"),
         *fits,
-        NONE if m.iso.overall is None else f"{m.iso.overall:.3f}",
+        NO_VALUE if m.iso.overall is None else f"{m.iso.overall:.3f}",
         outcome(row).replace("fail", "FAIL"),
     )
 

@@ -16,13 +16,13 @@ import numpy as np
 from rich.console import Console
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import BUILT, there
+from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.units import convert
-from orchestrator.data.recording import Recording, bridged, read_recording
+from orchestrator.data.recording import Recording, fill_gaps, read_recording
 from orchestrator.data.trace import Trace, write
 from orchestrator.engine.result import Card, Result, write_metadata
 from orchestrator.engine.run import contents, given, simulated
-from orchestrator.fmi.description import Variable
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
@@ -79,7 +79,7 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
             continue
         unit = system.unit(system.port(port))
         own = unit.name if unit else reference.file_units.get(name, reference.units[name])
-        columns[port] = convert(bridged(reference, name), reference.units[name], own, name)
+        columns[port] = convert(fill_gaps(reference, name), reference.units[name], own, name)
     return Trace(reference.time, columns) if columns else None
 
 
@@ -126,7 +126,7 @@ def judge(
 def another_model(system: System, reference: Recording) -> str:
     """What to say where a swapped system is compared with a simulation; empty where there is nothing."""
     swapped = [name for name, component in system.components.items() if component.replaced]
-    if not swapped or reference.about.get("kind") != "simulation":
+    if not swapped or reference.metadata.get("kind") != "simulation":
         return ""
     verb = "is" if len(swapped) == 1 else "are"
     return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
@@ -135,10 +135,10 @@ def another_model(system: System, reference: Recording) -> str:
 def describe(component: Component) -> reporting.ReportedComponent:
     """One FMU of the run."""
     source = component.source
-    file = source.inside[-1] if source and source.inside else source.path.name if source else ""
+    file = source.members[-1] if source and source.members else source.path.name if source else ""
     face = component.interface
     return reporting.ReportedComponent(
-        component.name, file, face.version, face.guid, f"{face.fmi}.0 CS", face.tool, face.text
+        component.name, file, face.version, face.guid, f"{face.fmi}.0 CS", face.tool, face.description
     )
 
 
@@ -154,14 +154,14 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
                 name=v.name,
                 value=float(value) if v.is_real else value,
                 unit=v.unit.name if v.unit else "",
-                text=v.text,
+                text=v.description,
                 source=str(number.get("source", "")),
                 note=str(number.get("note", "")),
                 changed=_changed(v, component),
             )
 
 
-def _changed(v: Variable, component: Component) -> bool:
+def _changed(v: FmuVariable, component: Component) -> bool:
     """Is the value of a parameter another one than the FMU's own?"""
     value = component.start.get(v.name)
     return value is not None and (v.start is None or coerce(v.name, v, v.start) != value)
@@ -225,10 +225,10 @@ def validate_system(
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     against = read_recording(reference or usual[0])
-    chosen = layout or (usual[1] if reference is None or system == BUILT else None)
+    chosen = layout or (usual[1] if reference is None or system == DEFAULT_SYSTEM else None)
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
-    commands = played(load(there(system)), against, play) if reference and not scenario else None
+    commands = played(load(require_system(system)), against, play) if reference and not scenario else None
     result = simulated(system, scenario or commands, trace, **options, everywhere=False)
     # a reference of the usual system knows signals that a swapped FMU has not
     gone = lost(result.system).keys() & against.signals.keys() - result.trace.signals.keys()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.units import linear
+from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
@@ -92,7 +92,7 @@ class ValidatedSignal:
     @property
     def limit_use(self) -> float:
         """How much of its limit the signal uses: 1 at the limit, above it when it fails; 0 without one."""
-        return 0.0 if self.tolerance is None else self.tolerance.use(self.judged_value)
+        return 0.0 if self.tolerance is None else self.tolerance.fraction_used(self.judged_value)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def validate(
         window=(float(grid[0]), float(grid[-1])),
         title=reference.heading,
         source=reference.source.name,
-        about=reference.about,
+        about=reference.metadata,
         notes=notes,
     )
 
@@ -220,8 +220,8 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     if not unit:
         unit = unit_of_file
         notes.append(f"the run states no unit, {unit!r} of the reference assumed")
-    linear(unit_of_file, unit, where)  # refuses by the unit that the user wrote
-    factor, offset = linear(reference.units[name], unit, where)
+    factor_and_offset(unit_of_file, unit, where)  # refuses by the unit that the user wrote
+    factor, offset = factor_and_offset(reference.units[name], unit, where)
     recorded = factor * reference[name] + offset
     there = np.isfinite(recorded)
     kept = np.interp(grid, reference.time, ~there) < ROUNDING  # 0 at a sample that is there, 1 at a gap

@@ -25,10 +25,10 @@ from orchestrator.base.plotting import (
     TracePanel,
     draw_traces,
     embed,
-    handle,
+    legend_entry,
 )
-from orchestrator.base.text import NONE, display_unit, finer, number, share, typeset
-from orchestrator.base.units import convert, shown
+from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
+from orchestrator.base.units import convert, reader_unit
 from orchestrator.data.trace import Trace
 from orchestrator.results import summary
 from orchestrator.results.layout import FigureSpec, PanelSpec
@@ -147,8 +147,8 @@ def render(report: Report) -> str:
         checked=checked,
         tiles=[_tile(name, rows) for name, rows in checked.groups.items()],
         words=summary,
-        error=lambda value, row: finer(row.unit).text(value),
-        share=share,
+        error=lambda value, row: error_display_unit(row.unit).text(value),
+        share=percentage,
         value=_value,
         figures=[
             (spec, embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
@@ -177,14 +177,14 @@ def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
 def _value(value: Any) -> str:
     """A value of facts, card or parameters."""
     if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: NONE}[value]
+        return {True: "yes", False: "no", None: NO_VALUE}[value]
     return typeset(number(value, 6)) if isinstance(value, float) else str(value)
 
 
 def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
     """The figure of a validation; signals that were not compared, such as commands, come from the trace."""
     panels = [_panel(spec, panel, validation, trace) for panel in spec.panels]
-    key = handle("reference", **REFERENCE), handle("simulation", **SIMULATION)
+    key = legend_entry("reference", **REFERENCE), legend_entry("simulation", **SIMULATION)
     return draw_traces(panels, validation.window, spec.title, key=key)
 
 
@@ -202,9 +202,9 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
         name = panel.names[place] if place < len(panel.names) else ""
         if signal in rows:
             row = rows[signal]
-            units.add(shown(row.unit))
+            units.add(reader_unit(row.unit))
             simulation, reference = (
-                convert(y, row.unit, shown(row.unit), signal) for y in (row.simulation, row.reference)
+                convert(y, row.unit, reader_unit(row.unit), signal) for y in (row.simulation, row.reference)
             )
             lines.append(TraceLine(row.time, reference, {"color": light, "linewidth": 2.6}, name))
             lines.append(TraceLine(row.time, simulation, {**SIMULATION, "color": dark}))
@@ -213,8 +213,8 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
             compared.append((name, row))
         elif trace is not None and signal in trace.signals:
             unit = trace.units.get(signal, "")
-            units.add(shown(unit))
-            values = convert(trace[signal], unit, shown(unit), signal)
+            units.add(reader_unit(unit))
+            values = convert(trace[signal], unit, reader_unit(unit), signal)
             lines.append(TraceLine(trace.time, values, {"color": dark, "linewidth": 1.2}, name))
         else:
             raise Problem(f"figure {spec.title!r}: signal {signal!r} is neither compared nor in the run")

@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.xml import Element, XmlElement, finite, local, truth, whole
+from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.common import add
 
 OWN = "harvester-cosim"
@@ -63,7 +63,7 @@ def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> S
         coupling.check(components)
     except Problem as problem:
         raise element.problem(str(problem)) from None
-    return Suggestion(coupling, step, place=f"{element.place}: Coupling")
+    return Suggestion(coupling, step, location=f"{element.location}: Coupling")
 
 
 def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
@@ -74,7 +74,7 @@ def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
         f"{root.file}: line {e.sourceline}: {reason}"
         for root in roots
         for e in root.element.iter()
-        if local(e) == "Annotation" and e.get("type") == OWN and e not in taken
+        if local_name(e) == "Annotation" and e.get("type") == OWN and e not in taken
     ]
 
 
@@ -90,7 +90,7 @@ class Attribute(NamedTuple):
 
 _TEXT, _WHOLE, _NUMBER = (
     Attribute("a text", str),
-    Attribute("a whole number", whole),
+    Attribute("a whole number", integer),
     Attribute("a number", finite),
 )
 ATTRIBUTES: Mapping[str, Attribute] = {
@@ -98,7 +98,7 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "step": _NUMBER,
     **dict.fromkeys(("order", "passes", "lag"), _WHOLE),
     **dict.fromkeys(("tolerance", "adaptive", "guard", "smallest", "largest"), _NUMBER),
-    "correct": Attribute("true or false", truth),
+    "correct": Attribute("true or false", boolean),
     "control": _TEXT,
 }
 FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
@@ -202,8 +202,8 @@ def _of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
         coupling=first.coupling,
         step=first.step,
         source=f"{' and '.join(dict.fromkeys(tools))} in {' and '.join(files)}",
-        place=f"{first.element.place} ({first.tool})",
-        only=() if masters else tuple(dict.fromkeys(r.component for r in requests)),
+        location=f"{first.element.location} ({first.tool})",
+        components=() if masters else tuple(dict.fromkeys(r.component for r in requests)),
     )
 
 
@@ -218,7 +218,7 @@ def _requests(root: XmlElement) -> Iterator[Request]:
                     raise _refusal(element, f"the annotation {kind} of {tool} is not supported")
             if kind in TOOLS:
                 yield from _elements(element, TOOLS[kind])
-        elif element.name == "SimulationInformation" and local(raw.getparent()) == "System":
+        elif element.name == "SimulationInformation" and local_name(raw.getparent()) == "System":
             yield from _simulation_information(element, DRAFT)
 
 
@@ -234,7 +234,7 @@ def _elements(parent: XmlElement, kind: AnnotationType) -> Iterator[Request]:
 
 
 def _refusal(element: XmlElement, reason: str) -> Problem:
-    return Problem(f"{element.place}: {reason}")
+    return Problem(f"{element.location}: {reason}")
 
 
 def _unsupported(element: XmlElement, tool: str) -> Problem:
@@ -253,7 +253,9 @@ def _step(element: XmlElement, name: str) -> float:
 
 def _owner(element: XmlElement) -> str:
     """The component whose annotation this is, or the system."""
-    above = (e.get("name") for e in element.element.iterancestors() if local(e) in ("Component", "System"))
+    above = (
+        e.get("name") for e in element.element.iterancestors() if local_name(e) in ("Component", "System")
+    )
     return next(filter(None, above), "the system")
 
 
@@ -381,7 +383,7 @@ def _refuse_other_attributes(element: XmlElement, tool: str, known: tuple[str, .
 
 def _all(element: XmlElement) -> list[Element]:
     """Every SimulationInformation in the file of this one."""
-    return [e for e in element.element.getroottree().iter() if local(e) == "SimulationInformation"]
+    return [e for e in element.element.getroottree().iter() if local_name(e) == "SimulationInformation"]
 
 
 Reader = Callable[[XmlElement, str], Iterator[Request]]

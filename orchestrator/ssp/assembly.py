@@ -9,8 +9,8 @@ from pathlib import Path
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.units import Linear, conversion
-from orchestrator.fmi.description import Value, Variable, read_interface
+from orchestrator.base.units import LinearTransformation, conversion
+from orchestrator.fmi.description import FmuVariable, Value, read_interface
 from orchestrator.ssp.system import Component, Connection, Inlet, Port, System
 
 SOURCES = ("output", "calculatedParameter")
@@ -44,7 +44,7 @@ def assemble(
         given = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
         if len(given) not in (2, 3, 4):
             raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
-        linear = Linear(*(float(x) for x in given[2:]))
+        linear = LinearTransformation(*(float(x) for x in given[2:]))
         ends = system.port(str(given[0])), system.port(str(given[1]))
         connected.append(_connect(system, *ends, linear, notes))
     inlets = {n: _inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
@@ -65,7 +65,9 @@ def open_component(name: str, fmu: Location, exchange: bool = False) -> Componen
     return Component(name, read_interface(fmu, exchange), fmu)
 
 
-def _connect(system: System, source: Port, target: Port, after: Linear, notes: list[str]) -> Connection:
+def _connect(
+    system: System, source: Port, target: Port, after: LinearTransformation, notes: list[str]
+) -> Connection:
     """A checked connection with unit conversion."""
     plain = check_connection(system, source, target, after)
     units = system.variable(source).unit, system.variable(target).unit
@@ -87,7 +89,7 @@ def _inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) 
     return Inlet(name, unit, tuple((port, linear) for port, (linear, _) in zip(ports, maps, strict=True)))
 
 
-def check_connection(system: System, source: Port, target: Port, linear: Linear) -> Connection:
+def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
     """A connection whose causality and types fit."""
     result, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
@@ -110,6 +112,6 @@ def _check_single(connections: Iterable[Connection], inlets: Mapping[str, Inlet]
         seen[target] = source
 
 
-def family(variable: Variable) -> str:
+def family(variable: FmuVariable) -> str:
     """The types that may be connected: equal ones, and integers with enumerations."""
     return "Integer" if variable.kind == "Enumeration" else variable.kind

@@ -8,8 +8,8 @@ from functools import cache
 from itertools import pairwise
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, Linear
-from orchestrator.base.xml import Element, XmlElement, digits, finite
+from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
+from orchestrator.base.xml import Element, XmlElement, finite, shortest_decimal
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # version 2.0 has the same namespaces
 NAMESPACES = {
@@ -52,11 +52,11 @@ def _exponent(base: XmlElement, name: str) -> int:
     return int(value)
 
 
-def read_transformation(element: XmlElement) -> tuple[Linear, Mapping[str, str]]:
+def read_transformation(element: XmlElement) -> tuple[LinearTransformation, Mapping[str, str]]:
     """The transformation inside a connection or mapping entry: a linear one, and a table of texts."""
     linear = element.child("LinearTransformation")
     if linear is not None:
-        return Linear(linear.number("factor", 1.0), linear.number("offset", 0.0)), {}
+        return LinearTransformation(linear.number("factor", 1.0), linear.number("offset", 0.0)), {}
     for e in element.children():
         if e.name in MAPPINGS:
             return IDENTITY, _table(e)
@@ -78,7 +78,7 @@ def _table(mapping: XmlElement) -> dict[str, str]:
     return table
 
 
-def as_linear(table: Mapping[str, str], where: str) -> Linear:
+def as_linear(table: Mapping[str, str], where: str) -> LinearTransformation:
     """A table of Boolean or integer values as a linear transformation, where it is one."""
     words = {"true": "1", "false": "0"}
     try:
@@ -89,11 +89,11 @@ def as_linear(table: Mapping[str, str], where: str) -> Linear:
         if x == other:
             raise Problem(f"{where}: this mapping gives two values for {x:g}, expected one")
     if len(points) == 1:
-        return Linear(0.0, points[0][1])
+        return LinearTransformation(0.0, points[0][1])
     if len(points) >= 2:
         (x0, y0), (x1, y1) = points[:2]
         slope = (y1 - y0) / (x1 - x0)
-        line = Linear(slope, y0 - slope * x0)
+        line = LinearTransformation(slope, y0 - slope * x0)
         if all(line(x) == y for x, y in points):
             return line
     raise Problem(f"{where}: this mapping of values is not supported on a connection")
@@ -144,7 +144,7 @@ def add(parent: Element, qualified: str, /, **attributes: object) -> Element:
 def as_text(value: object) -> str:
     """A value as XML writes it."""
     if isinstance(value, float):
-        return digits(value)
+        return shortest_decimal(value)
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

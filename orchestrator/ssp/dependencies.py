@@ -93,7 +93,7 @@ def gauss_seidel_order(system: System) -> list[str]:
         Port(c.name, u)
         for c in system.components.values()
         for y in c.interface.of("output")
-        for u in c.interface.depends(y.name)
+        for u in c.interface.direct_inputs(y.name)
     }
     left, order = list(system.components), list[str]()
 
@@ -103,7 +103,11 @@ def gauss_seidel_order(system: System) -> list[str]:
             for c in system.connections
             if c.target.component == name and c.source.component in left and c.source.component != name
         ]
-        return sum(t in direct for t in targets), len(targets), bool(system.components[name].interface.sloped)
+        return (
+            sum(t in direct for t in targets),
+            len(targets),
+            bool(system.components[name].interface.ramp_inputs),
+        )
 
     while left:
         order.append(min(left, key=waiting))
@@ -131,13 +135,13 @@ class Feedthrough:
     def depends(self, output: Port) -> set[Port]:
         """The variables of its own component that an output depends on; all where the FMU does not say."""
         interface = self._system.components[output.component].interface
-        known = interface.depends_initially if self._initially else interface.depends
+        known = interface.initial_knowns if self._initially else interface.direct_inputs
         return {Port(output.component, name) for name in known(output.variable)}
 
     def declares(self, output: Port) -> bool:
         """Does the FMU declare what an output depends on?"""
         interface = self._system.components[output.component].interface
-        declared = interface.initially if self._initially else interface.feedthrough
+        declared = interface.initial_dependencies if self._initially else interface.feedthrough
         return declared.get(output.variable) is not None
 
     def cycle(self, group: list[Port]) -> DependencyCycle | None:

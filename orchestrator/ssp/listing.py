@@ -29,20 +29,20 @@ def lines(system: System, kind: str | None = None) -> Iterator[str]:
         ]
         yield from _table(f"{system.name}: outputs of the system", outputs)
     for component in system.components.values():
-        if kind is None and component.interface.text:
-            yield from textwrap.wrap(f"{component.name}: {component.interface.text}", WIDTH)
+        if kind is None and component.interface.description:
+            yield from textwrap.wrap(f"{component.name}: {component.interface.description}", WIDTH)
             yield ""
         for wanted in ("output", "input", "parameter"):
             if kind in (None, wanted):
                 yield from _table(f"{component.name}: {wanted}s", _variables(system, component, wanted))
-        if kind is None and component.interface.refused:
-            yield from textwrap.wrap(f"{component.name}: {component.interface.left_out}", WIDTH)
+        if kind is None and component.interface.unsupported:
+            yield from textwrap.wrap(f"{component.name}: {component.interface.unsupported_note}", WIDTH)
             yield ""
 
 
 def _description(system: System, port: Port, connected: str) -> str:
     """The description of a variable and what it is connected to."""
-    return "; ".join(filter(None, [system.variable(port).text, connected]))
+    return "; ".join(filter(None, [system.variable(port).description, connected]))
 
 
 def _inlets(system: System) -> list[Entry]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, Linear
+from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
 from orchestrator.ssp.parameter_sets import bound_values
@@ -87,7 +87,10 @@ def _connected(flat: FlatStructure, system: System) -> System:
 
 
 def _inlet(
-    flat: FlatStructure, system: System, connector: Connector, maps: list[tuple[SignalPath, Linear]]
+    flat: FlatStructure,
+    system: System,
+    connector: Connector,
+    maps: list[tuple[SignalPath, LinearTransformation]],
 ) -> Inlet:
     """An input of the outermost system; without a unit of its own it has that of the inputs it feeds."""
     fed = [(path, m) for path, m in maps if path.source == connector and path.target.owner in flat.sources]

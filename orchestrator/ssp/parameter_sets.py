@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
 from orchestrator.ssp.common import read_transformation, read_units
@@ -21,7 +21,9 @@ from orchestrator.ssp.swap import lost
 from orchestrator.ssp.system import Port, System, coerce, settable
 from orchestrator.ssp.system_structure import Connector, ParameterBinding
 
-MappingEntry = tuple[str, Linear, Mapping[str, str], bool]  # target, transformation, table, suppressed
+MappingEntry = tuple[
+    str, LinearTransformation, Mapping[str, str], bool
+]  # target, transformation, table, suppressed
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 
 
@@ -31,10 +33,10 @@ class ParameterValue(NamedTuple):
     name: str
     text: str
     unit: DeclaredUnit | None
-    map: Linear = IDENTITY
+    map: LinearTransformation = IDENTITY
     suppressed: bool = False
 
-    def map_to(self, target: DeclaredUnit | None, where: str) -> tuple[Linear, str | None]:
+    def map_to(self, target: DeclaredUnit | None, where: str) -> tuple[LinearTransformation, str | None]:
         """The whole map to a value in the unit `target`, and a note when it rests on an assumption."""
         if self.suppressed:
             return self.map, None
@@ -50,7 +52,7 @@ def read_parameter_set(root: XmlElement, known: Mapping[str, DeclaredUnit]) -> l
         text = value.get("value") if value is not None else None
         if value is None or text is None:
             message = f"parameter {parameter.get('name')!r}: expected a value, got none"
-            raise Problem(f"{parameter.place}: {message}")
+            raise Problem(f"{parameter.location}: {message}")
         unit = value.get("unit")
         declared = units.get(unit, DeclaredUnit(unit)) if unit else None
         found.append(ParameterValue(parameter.required("name"), text, declared))
@@ -83,7 +85,7 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
 
 def _targets(
     signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
-) -> Iterator[tuple[Port, Linear, str | None]]:
+) -> Iterator[tuple[Port, LinearTransformation, str | None]]:
     """The variables that a value sets, with the map from the value: one, or all that a connector feeds."""
     flat, system = signals.flat, signals.system
     full = f"{binding.owner}.{value.name}" if binding.owner else value.name
@@ -93,7 +95,7 @@ def _targets(
             continue
         if owner in flat.sources:
             interface, port = system.components[owner].interface, Port(owner, name)
-            interface.allow(name, f"parameter {full}")
+            interface.check_supported(name, f"parameter {full}")
             if name in interface.variables:
                 yield (port, *value.map_to(system.variable(port).unit, f"parameter {port}"))
                 return
@@ -115,7 +117,7 @@ def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterVa
     if mapping is not None:
         root = _content(signals, binding, mapping, MAPPING, "ParameterMapping")
         for e in root.children("MappingEntry"):
-            entry = e.required("target"), *read_transformation(e), e.truth("suppressUnitConversion")
+            entry = e.required("target"), *read_transformation(e), e.boolean("suppressUnitConversion")
             entries.setdefault(e.required("source"), []).append(entry)
     found = []
     for value in read_parameter_set(content, binding.units):
@@ -145,7 +147,7 @@ def _content(
     if base != "SSD":
         choice = "SSD or component" if fmu is not None else "SSD"
         raise element.problem(f"expected {choice} for sourceBase, got {base!r}")
-    return read_xml(element.file.beside(source or ""), name)
+    return read_xml(element.file.resolve(source or ""), name)
 
 
 # ---- chosen by the user ------------------------------------------------------------------------------------
@@ -197,7 +199,7 @@ def _file(system: System, chosen: str | Path) -> Location:
         return Location(Path(chosen))
     known = names(system)
     if str(chosen) not in known:
-        home = system.source.parent if system.source and system.source.inside else system.source
+        home = system.source.parent if system.source and system.source.members else system.source
         holds = f"{home or system.name} holds {', '.join(known) or 'none'}"
         raise Problem(
             f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), known)}; {holds};"
@@ -211,7 +213,7 @@ def names(system: System) -> Mapping[str, Location]:
     source = system.source
     if source is None or not str(source).endswith(".ssd"):
         return {}
-    home = source.parent if source.inside else Location(source.path.parent / FOLDER)
-    inside = f"{FOLDER}/" if source.inside else ""
+    home = source.parent if source.members else Location(source.path.parent / FOLDER)
+    inside = f"{FOLDER}/" if source.members else ""
     found = [n for n in sorted(home.names()) if n.startswith(inside) and n.endswith(SUFFIX)]
     return {PurePosixPath(n).stem: home.member(n) for n in found if n.count("/") == inside.count("/")}

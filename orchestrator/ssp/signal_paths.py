@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.ssp.system import Port, System
 from orchestrator.ssp.system_structure import Connector, FlatStructure, IncomingConnection
 
@@ -38,7 +38,7 @@ class SignalPaths:
     notes: list[str]
     paths: tuple[SignalPath, ...]
 
-    def map(self, path: SignalPath) -> Linear:
+    def map(self, path: SignalPath) -> LinearTransformation:
         """The map over the whole way, unit conversions included."""
         declared = self.flat.unit(path.source)
         if path.source.owner not in self.flat.sources:
@@ -47,7 +47,9 @@ class SignalPaths:
         first = self._conversion(unit, declared, str(path.source))
         return first.then(self.map_from(path, path.source, declared or unit))
 
-    def map_from(self, path: SignalPath, connector: Connector, unit: DeclaredUnit | None) -> Linear:
+    def map_from(
+        self, path: SignalPath, connector: Connector, unit: DeclaredUnit | None
+    ) -> LinearTransformation:
         """The map from a connector on the way, whose value is in `unit`, to the variable at the end."""
         at, last = path.connectors.index(connector), path.target
         own = self.system.variable(Port(*last)).unit if last.owner in self.flat.sources else None
@@ -61,7 +63,9 @@ class SignalPaths:
             linear = linear.then(connection.transformation)
         return linear.then(self._conversion(self.flat.unit(last), own, where))
 
-    def _conversion(self, source: DeclaredUnit | None, target: DeclaredUnit | None, where: str) -> Linear:
+    def _conversion(
+        self, source: DeclaredUnit | None, target: DeclaredUnit | None, where: str
+    ) -> LinearTransformation:
         linear, note = conversion(source, target, where)
         self.notes.extend([note] if note else [])
         return linear
@@ -96,7 +100,7 @@ def _path_to(flat: FlatStructure, end: Connector) -> SignalPath:
 
 def _check_variable(flat: FlatStructure, system: System, connector: Connector) -> None:
     interface = system.components[connector.owner].interface
-    interface.allow(connector.name, f"connection to {connector}")
+    interface.check_supported(connector.name, f"connection to {connector}")
     if connector.name not in interface.variables:
         fmu, close = flat.sources[connector.owner], suggest(connector.name, interface.variables)
         raise Problem(f"connection to {connector}: {fmu} has no variable {connector.name!r}{close}")

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
-from orchestrator.fmi.description import Interface, Value, Variable
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.ssp.assembly import family, open_component
 from orchestrator.ssp.power_bonds import find_bonds
 from orchestrator.ssp.system import FEW, Component, Connection, Port, System, coerce
@@ -117,7 +117,7 @@ class UsedPort:
     optional      an FMU may lack it
     """
 
-    declared: Variable
+    declared: FmuVariable
     unit: DeclaredUnit | None
     connections: tuple[Connection, ...]
     outside: bool
@@ -159,8 +159,8 @@ def _used(system: System, port: Port, outside: bool, power: set[Port]) -> UsedPo
 def _is_rate(system: System, port: Port) -> bool:
     """Is an input the time derivative of another one, by declaration or by name?"""
     interface, name = system.components[port.component].interface, port.variable
-    if name in interface.rates.values():
-        return name not in interface.rates  # else more than a slope: it has a slope itself
+    if name in interface.rate_inputs.values():
+        return name not in interface.rate_inputs  # else more than a slope: it has a slope itself
     for ending, stems in STEMS.items():
         if name.endswith(ending):
             return any(name.removesuffix(ending) + stem in interface.variables for stem in stems)
@@ -189,16 +189,16 @@ class Fit:
     assumed   ports for which the new FMU states no unit, with the expected one
     """
 
-    maps: Mapping[Port, tuple[Linear, Linear]]
+    maps: Mapping[Port, tuple[LinearTransformation, LinearTransformation]]
     dropped: frozenset[Port]
-    assumed: Mapping[str, Variable]
+    assumed: Mapping[str, FmuVariable]
     notes: tuple[str, ...]
 
-    def target(self, port: Port) -> Linear:
+    def target(self, port: Port) -> LinearTransformation:
         """The conversion of values that go to a port."""
         return self.maps.get(port, (IDENTITY, IDENTITY))[0]
 
-    def source(self, port: Port) -> Linear:
+    def source(self, port: Port) -> LinearTransformation:
         """The conversion of values that come from a port."""
         return self.maps.get(port, (IDENTITY, IDENTITY))[1]
 
@@ -214,7 +214,7 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
         advice = _way_out(system, new, faults)
         raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults.values())}{advice}")
     bare = [n for n, use in needed.items() if variables[n].unit is None and use.unit]
-    maps, remarks = dict[Port, tuple[Linear, Linear]](), list[str | None]()
+    maps, remarks = dict[Port, tuple[LinearTransformation, LinearTransformation]](), list[str | None]()
     for n, use in needed.items():
         back, remark = conversion(variables[n].unit, use.unit, f"{new.name}.{n} in {new.source}")
         maps[Port(new.name, n)] = conversion(use.unit, variables[n].unit, n)[0], back
@@ -227,14 +227,14 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
     )
 
 
-def _fault(use: UsedPort, interface: Interface, free: Mapping[str, Variable]) -> str:
+def _fault(use: UsedPort, interface: FmuInterface, free: Mapping[str, FmuVariable]) -> str:
     """What is wrong with one port, as 'expected ..., got ...'; empty if it fits.
 
     free   the variables that may be meant by a name that is not there
     """
     name = use.declared.name
-    if name in interface.refused:
-        return f"expected {use}, got {interface.refused[name]}"
+    if name in interface.unsupported:
+        return f"expected {use}, got {interface.unsupported[name]}"
     if name in interface.variables:
         return _mismatch(use, interface.variables[name])
     meant = [other for other, v in free.items() if not _mismatch(use, v)]
@@ -242,7 +242,7 @@ def _fault(use: UsedPort, interface: Interface, free: Mapping[str, Variable]) ->
     return f"expected {use}, got none{f' (it has {near[0]})' if near else ''}"
 
 
-def _mismatch(use: UsedPort, found: Variable) -> str:
+def _mismatch(use: UsedPort, found: FmuVariable) -> str:
     """Where a variable differs from what is used."""
     old = use.declared
     if found.causality not in SERVES[old.causality]:
@@ -334,7 +334,7 @@ def lost(system: System) -> Mapping[str, str]:
     return {f"{c.name}.{name}": why for c, before in swapped for name, why in _lost(c, before).items()}
 
 
-def _lost(component: Component, before: Interface) -> dict[str, str]:
+def _lost(component: Component, before: FmuInterface) -> dict[str, str]:
     now = component.interface.variables
     fixed = (n for n, v in before.variables.items() if n in now and v.settable and not now[n].settable)
     return {

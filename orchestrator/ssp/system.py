@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear, conversion
-from orchestrator.base.xml import real, whole
-from orchestrator.fmi.description import Interface, Value, Variable
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
+from orchestrator.base.xml import integer, real
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 
 FEW = 4  # names that fit into a message
 
@@ -36,10 +36,10 @@ class Component:
     """
 
     name: str
-    interface: Interface
+    interface: FmuInterface
     source: Location | None = None
     start: Mapping[str, Value] = field(default_factory=dict)
-    replaced: Interface | None = None
+    replaced: FmuInterface | None = None
 
     def value(self, variable: str) -> Value:
         """The start value of a variable: the system's, else the FMU's own; NaN where neither tells one."""
@@ -64,7 +64,7 @@ class Connection:
 
     source: Port
     target: Port
-    map: Linear = IDENTITY
+    map: LinearTransformation = IDENTITY
 
     def __str__(self) -> str:
         return f"{self.source} -> {self.target}"
@@ -76,7 +76,7 @@ class Inlet:
 
     name: str
     unit: DeclaredUnit | None
-    targets: tuple[tuple[Port, Linear], ...]
+    targets: tuple[tuple[Port, LinearTransformation], ...]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Outlet:
     name: str
     unit: DeclaredUnit | None
     source: Port
-    map: Linear = IDENTITY
+    map: LinearTransformation = IDENTITY
 
 
 @dataclass(frozen=True)
@@ -138,12 +138,12 @@ class System:
         for component in sorted(self.components, key=len, reverse=True):
             rest, interface = name.removeprefix(component + "."), self.components[component].interface
             if rest != name:
-                interface.allow(rest, name)
+                interface.check_supported(rest, name)
                 if rest in interface.variables:
                     return Port(component, rest)
         return None
 
-    def targets(self, name: str) -> tuple[tuple[Port, Linear], ...]:
+    def targets(self, name: str) -> tuple[tuple[Port, LinearTransformation], ...]:
         """What a name stands for: an input of the system, one `component.variable`, or, as a bare name, every
         component input of that name."""
         if name in self.inputs:
@@ -191,7 +191,7 @@ class System:
         ports = [port for inlet in inlets for port, _ in inlet.targets]
         return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
 
-    def variable(self, port: Port) -> Variable:
+    def variable(self, port: Port) -> FmuVariable:
         """The declaration of a port."""
         return self.components[port.component].interface.variables[port.variable]
 
@@ -202,7 +202,7 @@ class System:
         same = known and known.unit and (own is None or known.unit.dimension == own.dimension)
         return known.unit if known and same else own
 
-    def _given(self, port: Port) -> Linear:
+    def _given(self, port: Port) -> LinearTransformation:
         """From the unit of given values to that of the FMU."""
         return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
 
@@ -225,7 +225,7 @@ class System:
 
         A master among them puts aside all that the system's file suggests, else the rest of that stays.
         """
-        return replace(self, suggestion=self.suggestion.changed(given))
+        return replace(self, suggestion=self.suggestion.with_choices(given))
 
     def without(self, *patterns: str) -> System:
         """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.
@@ -243,17 +243,19 @@ class System:
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
-def settable(port: Port, interface: Interface) -> None:
+def settable(port: Port, interface: FmuInterface) -> None:
     """Refuse to set what the FMU computes itself."""
     variable = interface.variables[port.variable]
     if not variable.settable:
         kind = f"{variable.variability} {variable.causality}"
-        sources = sorted((interface.initially.get(port.variable) or frozenset()) - {port.variable})
+        sources = sorted((interface.initial_dependencies.get(port.variable) or frozenset()) - {port.variable})
         at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= FEW else ""
         raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself{at_start}")
 
 
-def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = IDENTITY) -> Value:
+def coerce(
+    where: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
+) -> Value:
     """`value` (perhaps text from a command line or an XML file) in the type of `variable`."""
     text = str(value).strip()
     try:
@@ -265,7 +267,7 @@ def coerce(where: str, variable: Variable, value: Value | str, linear: Linear = 
             return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
         if text in variable.items:
             return variable.items[text]
-        return whole(text)
+        return integer(text)
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None

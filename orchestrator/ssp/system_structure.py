@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import DeclaredUnit, Linear
+from orchestrator.base.units import DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.raw_description import FLOATS
 from orchestrator.ssp.common import as_linear, read_transformation, read_units
@@ -47,7 +47,7 @@ class IncomingConnection(NamedTuple):
     """The connection that feeds a connector; `suppressed`: without conversion of the unit."""
 
     source: Connector
-    transformation: Linear
+    transformation: LinearTransformation
     suppressed: bool
 
 
@@ -171,16 +171,18 @@ class _SsdReader:
 
     def _component(self, element: XmlElement, full: str) -> None:
         kind = element.get("type") or FMU
-        source = element.file.beside(element.required("source"))
+        source = element.file.resolve(element.required("source"))
         implementation = element.get("implementation") or "any"
         if implementation not in ("any", "CoSimulation"):
-            raise Problem(f"{element.place}: component {full}: expected CoSimulation, got {implementation}")
+            raise Problem(
+                f"{element.location}: component {full}: expected CoSimulation, got {implementation}"
+            )
         if kind == FMU:
             self._flat.sources[full] = source
         elif kind in (SSD, PACKAGE):
             self._inner_file(element, full, source if kind == SSD else source.member(DEFINITION))
         else:
-            raise Problem(f"{element.place}: component {full}: expected an FMU, got type {kind}")
+            raise Problem(f"{element.location}: component {full}: expected an FMU, got type {kind}")
         self._connectors(element, full)
         self._bindings(element, full)
 
@@ -224,7 +226,9 @@ class _SsdReader:
         linear, table = read_transformation(element)
         if table:
             linear = as_linear(table, where)
-        self._flat.incoming[end] = IncomingConnection(start, linear, element.truth("suppressUnitConversion"))
+        self._flat.incoming[end] = IncomingConnection(
+            start, linear, element.boolean("suppressUnitConversion")
+        )
 
     def _end(
         self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]
@@ -253,7 +257,7 @@ class _SsdReader:
 
 def _resolved(file: Location) -> Location:
     """One name for a file, however a source spells its path."""
-    return Location(file.path.resolve(), file.inside)
+    return Location(file.path.resolve(), file.members)
 
 
 def _join(path: str, name: str) -> str:

@@ -12,17 +12,17 @@ from pathlib import Path
 from urllib.parse import quote
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import pack
-from orchestrator.base.units import IDENTITY, DeclaredUnit, Linear
+from orchestrator.base.files import write_zip
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import Element
-from orchestrator.fmi.description import Value, Variable
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_suggestion
 from orchestrator.ssp.common import TYPES, add, generation_tool, new_root, write_units, xml_text
 from orchestrator.ssp.diagram import Box, Diagram, Point
 from orchestrator.ssp.system import Component, Inlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
 
-Values = Mapping[str, tuple[Variable, Value]]  # name of a parameter -> the variable it sets, and its value
+Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
 NAME, FILE = "signals", "signals.ssb"  # of the signal dictionary
 
 
@@ -65,7 +65,7 @@ def write_ssp(
             raise Problem(f"{system.name}: set {name}: {problem}") from None
         known = {port: (system.variable(of), value) for port, of, value in ports}
         content[f"resources/{name}.ssv"] = parameter_set(name, known, version, generation_tool())
-    pack(Path(path), content)
+    write_zip(Path(path), content)
     return Path(path)
 
 
@@ -85,7 +85,7 @@ def _write_parameters(parent: Element, version: str, values: Values) -> None:
         add(parameter, f"ssv:{_type(variable, version)}", value=given, unit=_name(variable.unit))
 
 
-def _type(variable: Variable, version: str) -> str:
+def _type(variable: FmuVariable, version: str) -> str:
     """The name of a variable's type; for values of enumerations that of integers, which are their values."""
     return TYPES[version]["Integer" if variable.kind == "Enumeration" else variable.kind]
 
@@ -130,7 +130,9 @@ class _Writer:
         root = new_root("ssb:SignalDictionary", version=self.version, generationTool=generation_tool())
         outputs = [(c.name, v) for c in self.system.components.values() for v in c.interface.of("output")]
         for component, v in outputs:
-            entry = add(root, "ssb:DictionaryEntry", name=f"{component}.{v.name}", description=v.text or None)
+            entry = add(
+                root, "ssb:DictionaryEntry", name=f"{component}.{v.name}", description=v.description or None
+            )
             add(entry, f"ssc:{_type(v, self.version)}", unit=_name(v.unit))
         write_units(root, "ssb", (v.unit for _, v in outputs))
         return xml_text(root)
@@ -149,7 +151,7 @@ class _Writer:
         inputs, outputs = self.system.inputs.values(), self.system.outputs.values()
         holder = add(system, "ssd:Connectors") if inputs or outputs else None
         for n, i in enumerate(inputs, start=1):
-            variable = self.system.variable(i.targets[0][0]) if i.targets else Variable(i.name)
+            variable = self.system.variable(i.targets[0][0]) if i.targets else FmuVariable(i.name)
             self._connector(holder, i.name, "input", variable, i.unit, (0.0, n / (len(inputs) + 1)))
         for n, o in enumerate(outputs, start=1):
             variable = self.system.variable(o.source)
@@ -160,7 +162,7 @@ class _Writer:
         parent: Element,
         name: str,
         kind: str,
-        variable: Variable,
+        variable: FmuVariable,
         unit: DeclaredUnit | None,
         place: Point,
     ) -> None:
@@ -179,7 +181,7 @@ class _Writer:
         for name in bound:
             add(holder, "ssd:ParameterBinding", source=f"resources/{quote(name)}.ssv")
 
-    def _start(self, inlet: Inlet) -> tuple[Variable, Value] | None:
+    def _start(self, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
         """The start value of the first input that an input of the system feeds, in the unit of the latter."""
         for port, linear in inlet.targets[:1]:
             variable = replace(self.system.variable(port), unit=inlet.unit)
@@ -207,7 +209,7 @@ class _Writer:
             type=FMU,
             source=f"resources/{quote(component.name)}.fmu",
             implementation="CoSimulation",
-            description=component.interface.text or None,
+            description=component.interface.description or None,
         )
         if any(connectors):
             holder = add(element, "ssd:Connectors")
@@ -235,7 +237,7 @@ class _Writer:
         parent: Element,
         source: Port,
         target: Port,
-        linear: Linear,
+        linear: LinearTransformation,
         units: Sequence[DeclaredUnit | None],
         bends: Sequence[Point] | None,
     ) -> None:

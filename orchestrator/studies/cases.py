@@ -14,8 +14,8 @@ from typing import Any
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import quoted
-from orchestrator.base.units import linear
+from orchestrator.base.toml import quote_key
+from orchestrator.base.units import factor_and_offset
 from orchestrator.data.trace import Trace, read
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
@@ -168,7 +168,7 @@ def _fixed(systems: Sequence[System], name: str, value: float | tuple[float, str
     number, given = value if isinstance(value, tuple) else (value, own)
     if not (real or float(number).is_integer()):
         raise Problem(f"fixed: {name}: expected a whole number, as it is no Real variable, got {number:g}")
-    scale, offset = linear(given, own, f"{where}: unit")
+    scale, offset = factor_and_offset(given, own, f"{where}: unit")
     return scale * number + offset
 
 
@@ -183,7 +183,7 @@ def _factor(systems: Sequence[System], factor: Factor) -> Factor:
     given = factor.unit or own
     if factor.relative and given != own:
         raise Problem(f"{factor.key}: unit: expected none, as the numbers are shares, got {given!r}")
-    scale, offset = linear(given, own, f"{factor.key}: unit")
+    scale, offset = factor_and_offset(given, own, f"{factor.key}: unit")
     numbers = {
         key: tuple(scale * v + offset for v in value)
         if isinstance(value, tuple)
@@ -199,7 +199,7 @@ def _output(systems: Sequence[System], output: Output) -> Output:
         try:
             port = signal(system, output.signal)
         except Problem as problem:
-            raise Problem(f"outputs.{quoted(output.name)}: signal: {problem}") from None
+            raise Problem(f"outputs.{quote_key(output.name)}: signal: {problem}") from None
         name = output.signal
         unit = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
         units.add(unit.name if unit else "")
@@ -283,7 +283,7 @@ def _check_windows(study: Study, times: Sequence[Grid]) -> None:
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     last = max(end + NEAR * abs(end), study.stop or end)  # a run ends at the whole step next to its stop
     for output in study.outputs:
-        where = f"outputs.{quoted(output.name)}"
+        where = f"outputs.{quote_key(output.name)}"
         if output.start is not None and output.start > end:
             raise Problem(f"{where}: start: expected at most {end:g} s, got {output.start:g} s")
         if output.stop is not None and output.stop < begin:

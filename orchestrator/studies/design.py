@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats import qmc
 
-from orchestrator.base.units import Linear
+from orchestrator.base.units import LinearTransformation
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Port, System, coerce
 from orchestrator.studies.cases import Options, StudyCase, is_real, nominals
@@ -188,7 +188,7 @@ def _settable(case: StudyCase) -> list[Port]:
     return [port for port in ports if system.variable(port).settable and port not in fed]
 
 
-def _varied(study: Study, system: System) -> dict[Port, tuple[str, Linear]]:
+def _varied(study: Study, system: System) -> dict[Port, tuple[str, LinearTransformation]]:
     """Variable -> the factor that sets it, and from its unit to that of the FMU."""
     names = [f.name for f in study.factors if system.has(f.name)]
     return {port: (name, linear) for name in names for port, linear in system.targets(name)}

@@ -203,7 +203,7 @@ def summary(results: store.Results) -> str:
         column = results.table[output.column]
         unit = display_unit(output.unit, column.abs().max())
         values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
-        rows.append((output.name, *values, unit.shown))
+        rows.append((output.name, *values, unit.display))
     lines = TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
     return "\n".join([f"{len(results.table)} runs: {kinds}", "", *lines, *_reasons(results)])
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orchestrator.base.plotting import PALETTE, frame, handle, legend, new_figure
+from orchestrator.base.plotting import PALETTE, legend, legend_entry, new_figure, style_axes
 from orchestrator.studies.path_following import Array, PathRun
 
 WITH, WITHOUT = "-", (0, (3, 1.5))
@@ -66,7 +66,7 @@ def _draw_view(
     names: tuple[str, str],
 ) -> None:
     """Both axes to the same scale."""
-    frame(axes, *names, size=10)
+    style_axes(axes, *names, size=10)
     axes.plot(*view(runs[0].wanted), color=PALETTE.faint, linewidth=4, alpha=0.5)
     for run in runs:
         axes.plot(*view(run.tip), **_style(run, machines))
@@ -75,7 +75,7 @@ def _draw_view(
 
 def _errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
     """On a logarithmic scale: with and without feedback are far apart."""
-    frame(axes, y="distance to the commanded point [mm]", size=10)
+    style_axes(axes, y="distance to the commanded point [mm]", size=10)
     for run in runs:
         axes.semilogy(run.time, np.maximum(1e3 * run.error, LEAST / 10), **_style(run, machines))
     axes.set_ylim(LEAST, None)
@@ -84,13 +84,13 @@ def _errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> Non
 
 
 def _style(run: PathRun, machines: Sequence[str]) -> dict[str, Any]:
-    colour = PALETTE.line(machines.index(run.machine))
+    colour = PALETTE.colour(machines.index(run.machine))
     return {"color": colour, "linewidth": 1.3, "linestyle": WITH if run.feedback else WITHOUT}
 
 
 def _legend(figure: Figure, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
-    handles = [handle("path", color=PALETTE.faint, linewidth=4, alpha=0.5)]
-    handles += [handle(name, color=PALETTE.line(k), linewidth=1.3) for k, name in enumerate(machines)]
+    handles = [legend_entry("path", color=PALETTE.faint, linewidth=4, alpha=0.5)]
+    handles += [legend_entry(name, color=PALETTE.colour(k), linewidth=1.3) for k, name in enumerate(machines)]
     if any(not r.feedback for r in runs):
-        handles.append(handle("without feedback", color=PALETTE.ink, linestyle=WITHOUT))
+        handles.append(legend_entry("without feedback", color=PALETTE.ink, linestyle=WITHOUT))
     legend(figure, handles=handles, loc="outside upper center", ncols=5, fontsize=10)

@@ -201,7 +201,7 @@ def differences(system: System) -> list[str]:
             if known not in own or abs(own[known] - value) <= SAME * max(abs(own[known]), abs(value)):
                 continue
             variable = component.interface.variables[name]
-            unit, derived = variable.unit, value == 0 and DERIVED in variable.text
+            unit, derived = variable.unit, value == 0 and DERIVED in variable.description
             if controller.interface.variables[known].unit == unit and not derived:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
                 notes.append(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import folder
+from orchestrator.base.files import make_folder
 from orchestrator.base.html_page import write_json
 from orchestrator.base.plotting import png
 from orchestrator.ssp.load import load
@@ -51,7 +51,7 @@ def track(
     if not whole.has(FEEDBACK):
         example = "a machine with the controller, such as build/harvester_control.ssp"
         raise Problem(f"{system}: has no {FEEDBACK}, expected {example}")
-    folder(out)
+    make_folder(out)
     given = options.pop("set", {})
     systems = assembled(whole, machines, given)
     # all start values first: a point out of reach is reported before anything runs

@@ -161,7 +161,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
 def _ending(process: Worker) -> str:
     """How the process ended."""
-    message, last = f"the process ended: {process.ending}", process.last_words
+    message, last = f"the process ended: {process.ending}", process.last_stderr_line
     return f"{message}: {last}" if last else message
 
 

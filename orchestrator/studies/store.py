@@ -29,7 +29,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import quoted
+from orchestrator.base.toml import quote_key
 from orchestrator.studies.processes import Payload, digest
 from orchestrator.studies.single_run import RunOutcome, band_times
 from orchestrator.studies.study import Choice, Factor, Output, Study
@@ -306,7 +306,7 @@ def _differences(where: str, old: Any, new: Any, unit: str = "") -> Iterator[str
     for key in dict.fromkeys([*before, *after]):
         if before.get(key) == after.get(key):
             continue
-        inner = where if key in INNER else f"{where}.{quoted(key)}".lstrip(".")
+        inner = where if key in INNER else f"{where}.{quote_key(key)}".lstrip(".")
         if key not in after:
             yield f"{inner} is no longer there"
         elif key not in before:

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import Table, is_number, quoted
+from orchestrator.base.toml import Table, is_number, quote_key
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
@@ -59,10 +59,10 @@ class Factor:
 
     def __post_init__(self) -> None:
         Table(self.key, {"distribution": self.distribution}).one_of("distribution", NUMBERS)
-        numbers = Table(self.key, dict(self.numbers)).only(NUMBERS[self.distribution])
+        numbers = Table(self.key, dict(self.numbers)).allow_only(NUMBERS[self.distribution])
         plain: dict[str, Any] = {}
         for name in NUMBERS[self.distribution]:
-            numbers.need(name, "a list of numbers" if name == "values" else "a number")
+            numbers.require(name, "a list of numbers" if name == "values" else "a number")
             value = self.numbers[name]
             plain[name] = tuple(map(float, value)) if name == "values" else float(value)
         object.__setattr__(self, "numbers", plain)
@@ -72,7 +72,7 @@ class Factor:
     @property
     def key(self) -> str:
         """Where the file of a study has it."""
-        return f"factors.{quoted(self.name)}"
+        return f"factors.{quote_key(self.name)}"
 
     @property
     def column(self) -> str:
@@ -248,7 +248,7 @@ class Study:
                 got = f"got {factor.distribution!r}"
                 raise Problem(f"{factor.key}: distribution: expected values, as the method is grid, {got}")
         for output in self.outputs:
-            where = f"outputs.{quoted(output.name)}"
+            where = f"outputs.{quote_key(output.name)}"
             Table(where, vars(output)).one_of("measure", MEASURES)
             if output.start is not None and output.stop is not None and not output.start <= output.stop:
                 expected = f"at least the start {output.start:g} s"
@@ -298,25 +298,25 @@ def read(file: str | Path) -> Study:
         data = file.read_bytes()
     except OSError as error:
         raise Problem(f"{file}: cannot be read: {error.strerror}") from None
-    table = toml.read(file, data).only(KEYS)
-    table.need("system", "an .ssp, .ssd or .fmu file")
+    table = toml.read(file, data).allow_only(KEYS)
+    table.require("system", "an .ssp, .ssd or .fmu file")
     method = table.one_of("method", METHODS)
     if method != "grid":
-        table.need("runs", "a whole number")
+        table.require("runs", "a whole number")
     with Study(source=str(file)).located():
         study = Study(
             title=table.text("title") or file.stem,
             system=table.text("system") or "",
             method=method,
-            runs=table.whole("runs", 1) or 0,
-            seed=table.whole("seed", 0) or 0,
+            runs=table.integer("runs", 1) or 0,
+            seed=table.integer("seed", 0) or 0,
             stop=table.number("stop"),
             step=table.number("step", positive=True),
             master=table.text("master"),
             factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
-            choices=tuple(_choice(table.inside("choices"), what) for what in table.inside("choices").data),
+            choices=tuple(_choice(table.table("choices"), what) for what in table.table("choices").data),
             outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),
-            fixed={name: _start(table.inside("fixed"), name) for name in table.inside("fixed").data},
+            fixed={name: _start(table.table("fixed"), name) for name in table.table("fixed").data},
             band_step=table.number("band_step", positive=True) or Study.band_step,
             record_step=table.number("record_step", positive=True),
             folder=str(file.parent),
@@ -328,10 +328,10 @@ def read(file: str | Path) -> Study:
 
 def _factor(name: str, table: Table) -> Factor:
     kind = table.one_of("distribution", NUMBERS)
-    table.only(("distribution", "relative", "unit", *NUMBERS[kind]))
-    relative, unit = table.truth("relative"), table.text("unit")
+    table.allow_only(("distribution", "relative", "unit", *NUMBERS[kind]))
+    relative, unit = table.boolean("relative"), table.text("unit")
     if relative and unit:
-        raise table.wrong("unit", "none, as the numbers are shares")
+        raise table.problem("unit", "none, as the numbers are shares")
     numbers = {k: table.numbers(k) if k == "values" else table.number(k) for k in NUMBERS[kind]}
     known = {key: number for key, number in numbers.items() if number is not None}
     return Factor(name, kind, known, relative, unit or "")
@@ -341,33 +341,33 @@ def _choice(table: Table, what: str) -> Choice:
     """A list of options, or a table of options and sampled."""
     if not isinstance(table.data[what], dict):
         return Choice(what, table.texts(what))
-    inner = Table(f"{table.where}.{what}", table.data[what]).only(("options", "sampled"))
-    inner.need("options", "a list of texts")
-    return Choice(what, inner.texts("options"), inner.truth("sampled"))
+    inner = Table(f"{table.where}.{what}", table.data[what]).allow_only(("options", "sampled"))
+    inner.require("options", "a list of texts")
+    return Choice(what, inner.texts("options"), inner.boolean("sampled"))
 
 
 def _start(table: Table, name: str) -> float | tuple[float, str]:
     """A number, or a table of value and unit."""
     value = table.data[name]
     if isinstance(value, dict):
-        inner = Table(f"{table.where}.{name}", value).only(("value", "unit"))
-        inner.need("value", "a number")
+        inner = Table(f"{table.where}.{name}", value).allow_only(("value", "unit"))
+        inner.require("value", "a number")
         number, unit = inner.number("value"), inner.text("unit")
         assert number is not None
         return (number, unit) if unit else number
     if not is_number(value):
-        raise table.wrong(name, "a number, or a table of value and unit")
+        raise table.problem(name, "a number, or a table of value and unit")
     return float(value)
 
 
 def _output(name: str, table: Table) -> Output:
-    table.only(("signal", "measure", "start", "stop", "band"))
-    table.need("signal", "the name of a signal")
+    table.allow_only(("signal", "measure", "start", "stop", "band"))
+    table.require("signal", "the name of a signal")
     return Output(
         name,
         table.text("signal") or "",
         table.one_of("measure", MEASURES),
         table.number("start"),
         table.number("stop"),
-        table.truth("band"),
+        table.boolean("band"),
     )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import folder
+from orchestrator.base.files import make_folder
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
@@ -154,7 +154,7 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
     """
     if not system.exists():
         raise Problem(f"{system}: no such file; make it with: harvester build")
-    folder(out.parent)
+    make_folder(out.parent)
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
     total, done, complete = prod(map(len, variants.values())), 0, True
     count = len(f"{total}/{total}")

@@ -17,7 +17,7 @@ from fastapi import FastAPI
 from nicegui import ui
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import folder, there
+from orchestrator.base.files import make_folder, require_system
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import access
@@ -162,8 +162,8 @@ def serve(
     results: Path,
 ) -> None:
     """Serve until interrupted. A mistake is told before anything is served."""
-    first = MachineChoice(there(system), pose, swap, set_)
-    folder(results)
+    first = MachineChoice(require_system(system), pose, swap, set_)
+    make_folder(results)
     quiet()
     session = Session(first, RealTimeMachine, Replay, [results])
     try:

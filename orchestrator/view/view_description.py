@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import Rule, fill
+from orchestrator.base.toml import Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
-from orchestrator.base.units import parse, shown
+from orchestrator.base.units import parse, reader_unit
 from orchestrator.realtime.setup import Axis, Frame, Machine
 from orchestrator.ssp.system import System
 
@@ -207,7 +207,7 @@ class ViewDescription:
 def view_description(system: System) -> ViewDescription:
     """The file of a system, or of the first FMU in it that has one; else its outputs as gauges and charts."""
     name, home = f"resources/{FILE}", system.source
-    files = [home.beside(name)] if home and str(home).endswith(".ssd") else []
+    files = [home.resolve(name)] if home and str(home).endswith(".ssd") else []
     files += [component.source.member(name) for component in system.components.values() if component.source]
     for file in files:
         with suppress(Problem):  # there is no such file
@@ -215,7 +215,7 @@ def view_description(system: System) -> ViewDescription:
             break
     else:
         return of_outputs(system)
-    return fill(ViewDescription, read_toml(Path(str(file)), data))
+    return read_dataclass(ViewDescription, read_toml(Path(str(file)), data))
 
 
 def of_outputs(system: System) -> ViewDescription:
@@ -243,7 +243,7 @@ def _shown_unit(unit: str) -> str:
         parse(unit)
     except Problem:
         return "1"
-    return shown(unit)
+    return reader_unit(unit)
 
 
 def _curves(names: Iterable[str]) -> Iterator[ChartCurve]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
-from orchestrator.worker.beacon import Beacon
+from orchestrator.worker.activity import ActivityRecord
 
 _END = object()
 
@@ -33,7 +33,7 @@ class Channel:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.grace, self.ended = folder, 0.0, threading.Event()
-        self.beacon = Beacon(folder / "beacon")
+        self.activity = ActivityRecord(folder / "beacon")
         self._answers = _own_output()
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()

@@ -20,13 +20,13 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from orchestrator.worker.beacon import Beacon, Sighting
+from orchestrator.worker.activity import Activity, ActivityRecord
 
-LOOK = 0.5  # [s] at most between two looks at whether the process lives
-POLL = 0.01  # [s] between two looks at what it takes
-LAST = 200  # characters of what a process wrote before it died
-MOST = 1 << 20  # bytes that a process may write to stderr before they are thrown away
-WORDS = {
+ALIVE_INTERVAL = 0.5  # [s] at most between two looks at whether the process lives
+POLL_INTERVAL = 0.01  # [s] between two looks at what it takes
+MAX_QUOTED = 200  # characters of what a process wrote before it died
+MAX_STDERR = 1 << 20  # bytes that a process may write to stderr before they are thrown away
+SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
     "SIGABRT": "abort",
@@ -36,10 +36,10 @@ WORDS = {
 }
 # Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also parts
 # processors between the two first, so a browser with many threads takes less from a machine in real time.
-APART: dict[str, Any] = {"start_new_session": True}
+SESSION_OPTIONS: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
-    APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-_NOTHING = object()
+    SESSION_OPTIONS = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+_END_OF_MESSAGES = object()
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class WorkerLimits:
     memory   [bytes], where the system tells
     """
 
-    call: float = math.inf
-    total: float = math.inf
+    call_time: float = math.inf
+    total_time: float = math.inf
     memory: float = math.inf
 
 
@@ -60,7 +60,7 @@ class LimitExceeded(Exception):
     """A process took more than its limits allow; `late`: its time was over, it may only be slow."""
 
     def __init__(self, text: str, late: bool = False) -> None:
-        self.late = late
+        self.timed_out = late
         super().__init__(text)
 
 
@@ -85,13 +85,13 @@ class Worker:
         inside: bool = False,
     ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-        self._beacon = Beacon(self.folder / "beacon")
+        self._activity = ActivityRecord(self.folder / "beacon")
         options = {"cwd": self.folder} if inside else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
         self._messages: SimpleQueue[Any] = SimpleQueue()
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
-        self.close = weakref.finalize(self, _end, self._child, reader, self._beacon, self.folder, patience)
+        self.close = weakref.finalize(self, _end, self._child, reader, self._activity, self.folder, patience)
 
     @property
     def pid(self) -> int:
@@ -104,9 +104,9 @@ class Worker:
         return self._child.poll() is None
 
     @property
-    def seen(self) -> Sighting:
+    def activity(self) -> Activity:
         """What it was doing last, if it tells by its beacon."""
-        return self._beacon.read()
+        return self._activity.read()
 
     @property
     def memory(self) -> float:
@@ -118,18 +118,20 @@ class Worker:
         return float(pages) * os.sysconf("SC_PAGE_SIZE")
 
     @property
-    def last_words(self) -> str:
+    def last_stderr_line(self) -> str:
         """The last line that it wrote to stderr."""
         with suppress(OSError):
             text = (self.folder / "errors").read_text(encoding="utf-8", errors="replace")
-            return text.strip().rpartition("\n")[2][:LAST]
+            return text.strip().rpartition("\n")[2][:MAX_QUOTED]
         return ""
 
     @property
     def report(self) -> str:
         """How the process ended, what it was doing then, and its last words."""
         how = self.ending.replace("exit status", "the process ended with exit status")
-        return f"{how} {self.seen}" + (f' ("{self.last_words[:120]}")' if self.last_words else "")
+        return f"{how} {self.activity}" + (
+            f' ("{self.last_stderr_line[:120]}")' if self.last_stderr_line else ""
+        )
 
     @property
     def ending(self) -> str:
@@ -140,7 +142,7 @@ class Worker:
         if code >= 0:
             return f"exit status {code}"
         name = {int(s): s.name for s in signal.Signals}.get(-code, f"signal {-code}")
-        return WORDS.get(name, name)
+        return SIGNAL_NAMES.get(name, name)
 
     def put(self, message: Any) -> None:
         """Send something that can be pickled, or is pickled (bytes); nothing where the process is gone."""
@@ -160,7 +162,9 @@ class Worker:
             dead = not self.alive  # then what it sent is on its way, unless an orphan of it holds the pipe
             try:
                 message = self._messages.get(
-                    timeout=LOOK if dead else max(0.0, min(LOOK, until - time.monotonic()))
+                    timeout=ALIVE_INTERVAL
+                    if dead
+                    else max(0.0, min(ALIVE_INTERVAL, until - time.monotonic()))
                 )
             except Empty:
                 if dead:
@@ -168,9 +172,9 @@ class Worker:
                 if time.monotonic() >= until:
                     raise TimeoutError from None
                 continue
-            if message is not _NOTHING:
+            if message is not _END_OF_MESSAGES:
                 return message
-            self._messages.put(_NOTHING)
+            self._messages.put(_END_OF_MESSAGES)
             self._child.wait()
             raise EOFError(self.ending)
 
@@ -180,20 +184,20 @@ class Worker:
         count = -1
         while True:
             try:
-                yield self.get(POLL)
+                yield self.get(POLL_INTERVAL)
             except TimeoutError:
                 self._quieten()
             except EOFError:
                 return
-            seen, now = self.seen, time.monotonic()
+            seen, now = self.activity, time.monotonic()
             if seen.count != count:
                 count, moved = seen.count, now
-            if count and now - moved > limits.call:  # before the first call it is Python that starts
-                raise LimitExceeded(f"hang: no return within {limits.call:g} s {seen}")
+            if count and now - moved > limits.call_time:  # before the first call it is Python that starts
+                raise LimitExceeded(f"hang: no return within {limits.call_time:g} s {seen}")
             if self.memory > limits.memory:
                 raise LimitExceeded(f"takes more than {limits.memory / 1e9:.3g} GB of memory, stopped {seen}")
-            if now - begin > limits.total:
-                raise LimitExceeded(f"not done within {limits.total:g} s, stopped {seen}", late=True)
+            if now - begin > limits.total_time:
+                raise LimitExceeded(f"not done within {limits.total_time:g} s, stopped {seen}", late=True)
             if stop is not None and stop.is_set():
                 raise LimitExceeded("interrupted", late=True)
 
@@ -201,7 +205,7 @@ class Worker:
         """Throw away what it wrote to stderr, if that is a lot."""
         errors = self.folder / "errors"
         with suppress(OSError):  # refused where a file in use is locked
-            if errors.stat().st_size > MOST:
+            if errors.stat().st_size > MAX_STDERR:
                 os.truncate(errors, 0)
 
 
@@ -226,7 +230,7 @@ def _start(
             stdout=subprocess.PIPE,
             stderr=errors,
             env=variables,
-            **APART,
+            **SESSION_OPTIONS,
             **options,
         )
 
@@ -236,11 +240,15 @@ def _read(source: Any, messages: SimpleQueue[Any]) -> None:
     with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError, AttributeError, ImportError):
         while True:
             messages.put(pickle.load(source))
-    messages.put(_NOTHING)
+    messages.put(_END_OF_MESSAGES)
 
 
 def _end(
-    child: subprocess.Popen[bytes], reader: threading.Thread, beacon: Beacon, folder: Path, patience: float
+    child: subprocess.Popen[bytes],
+    reader: threading.Thread,
+    beacon: ActivityRecord,
+    folder: Path,
+    patience: float,
 ) -> None:
     """Close the pipe, wait, kill what is left, also what an FMU has started, and remove the files."""
     with suppress(OSError):

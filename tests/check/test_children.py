@@ -14,9 +14,9 @@ import pytest
 
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
-from orchestrator.check.probe_process import ProbeLimits, limits
-from orchestrator.worker.beacon import Beacon
-from orchestrator.worker.process import MOST, LimitExceeded, Worker, WorkerLimits
+from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
+from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
 ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
@@ -56,7 +56,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
             started.append(self.pid)
 
     monkeypatch.setattr(probe_process, "Worker", Noted)
-    with limits(ProbeLimits(call=PATIENCE, work=2.0)):
+    with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0)):
         apply(oscillators.make(fault="starts"), tmp_path, "default")
     assert started
     assert until(lambda: not any(group(pid) for pid in started))
@@ -65,7 +65,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
 @linux
 def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
     """The limit is told, and where the FMU stood."""
-    with limits(ProbeLimits(call=PATIENCE, work=2.0, memory=2e8)):
+    with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0, memory=2e8)):
         found = apply(oscillators.make(fault="eats"), tmp_path, "default")
     text = "co-simulation: takes more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
     assert ("error", text) in [(f.severity, f.text) for f in found]
@@ -84,11 +84,11 @@ def sleeper(monkeypatch):
 def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     """What a child has written to stderr is thrown away when it is more than anybody would read."""
     errors = sleeper.folder / "errors"
-    errors.write_bytes(bytes(MOST + 1))
-    Beacon(sleeper.folder / "beacon").call("fmi2DoStep")
+    errors.write_bytes(bytes(MAX_STDERR + 1))
+    ActivityRecord(sleeper.folder / "beacon").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
-        list(sleeper.messages(WorkerLimits(call=0.2)))
-    assert not exceeded.value.late
+        list(sleeper.messages(WorkerLimits(call_time=0.2)))
+    assert not exceeded.value.timed_out
     assert errors.stat().st_size == 0
 
 
@@ -97,8 +97,8 @@ def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
     text = r"^not done within 0.3 s, stopped before the first call$"
     with pytest.raises(LimitExceeded, match=text) as exceeded:
-        list(sleeper.messages(WorkerLimits(call=0.1, total=0.3)))
-    assert exceeded.value.late
+        list(sleeper.messages(WorkerLimits(call_time=0.1, total_time=0.3)))
+    assert exceeded.value.timed_out
 
 
 def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):

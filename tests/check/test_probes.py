@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from orchestrator.check.finding import Finding
-from orchestrator.check.probe_process import ProbeLimits, current, limits
+from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_probe_limits
 from orchestrator.check.probes import PROBES
 from orchestrator.check.subject import Subject, unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
-from orchestrator.worker.beacon import Beacon
+from orchestrator.worker.activity import ActivityRecord
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
@@ -105,7 +105,7 @@ FAULTS = (
 def _short() -> Iterator[None]:
     """Work for two seconds at most, which leaves time for all steps on a busy machine; there a call that
     takes microseconds may stand still for seconds, and only a minute is a hang."""
-    with limits(ProbeLimits(call=60.0, total=300.0, work=2.0)):
+    with use_probe_limits(ProbeLimits(call_time=60.0, total_time=300.0, work_time=2.0)):
         yield
 
 
@@ -126,7 +126,9 @@ def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
 def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
     """One finding of the right severity, which says what happens where."""
     path = oscillators.make(planted.major, planted.fault, planted.change)
-    with limits(replace(current(), call=2.0 if planted.fault == "hang" else current().call)):
+    with use_probe_limits(
+        replace(probe_limits(), call_time=2.0 if planted.fault == "hang" else probe_limits().call_time)
+    ):
         found = apply(path, tmp_path, planted.probe)
     assert any(planted.says in f.text and f.severity == planted.severity for f in found), found
     assert all(f.rule == f"run.{planted.probe}" for f in found)
@@ -135,7 +137,7 @@ def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
 def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     """Where it stood is told, also when no single call took long enough to count as a hang."""
     for probe in (1.0, 4.0, 16.0, 64.0):
-        with limits(ProbeLimits(call=1000.0, total=probe, work=2.0)):
+        with use_probe_limits(ProbeLimits(call_time=1000.0, total_time=probe, work_time=2.0)):
             found = apply(oscillators.make(fault="hang"), tmp_path / f"{probe:g}", "default")
         if any(f.text.endswith("at t = 0.31 s") for f in found):
             break  # else the machine is so slow that the FMU did not come so far
@@ -173,7 +175,7 @@ def test_an_fmu_that_can_be_made_only_once_is_made_only_once(oscillators, tmp_pa
 
 def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
     """Where two thousand instances take too long, nothing is said of leaks."""
-    with limits(ProbeLimits(call=60.0, total=300.0, work=0.02)):
+    with use_probe_limits(ProbeLimits(call_time=60.0, total_time=300.0, work_time=0.02)):
         found = apply(oscillators.make(fault="slow"), tmp_path, "leak")
     assert {(f.severity, f.text) for f in found} == {
         ("note", "an instance takes too long for a look at 2000 of them")
@@ -201,7 +203,7 @@ def test_a_mode_that_grows_is_not_stiff(oscillators, tmp_path):
 def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
     """Of this FMU one instance can live at a time, and each probe makes some."""
     subject = opened(oscillators.make(2, "once"), tmp_path)
-    trial = Trial(subject.folder, subject.model, "ModelExchange", Beacon(tmp_path / "beacon"))
+    trial = Trial(subject.folder, subject.model, "ModelExchange", ActivityRecord(tmp_path / "beacon"))
     for task in (importing_solver.nominals, importing_solver.late, importing_solver.stiff) * 2:
         assert list(task(trial)) == []
 

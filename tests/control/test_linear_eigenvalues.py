@@ -33,7 +33,7 @@ def resolvent_trace(a, value):
 def test_eigenvalues_of_the_machine_are_those_of_80_digits(fmu_dir, pose, swap):
     """|s - s_k| <= n |p(s)/p'(s)| for some eigenvalue s_k (Laguerre): each s found, to 1e-6 of itself."""
     linear = linearize(fmu_dir / "harvester.ssp", [pose], steady=True, swap=swap)
-    size = np.array([s.size for s in linear.states])
+    size = np.array([s.nominal for s in linear.states])
     with localcontext() as context:
         context.prec = DIGITS
         for value in eigen(linear.a, size)[0]:

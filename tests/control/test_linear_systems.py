@@ -125,7 +125,7 @@ def test_python_control_takes_it(fmus):
     """The StateSpace of python-control has the same poles, and the names with _ for dots."""
     pytest.importorskip("control")
     linear = linearize(masses(fmus), inputs=["a.pull"], outputs=["b.position"])
-    plant = linear.control()
+    plant = linear.to_control()
     np.testing.assert_allclose(np.sort_complex(plant.poles()), np.sort_complex(np.linalg.eigvals(linear.a)))
     assert plant.state_labels[0] == "a_position"
     assert plant.output_labels == ["b_position"]

@@ -12,8 +12,8 @@ def test_modes_are_named_by_their_states(fmu_dir):
     named = {m.name: m for m in linear.modes}
     assert len(named) == len(linear.modes)
     assert named["swing stays where it is"].value == 0.0
-    assert named["boom returns to its place"].members == ("boom_angle",)
-    assert named["swing on its oil"].members[0] == "swing_speed"
+    assert named["boom returns to its place"].main_states == ("boom_angle",)
+    assert named["swing on its oil"].main_states[0] == "swing_speed"
     assert "stable; on the limit: swing stays where it is" in linear.text()
     assert any("no state depends here on swing_command" in note for note in linear.notes)
 

@@ -271,7 +271,7 @@ def test_a_message_inside_a_step_has_the_time_of_the_step(each, both):
 def test_a_number_that_is_none_ends_the_record(each, both, master):
     """The last point is the last one that is finite."""
     outcome = both(circle(each, "broken", when=0.45, how=NOT_A_NUMBER), master=master)
-    when = "0.5000001" if master.guarded else "0.6"  # the guard has divided the step as far as it may
+    when = "0.5000001" if master.guard_tolerance else "0.6"  # the guard has divided the step as far as it may
     assert f".y: expected a finite value, got nan at t = {when} s" in outcome.error
     assert outcome.result.trace.time[-1] == 0.5
 

@@ -7,7 +7,7 @@ from orchestrator import Coupling, Problem, System, assemble, run
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.engine.result import Card
-from orchestrator.fmi.description import Interface, Variable
+from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.ssp.power_bonds import find_bonds, named_bond
 from orchestrator.ssp.system import Component, Connection, Port
 
@@ -28,10 +28,10 @@ def wired(*signals):
     for text in signals:
         name, unit, way = text.split()
         source, target = way.split("->")
-        variables[source][f"out_{name}"] = Variable(f"out_{name}", causality="output", unit=UNITS[unit])
-        variables[target][name] = Variable(name, causality="input", unit=UNITS[unit])
+        variables[source][f"out_{name}"] = FmuVariable(f"out_{name}", causality="output", unit=UNITS[unit])
+        variables[target][name] = FmuVariable(name, causality="input", unit=UNITS[unit])
         connections.append(Connection(Port(source, f"out_{name}"), Port(target, name)))
-    return System("s", {c: Component(c, Interface(v)) for c, v in variables.items()}, tuple(connections))
+    return System("s", {c: Component(c, FmuInterface(v)) for c, v in variables.items()}, tuple(connections))
 
 
 def pairs(system):

@@ -14,7 +14,7 @@ from orchestrator.base.files import Location
 from orchestrator.fmi import library
 from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
-from orchestrator.fmi.messages import named
+from orchestrator.fmi.messages import with_variable_names
 from orchestrator.ssp.listing import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
@@ -133,7 +133,7 @@ def test_an_alias_is_the_variable_itself(fmus3):
     aliases = {"u": "in", "y": "out"}
     gain = fmus3.make("gain", "gain_alias", aliases=aliases)
     face = read_interface(Location(gain))
-    assert face.depends("out") == face.depends("y") == {"u", "in"}
+    assert face.direct_inputs("out") == face.direct_inputs("y") == {"u", "in"}
     system = assemble({"s": fmus3["source"], "g": gain, "h": gain}, ["s.y -> g.in", "g.out -> h.u"])
     trace = run(system, step=0.1, stop=0.3, set={"g.factor": 2.0, "h.factor": 3.0}).trace
     np.testing.assert_array_equal(trace["h.out"], 6 * trace["s.y"])
@@ -147,7 +147,7 @@ def test_directional_derivatives(fmus3):
     slave = started(fmus3["gain"])
     slave.writer(["u", "factor"], np.array([3.0, 5.0]))()
     seed, into = np.array([1.0, 10.0, 100.0]), np.zeros(1)
-    slave.derivative(["y"], ["u", "factor", "offset"], seed, into)()
+    slave.directional_derivative(["y"], ["u", "factor", "offset"], seed, into)()
     assert into[0] == 5.0 + 3.0 * 10.0 + 100.0
     slave.close()
 
@@ -156,7 +156,7 @@ def test_inputs_without_a_rate_input_are_held_at_their_mean(fmus3):
     """FMI 3.0 has no function that gives inputs a slope; whoever asks for it is told."""
     slave = started(fmus3["fails"])
     with pytest.raises(Problem, match="it: u: the FMU takes no derivative of order 1 of this input"):
-        slave.slope_writer(["u"], np.zeros(1))
+        slave.input_derivative_writer(["u"], np.zeros(1))
     slave.close()
     ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
     end = run(str(fmus3["fails"]), ramp, step=0.1).trace["fails.y"][-1]
@@ -191,7 +191,9 @@ def test_the_resources_are_a_path(fmus, fmus3):
 
 def test_messages_tell_names():
     """FMI 3.0 writes variables as #reference# and the character # twice."""
-    assert named("#12# of pump ##4 is above #13#", {12: "a.p"}) == "a.p of pump #4 is above #13#"
+    assert (
+        with_variable_names("#12# of pump ##4 is above #13#", {12: "a.p"}) == "a.p of pump #4 is above #13#"
+    )
 
 
 # ---- platforms
@@ -205,14 +207,14 @@ def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3):
 
 def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch):
     """linux64 does not tell the processor: on ARM aarch64-linux comes first, and linux64 may still do."""
-    monkeypatch.setattr(library, "TUPLE", "aarch64-linux")
-    monkeypatch.setattr(library, "PLATFORM", "linux64")
-    assert library.folders(2) == ["aarch64-linux", "linux64"]
+    monkeypatch.setattr(library, "PLATFORM_TUPLE", "aarch64-linux")
+    monkeypatch.setattr(library, "FMI2_PLATFORM", "linux64")
+    assert library.platform_folders(2) == ["aarch64-linux", "linux64"]
     opened(fmus.make("gain", "arm", platform="aarch64-linux")).close()
     with pytest.raises(Problem, match="expected binaries/aarch64-linux/windows"):
         opened(fmus.make("gain", "windows", platform="win64"))
-    monkeypatch.setattr(library, "TUPLE", "x86_64-linux")
-    assert library.folders(2) == ["linux64", "x86_64-linux"]
+    monkeypatch.setattr(library, "PLATFORM_TUPLE", "x86_64-linux")
+    assert library.platform_folders(2) == ["linux64", "x86_64-linux"]
 
 
 # ---- what is refused

@@ -9,10 +9,10 @@ import pytest
 
 from orchestrator import Problem, load
 from orchestrator.base.files import Location
-from orchestrator.fmi.calls import fitting
+from orchestrator.fmi.calls import compatible_buffer
 from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
-from orchestrator.fmi.library import unpacked_library
+from orchestrator.fmi.library import load_library
 
 
 def opened(path, name="it"):
@@ -132,7 +132,7 @@ def test_restoring_a_state_repeats_the_step_exactly(each):
     slave.restore(state)
     slave.step(0.1, 0.1)
     assert slave.get("x") == once
-    slave.forget(state)
+    slave.free_state(state)
     slave.close()
 
 
@@ -141,11 +141,11 @@ def test_states_go_from_one_instance_to_another_as_bytes(each):
     first, second = started(each["mass_b"]), started(each["mass_b"])
     first.step(0.0, 0.1)
     state = first.save()
-    copy = second.unpack(first.pack(state))
+    copy = second.deserialize(first.serialize(state))
     second.restore(copy)
     for slave, snapshot in ((first, state), (second, copy)):
         slave.step(0.1, 0.1)
-        slave.forget(snapshot)
+        slave.free_state(snapshot)
     assert second.get("x") == first.get("x") != 0.0
     first.close()
     second.close()
@@ -155,7 +155,7 @@ def test_slopes_are_read(each):
     """The derivative of a position is the velocity."""
     mass = started(each["mass_b"])
     found = np.zeros(1)
-    mass.slope_reader(["x"], found)()
+    mass.output_derivative_reader(["x"], found)()
     assert found[0] == -100.0
     mass.close()
 
@@ -163,7 +163,7 @@ def test_slopes_are_read(each):
 def test_slopes_are_written(fmus):
     """An input with a slope integrates to a parabola."""
     slave = started(fmus.make("fails", "moved", interpolates=True))
-    slave.slope_writer(["u"], np.array([2.0]))()
+    slave.input_derivative_writer(["u"], np.array([2.0]))()
     slave.step(0.0, 1.0)
     assert slave.get("y") == pytest.approx(1.0, rel=1e-12)  # exact for polynomials; 4000 roundings
     slave.close()
@@ -182,9 +182,9 @@ def test_readers_and_writers_use_slices_in_place(each):
 def test_buffers_must_fit():
     """A slice with gaps, or of another type, would be written beside."""
     with pytest.raises(ValueError, match="expected 2 contiguous values"):
-        fitting(np.zeros(4)[::2], 2, ctypes.c_double)
+        compatible_buffer(np.zeros(4)[::2], 2, ctypes.c_double)
     with pytest.raises(ValueError, match="float32"):
-        fitting(np.zeros(2, np.float32), 2, ctypes.c_double)
+        compatible_buffer(np.zeros(2, np.float32), 2, ctypes.c_double)
 
 
 def test_a_missing_function_is_named_when_it_is_needed(fmus):
@@ -203,7 +203,7 @@ def test_a_broken_binary_is_told(tmp_path):
     folder.mkdir(parents=True)
     (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
     with pytest.raises(Problem, match=r"label: x\..* cannot be loaded"):
-        unpacked_library(tmp_path, "x", 2, "label")
+        load_library(tmp_path, "x", 2, "label")
 
 
 def test_hundreds_of_instances_leave_nothing_behind(each):
@@ -241,7 +241,7 @@ def test_directional_derivatives_of_fmi2(fmu_dir):
     inputs = np.array([4.0, 2.0e7])
     write, seed = slave.writer(names, inputs), np.array([1.0, 1e6])
     write()
-    slave.derivative(["supply_flow"], names, seed, into)()
+    slave.directional_derivative(["supply_flow"], names, seed, into)()
     flows = []
     for sign in (-1, 1):
         inputs += sign * 1e-3 * seed

@@ -194,11 +194,11 @@ def test_states_are_read_from_the_model_structure(fmus, fmus3):
     for workshop in (fmus, fmus3):
         face = read_interface(Location(telling(workshop, "mass_a")))
         assert face.states == {"x": "der_x", "v": "der_v"}
-        assert face.knowns["der_v"] == {"x2", "x"}
-        assert face.knowns["force"] == {"x2", "x"}
+        assert face.dependencies["der_v"] == {"x2", "x"}
+        assert face.dependencies["force"] == {"x2", "x"}
     silent = read_interface(Location(telling(fmus, "mass_a", "silent", undeclared=True)))
     assert silent.states == {"x": "der_x", "v": "der_v"}
-    assert silent.knowns["der_v"] is None
+    assert silent.dependencies["der_v"] is None
     assert read_interface(Location(fmus["mass_a"])).states == {}
 
 

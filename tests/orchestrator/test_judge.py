@@ -39,7 +39,7 @@ def reference() -> Recording:
         {"gain.y": "mm"},
         title="Gain",
         criteria={"gain.y": Criterion("Out", "out", tolerance=Tolerance("nrmse", 0.01))},
-        about={"title": "Gain", "kind": "measurement"},
+        metadata={"title": "Gain", "kind": "measurement"},
     )
 
 

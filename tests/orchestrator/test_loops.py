@@ -114,7 +114,7 @@ def test_derivatives_that_fail_are_replaced_by_differences(fmus):
 
             return fail
 
-        slave.derivative = derivative
+        slave.directional_derivative = derivative
         return slave
 
     result = run(forced(fmus, True, 0.5, 0.5), step=0.1, stop=2.0, open=failing)
@@ -353,11 +353,11 @@ def test_derivatives_in_fmi2(fmus):
     """y = w + factor u + bend u^2 along a direction of u and w."""
     bent = Location(able(fmus, "bent", True))
     slave = CoSimulationFmu("it", read_interface(bent), bent)
-    assert slave.interface.directional
+    assert slave.interface.directional_derivatives
     slave.setup(0.0, 1.0, None)
     slave.enter()
     slave.writer(["u", "bend"], np.array([3.0, 0.5]))()
     seed, into = np.array([1.0, 10.0]), np.zeros(1)
-    slave.derivative(["y"], ["u", "w"], seed, into)()
+    slave.directional_derivative(["y"], ["u", "w"], seed, into)()
     assert into[0] == 1.0 + 2 * 0.5 * 3.0 + 10.0
     slave.close()

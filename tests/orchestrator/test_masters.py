@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from orchestrator import Trace, assemble, run
 from orchestrator.base.files import Location
-from orchestrator.fmi.description import Interface, Variable, read_interface
+from orchestrator.fmi.description import FmuInterface, FmuVariable, read_interface
 from orchestrator.ssp.dependencies import gauss_seidel_order, output_order
 from orchestrator.ssp.system import Component, Connection, Port, System
 
@@ -86,12 +86,14 @@ def order(wires, through=(), interpolating=""):
     """Order of components a, b, c: wire "ab" leads from a to b, and feeds through there if in `through`."""
     faces = {}
     for name in "abc":
-        inputs = {f"from_{w[0]}": Variable(f"from_{w[0]}", causality="input") for w in wires if w[1] == name}
+        inputs = {
+            f"from_{w[0]}": FmuVariable(f"from_{w[0]}", causality="input") for w in wires if w[1] == name
+        }
         direct = frozenset(f"from_{w[0]}" for w in through if w[1] == name)
-        faces[name] = Interface(
-            {"y": Variable("y", causality="output")} | inputs,
+        faces[name] = FmuInterface(
+            {"y": FmuVariable("y", causality="output")} | inputs,
             {"y": direct},
-            interpolates=name in interpolating,
+            can_interpolate_inputs=name in interpolating,
         )
     connections = tuple(Connection(Port(w[0], "y"), Port(w[1], f"from_{w[0]}")) for w in wires)
     return "".join(
@@ -144,10 +146,10 @@ def test_driven_inputs_move_inside_the_step(fmus, interpolates):
 def test_declared_rate_inputs_take_the_slope(each):
     """`derivative` between two inputs stands in for the function that FMI 3.0 lacks; units must fit."""
     face = read_interface(Location(each["glide"]))
-    assert face.rates == {"position": "velocity", "velocity": "acceleration"}
-    assert face.sloped == {"velocity"}
+    assert face.rate_inputs == {"position": "velocity", "velocity": "acceleration"}
+    assert face.ramp_inputs == {"velocity"}
     odd = each.make("drift", "odd_rate", units={"u_rate": "m"})
-    assert read_interface(Location(odd)).sloped == set()
+    assert read_interface(Location(odd)).ramp_inputs == set()
     ramp = Trace(np.array([0.0, 1.0]), {"u": np.array([0.0, 1.0])})
     end = run(str(each["drift"]), ramp, step=0.1).trace["drift.y"][-1]
     assert end == pytest.approx(0.5, abs=1e-12)  # exact for a ramp; rounding of 4000 inner steps

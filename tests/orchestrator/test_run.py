@@ -8,7 +8,7 @@ import pytest
 from orchestrator import Execution, Interrupted, Problem, Record, RunFailed, Trace, assemble, run
 from orchestrator.engine.result import Card, compare
 from orchestrator.engine.simulation_loop import ProgressBar
-from orchestrator.fmi.description import Interface, Variable
+from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
 
@@ -60,7 +60,7 @@ class Resting(Mock):
 
 def mocked(action=None, **options):
     """A run of one mock; returns the result and the mock."""
-    face = Interface({"y": Variable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
+    face = FmuInterface({"y": FmuVariable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
     system = System("mock", {"m": Component("m", face)})
     made = []
 
@@ -290,7 +290,7 @@ def test_a_start_value_that_the_scenario_overrules_is_told(fmus):
 
 def test_an_estimate_of_nothing_is_told():
     """A system at rest has no error that could be seen."""
-    face = Interface({"y": Variable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
+    face = FmuInterface({"y": FmuVariable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
     system = System("rest", {"m": Component("m", face)})
     card = run(system, open=Resting, step=0.5, stop=2.0, error_estimate=True).card
     assert card.notes == ("no error estimate: no output moves",)

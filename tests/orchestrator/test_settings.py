@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Coupling, Problem, run
-from orchestrator.base.coupling import MASTERS, ORDERS, chosen
+from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
 from orchestrator.data.trace import write
 from orchestrator.engine.masters import MASTERS as MADE
 from orchestrator.engine.result import read_metadata, write_metadata
@@ -12,7 +12,7 @@ from orchestrator.engine.result import read_metadata, write_metadata
 
 def test_every_master_has_a_name_and_an_order():
     """The tables of settings and of masters list the same."""
-    assert set(MASTERS) == set(MADE) == set(ORDERS)
+    assert set(MASTERS) == set(MADE) == set(DEFAULT_ORDERS)
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_a_choice_without_effect_is_refused(choices, message):
 def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
     """Single settings change, factors by component; a master stands for itself."""
     usual = Coupling("hermite", passes=3, factors={"a": 2, "b": 3})
-    assert chosen({"passes": 2, "factors": {"a": 5}}, usual) == Coupling(
+    assert merge_choices({"passes": 2, "factors": {"a": 5}}, usual) == Coupling(
         "hermite", passes=2, factors={"a": 5, "b": 3}
     )
-    assert chosen({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
-    assert chosen({}, None) == Coupling() == Coupling("gauss-seidel")
+    assert merge_choices({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
+    assert merge_choices({}, None) == Coupling() == Coupling("gauss-seidel")
     with pytest.raises(Problem, match="only hermite computes a step again"):
-        chosen({"passes": 2}, Coupling("jacobi"))
+        merge_choices({"passes": 2}, Coupling("jacobi"))
 
 
 def test_the_text_tells_what_is_not_usual():

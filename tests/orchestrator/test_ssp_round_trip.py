@@ -12,12 +12,12 @@ from properties import examples
 
 from orchestrator import Coupling, System, assemble, load
 from orchestrator.base.coupling import Suggestion
-from orchestrator.base.units import IDENTITY, Linear
+from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port
 from orchestrator.ssp.write import write_ssp
 
 NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=False)
-MAPS = st.one_of(st.just(IDENTITY), st.builds(Linear, NUMBERS.filter(bool), NUMBERS))
+MAPS = st.one_of(st.just(IDENTITY), st.builds(LinearTransformation, NUMBERS.filter(bool), NUMBERS))
 COUPLINGS = st.one_of(
     st.none(),
     st.builds(Coupling, st.sampled_from(("jacobi", "gauss-seidel")), st.sampled_from((None, 0, 2))),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.base.units import DeclaredUnit, Linear, conversion
+from orchestrator.base.units import DeclaredUnit, LinearTransformation, conversion
 from orchestrator.engine.scenario import drive
 
 
@@ -83,7 +83,7 @@ def test_conversions_compose():
     there, back = (conversion(*pair, "")[0] for pair in ((celsius, fahrenheit), (fahrenheit, celsius)))
     assert there(100.0) == pytest.approx(212.0, rel=1e-13)  # a difference of numbers near 300, rounding only
     assert there.then(back)(37.0) == pytest.approx(37.0, rel=1e-13)  # as above
-    assert Linear(2.0, 1.0).then(Linear(10.0, 3.0))(1.0) == 33.0
+    assert LinearTransformation(2.0, 1.0).then(LinearTransformation(10.0, 3.0))(1.0) == 33.0
 
 
 METRE = DeclaredUnit("m", (0, 1, 0, 0, 0, 0, 0, 0))
@@ -275,7 +275,7 @@ def test_the_slope_of_a_driven_input_is_not_lost(fmus):
     component = system.components["d"]
     lost = "the scenario replaces s; without it these keep their start values: d.u_rate"
     for interpolates, note in ((True, "the scenario replaces s"), (False, lost)):
-        face = replace(component.interface, rates={}, interpolates=interpolates)
+        face = replace(component.interface, rate_inputs={}, can_interpolate_inputs=interpolates)
         known = {**system.components, "d": replace(component, interface=face)}
         whole = replace(system, components=known)
         assert drive(whole, ramp).released(whole).notes == (note,)

@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 from markupsafe import Markup
 from rich.console import Console
 
-from orchestrator.base.html_page import plain
-from orchestrator.base.text import TextTable, finer, listed, number, sentences, share, typeset
+from orchestrator.base.html_page import json_values
+from orchestrator.base.text import (
+    TextTable,
+    error_display_unit,
+    join_words,
+    number,
+    percentage,
+    sentences,
+    typeset,
+)
 
 TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="Title", strong=["unstable"])
 
@@ -30,20 +38,24 @@ def test_a_number_is_rounded_to_its_digits(value: float, digits: int, zeros: boo
 )
 def test_a_share_is_a_percentage(value: float | None, text: str) -> None:
     """A dash where there is no finite number."""
-    assert share(value) == text
+    assert percentage(value) == text
 
 
 def test_print_has_other_signs_than_a_terminal() -> None:
     """Powers of ten, minus signs and dashes; dates and names stay."""
     assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
     assert typeset("-") == "\N{EN DASH}"
-    assert finer("m").ascii(1e-3) == "1 mm"
-    assert finer("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
+    assert error_display_unit("m").ascii(1e-3) == "1 mm"
+    assert error_display_unit("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
 
 
 def test_words_become_sentences() -> None:
     """Lists with one `and`, capitals and points."""
-    assert [listed(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert [join_words(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])] == [
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
     assert sentences("one", "", "two.") == "One. Two."
 
 
@@ -64,7 +76,7 @@ def test_a_narrow_terminal_cuts_no_cell() -> None:
 
 def test_json_knows_no_infinity() -> None:
     """What is not finite is null, also deep inside."""
-    assert plain({"a": (float("inf"), [1.5, True, None]), 2: "x"}) == {
+    assert json_values({"a": (float("inf"), [1.5, True, None]), 2: "x"}) == {
         "a": [None, [1.5, True, None]],
         "2": "x",
     }

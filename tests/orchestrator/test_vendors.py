@@ -216,7 +216,7 @@ def test_a_hint_for_one_component_is_named_as_such(make):
 def test_a_hint_beside_the_same_step_is_no_other(make):
     """The master's annotation is what is followed then."""
     system = load(make(in_component=HINT, experiment=osp(BASE.replace("2e-2", "1e-2"))))
-    assert (system.coupling, system.step, system.suggestion.only) == (JACOBI, 0.01, ())
+    assert (system.coupling, system.step, system.suggestion.components) == (JACOBI, 0.01, ())
 
 
 SOLVER = '<oms:VariableStepSolver description="cvode" relativeTolerance="0.000100"/>'

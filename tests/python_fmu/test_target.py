@@ -21,7 +21,7 @@ from fmpy import read_model_description
 from fmus.export.compile import HEADERS, PLATFORMS, host
 from fmus.export.python.build import build_python, library
 from fmus.machine.parts import SUBSYSTEMS
-from orchestrator.base.files import pack
+from orchestrator.base.files import write_zip
 from orchestrator.check import check
 from python_fmu.lag import built, in_new_process
 
@@ -56,7 +56,7 @@ def changed(path: Path, change: Callable[[dict[str, object]], None]) -> Path:
     card = json.loads(content["resources/model.json"])
     change(card)
     content["resources/model.json"] = json.dumps(card).encode()
-    pack(path.with_name("changed.fmu"), content)
+    write_zip(path.with_name("changed.fmu"), content)
     return path.with_name("changed.fmu")
 
 
@@ -166,7 +166,7 @@ def test_pythonfmu_runs_the_same_slave(tmp_path):
         content = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
     for path in folder.rglob("*pythonfmu-export.*"):
         content[f"binaries/{path.parent.name}/boom_stick{path.suffix}"] = path.read_bytes()
-    pack(theirs, content)
+    write_zip(theirs, content)
     found = [
         in_new_process(PUSHED, Path(__file__).parents[1], path).splitlines()[-1] for path in (ours, theirs)
     ]

@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, bridged, read_recording
+from orchestrator.data.recording import Recording, fill_gaps, read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validation import validate
 
@@ -44,10 +44,10 @@ def test_short_gaps_of_a_command_are_bridged() -> None:
     time = np.arange(0.0, 2.0, 0.01)
     short = np.where((time > 0.495) & (time < 0.555), np.nan, time)
     made = Recording(Path("ref.csv"), time, {"short": short, "none": np.full(200, np.nan)}, {})
-    np.testing.assert_allclose(bridged(made, "short"), time, atol=1e-15)  # a straight line, rounding
+    np.testing.assert_allclose(fill_gaps(made, "short"), time, atol=1e-15)  # a straight line, rounding
     with pytest.raises(Problem, match=r"ref.csv: short has no sample from 0.5 s to 0.55 s.*at most 0.05 s"):
-        bridged(made, "short", longest=0.05)
+        fill_gaps(made, "short", longest=0.05)
     with pytest.raises(Problem, match=r"ref.csv: none has no sample"):
-        bridged(made, "none")
+        fill_gaps(made, "none")
     np.testing.assert_allclose(made.trace()["short"], time, atol=1e-15)
     assert "none" not in made.trace().signals

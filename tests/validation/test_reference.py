@@ -23,9 +23,13 @@ def test_reads_columns_units_groups_and_limits(folder: Path) -> None:
     assert angle.tolerance == Tolerance("nrmse", 0.01)
     # 2 bar
     assert found.criterion("pump.pressure").tolerance == Tolerance("maximum", 2e5)
-    assert (found.units["shaft.angle"], found.unit_in_words("shaft.angle")) == ("rad", "deg (rad)")
+    assert (found.units["shaft.angle"], found.unit_label("shaft.angle")) == ("rad", "deg (rad)")
     assert len(found.time) == len(found["shaft.angle"]) == 201
-    assert (found.title, found.source.name, found.about["kind"]) == ("Shaft test", "ref.csv", "measurement")
+    assert (found.title, found.source.name, found.metadata["kind"]) == (
+        "Shaft test",
+        "ref.csv",
+        "measurement",
+    )
 
 
 def test_toml_path_finds_the_csv(folder: Path) -> None:
@@ -62,7 +66,7 @@ def test_a_recording_for_identification_is_read(edited: Edit) -> None:
         '[experiment]\nprocedure = "valve"\nlength = { value = 4.0, unit = "m" }\n[tolerances]',
     )
     found = read_recording(edited('label = "Shaft', f'{instrument}label = "Shaft'))
-    assert found.about == before.about
+    assert found.metadata == before.metadata
     for name, signal in found.signals.items():
         np.testing.assert_array_equal(signal, before[name])
     with pytest.raises(Problem, match="unknown key 'deadzone'"):

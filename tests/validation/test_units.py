@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import convert, linear, parse, shown
+from orchestrator.base.units import convert, factor_and_offset, parse, reader_unit
 
 # Unit, value in it, value in SI, SI unit: by definition (pound 0.45359237 kg, inch 25.4 mm, gallon 231 in3).
 SAMPLES = [
@@ -77,14 +77,14 @@ def test_unknown_unit_is_refused(unit: str) -> None:
 def test_wrong_quantity_is_refused() -> None:
     """Units of different quantities cannot be converted, a frequency is no angular speed."""
     with pytest.raises(Problem, match="boom: unit 'bar' cannot be converted, expected a unit like 'rad'"):
-        linear("bar", "rad", "boom")
+        factor_and_offset("bar", "rad", "boom")
     with pytest.raises(Problem, match="'Hz' cannot be converted"):
-        linear("Hz", "rad/s", "x")
+        factor_and_offset("Hz", "rad/s", "x")
 
 
 def test_same_unit_needs_no_table() -> None:
     """A unit that stays the same may be unknown."""
-    assert linear("furlong", "furlong", "x") == (1.0, 0.0)
+    assert factor_and_offset("furlong", "furlong", "x") == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -103,4 +103,4 @@ def test_same_unit_needs_no_table() -> None:
 )
 def test_display_units(unit: str, display: str) -> None:
     """Readers see bar, L/min, deg, deg/s and kN; other units stay as they are."""
-    assert shown(unit) == display
+    assert reader_unit(unit) == display

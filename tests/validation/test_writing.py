@@ -38,8 +38,8 @@ def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
         labels={"shaft.angle": "Shaft angle"},
     )
     found = read_recording(meta)
-    assert found.about["title"] == 'The "joined" machine'
-    assert found.about["date"] == "2026-01-31"
+    assert found.metadata["title"] == 'The "joined" machine'
+    assert found.metadata["date"] == "2026-01-31"
     assert found.criterion("shaft.angle").tolerance == Tolerance("nrmse", 0.0005)
     assert found.criterion("pump.command").tolerance is None
     assert found.file_units["pump.pressure"] == "Pa"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from fmus.machine.ssp import VIEW
-from orchestrator.base.toml import fill, read
+from orchestrator.base.toml import read, read_dataclass
 from orchestrator.view.view_description import ViewDescription
 
-DESCRIPTION = fill(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
+DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
 MODES = DESCRIPTION.modes

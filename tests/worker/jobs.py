@@ -23,7 +23,7 @@ def end(channel):
     print("nobody reads this", flush=True)
     print("first line\nlast line", file=sys.stderr, flush=True)
     channel.put("before the end")
-    channel.beacon.call("fmi2DoStep")
+    channel.activity.call("fmi2DoStep")
     if how == "crash":
         ctypes.string_at(0)
     elif how == "abort":

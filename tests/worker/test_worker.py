@@ -80,8 +80,8 @@ def test_a_worker_tells_how_it_ended(start, how, ending):
     with pytest.raises(EOFError, match=ending):
         worker.get(SOON)
     assert worker.ending == ending
-    assert worker.last_words == ("ValueError: expected another one" if how == "raise" else "last line")
-    assert str(worker.seen) == "in fmi2DoStep"
+    assert worker.last_stderr_line == ("ValueError: expected another one" if how == "raise" else "last line")
+    assert str(worker.activity) == "in fmi2DoStep"
     worker.put("nobody there")  # no error
 
 
@@ -156,9 +156,9 @@ def test_memory_is_told(start):
 
 def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
     """A disk is not filled by what nobody reads."""
-    monkeypatch.setattr("orchestrator.worker.process.MOST", 5)
+    monkeypatch.setattr("orchestrator.worker.process.MAX_STDERR", 5)
     worker = start("end")
     worker.put("stay")
     worker.get(SOON)
     worker._quieten()
-    assert until(lambda: worker.last_words == "")
+    assert until(lambda: worker.last_stderr_line == "")

@@ -17,7 +17,7 @@ from fmus.identification.recordings.masks import averages, dead, good, noise
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, stretches
+from orchestrator.data.recording import Recording, true_intervals
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,21 +52,21 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
     """Length and inside diameter [m] of the hose that was tested; the same in all recordings."""
     first = recordings[0]
     for name in ("length", "diameter"):
-        size = first.number(name)
+        size = first.numeric_condition(name)
         for other in recordings[1:]:
-            if abs(other.number(name) / size - 1) > SAME_HOSE:
+            if abs(other.numeric_condition(name) / size - 1) > SAME_HOSE:
                 raise Problem(
-                    f"{other.source}: [experiment] {name} is {other.number(name):g} m, expected {size:g} m "
-                    f"as in {first.source.name}: identify one hose at a time"
+                    f"{other.source}: [experiment] {name} is {other.numeric_condition(name):g} m,"
+                    f" expected {size:g} m as in {first.source.name}: identify one hose at a time"
                 )
-    return first.number("length"), first.number("diameter")
+    return first.numeric_condition("length"), first.numeric_condition("diameter")
 
 
 def density_ratio(recordings: Sequence[Recording], known: Mapping[str, Number]) -> float:
     """Density of the machine's oil over that of the test's oil; 1 if the test's is not recorded."""
     if "density" not in recordings[0].conditions:
         return 1.0
-    return value(known, "boom_stick.density") / recordings[0].number("density")
+    return value(known, "boom_stick.density") / recordings[0].numeric_condition("density")
 
 
 def number(known: Mapping[str, Number], name: str) -> Number:
@@ -83,7 +83,7 @@ def value(known: Mapping[str, Number], name: str) -> float:
 
 def tank_pressure(recording: Recording) -> float:
     """Gauge pressure of the tank [Pa], 0 if it is not recorded."""
-    return recording.number("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
+    return recording.numeric_condition("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
 
 
 def noise_of(recording: Recording, name: str) -> float:
@@ -126,7 +126,7 @@ def standing(recording: Recording, names: Sequence[str]) -> list[slice]:
         slope = used.apply(filled(recording[name]), 1)
         ripple = float(median_abs_deviation(slope, scale="normal", nan_policy="omit"))
         stands &= np.abs(slope) < STANDS * max(used.gain(1) * noise_of(recording, name), ripple)  # not if NaN
-    inner = [slice(s.start + margin, s.stop - margin) for s in stretches(stands)]
+    inner = [slice(s.start + margin, s.stop - margin) for s in true_intervals(stands)]
     return [s for s in inner if s.stop - s.start >= least]
 
 

@@ -145,12 +145,13 @@ def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> Pr
     """B of each joint of which there are recordings."""
     own = training(recordings, "damping", dict.fromkeys(ANGLES, "rad"))
     for r in own:
-        if r.word("joint") not in CONTACTS:
+        if r.text_condition("joint") not in CONTACTS:
             raise Problem(
-                f"{r.source}: [experiment] joint is {r.word('joint')!r}, expected {', '.join(CONTACTS)}"
+                f"{r.source}: [experiment] joint is {r.text_condition('joint')!r},"
+                f" expected {', '.join(CONTACTS)}"
             )
-        require(r, dict.fromkeys(PRESSURES[r.word("joint")], "Pa"))
-    parts = {joint: [r for r in own if r.word("joint") == joint] for joint in CONTACTS}
+        require(r, dict.fromkeys(PRESSURES[r.text_condition("joint")], "Pa"))
+    parts = {joint: [r for r in own if r.text_condition("joint") == joint] for joint in CONTACTS}
     joints = [joint_damping(CONTACTS[joint], part, known) for joint, part in parts.items() if part]
     return ProcedureResult(
         procedure="damping",

@@ -61,7 +61,7 @@ from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good_all
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, stretches
+from orchestrator.data.recording import Recording, true_intervals
 
 Array = NDArray[np.float64]
 
@@ -170,7 +170,7 @@ def inertance_start(guess: float, resistance: float, flow: float) -> dict[str, G
 
 def cut(recording: Recording, half_width: float) -> Windows:
     """Windows [half width in s] in which all four signals are good throughout."""
-    parts = stretches(good_all(recording, SIGNALS))
+    parts = true_intervals(good_all(recording, SIGNALS))
     return windows(parts, recording.time.size, 1 / uniform_rate(recording), half_width)
 
 

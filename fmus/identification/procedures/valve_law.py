@@ -120,7 +120,7 @@ def valve_steps(recordings: Sequence[Recording]) -> ValveSteps:
 
 
 def _of_one(recording: Recording) -> ValveSteps:
-    edge, commands = recording.word("edge"), recording["command"]
+    edge, commands = recording.text_condition("edge"), recording["command"]
     if edge not in OPENS:
         raise Problem(f"{recording.source}: [experiment] edge is {edge!r}, expected {', '.join(OPENS)}")
     if not (commands * OPENS[edge] > 0).any():

@@ -28,10 +28,34 @@ from fmus.identification.recordings.masks import (
     steady,
 )
 from fmus.identification.recordings.reading import add, blank, split, take, window
-from orchestrator.data.recording import bridged, stretches
+from orchestrator.data.recording import fill_gaps, true_intervals
 
 __all__ = [
-    "Averages", "Delay", "Derivatives", "SavitzkyGolay", "add", "averages", "blank", "bridged", "clipped",
-    "dead", "delay", "derivatives", "evenly", "filter_for", "good", "good_all", "period", "resample", "shift",
-    "split", "standard_error", "steady", "stretches", "take", "thinned", "uniform_rate", "window",
+    "Averages",
+    "Delay",
+    "Derivatives",
+    "SavitzkyGolay",
+    "add",
+    "averages",
+    "blank",
+    "clipped",
+    "dead",
+    "delay",
+    "derivatives",
+    "evenly",
+    "fill_gaps",
+    "filter_for",
+    "good",
+    "good_all",
+    "period",
+    "resample",
+    "shift",
+    "split",
+    "standard_error",
+    "steady",
+    "take",
+    "thinned",
+    "true_intervals",
+    "uniform_rate",
+    "window",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ import scipy.signal
 
 from fmus.identification.recordings.masks import good
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, Sensor, stretches
+from orchestrator.data.recording import Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
 UNEVEN = 0.05  # of a period: how far a stamp may be off a uniform clock; more is jitter that derivatives see
@@ -122,7 +122,7 @@ def _filtered(values: Array, ratio: float) -> Array:
     """Each stretch without a gap through a Butterworth filter, forwards and back."""
     sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
     result = np.full_like(values, np.nan)
-    for part in stretches(np.isfinite(values)):
+    for part in true_intervals(np.isfinite(values)):
         # a line passes the filter as it is; without the one through the ends these are zero and ring little
         line = np.linspace(values[part.start], values[part.stop - 1], part.stop - part.start)
         pad = min(int(10 / ratio), len(line) - 1)

@@ -21,7 +21,7 @@ import scipy.signal
 
 from fmus.identification.recordings.clock import ROUNDING, period, uniform_rate
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Mask, Recording, stretches
+from orchestrator.data.recording import Mask, Recording, true_intervals
 from orchestrator.data.table import Array
 
 HIGHEST = 2  # order of derivative
@@ -181,7 +181,7 @@ def _spline(values: Array) -> tuple[scipy.interpolate.CubicSpline, Mask]:
     there = np.isfinite(values)
     number = np.arange(len(values))
     usable = np.zeros(len(values), dtype=bool)
-    for part in stretches(there):
+    for part in true_intervals(there):
         low = part.start + (NEAR if part.start > 0 else 0)
         high = part.stop - (NEAR if part.stop < len(values) else 0)
         usable[low : max(low, high)] = True  # a short stretch at the beginning has none
@@ -213,7 +213,7 @@ def shift(recording: Recording, name: str, seconds: float, kind: Kind = "cubic")
     at = time + seconds
     result = np.full_like(values, np.nan)
     slack = 1e-9 * period(time)
-    for part in stretches(np.isfinite(values)):
+    for part in true_intervals(np.isfinite(values)):
         if part.stop - part.start < 2:
             continue
         first, last = time[part.start], time[part.stop - 1]

@@ -27,8 +27,8 @@ from fmus.identification.recordings.masks import (
     step_and_noise,
 )
 from orchestrator.base.text import TextTable
-from orchestrator.base.units import display
-from orchestrator.data.recording import Mask, Recording, Sensor, stretches
+from orchestrator.base.units import display_conversion
+from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
 # SI unit -> what the largest magnitude in a recording lies between
@@ -201,7 +201,7 @@ class Fault:
 
 
 def _fault(bad: Mask, time: Array) -> Fault:
-    parts = stretches(bad)
+    parts = true_intervals(bad)
     # a stretch of one sample lasts until the next one
     ends = np.append(time, 2 * time[-1] - time[-2])
     longest = max((float(ends[part.stop] - time[part.start]) for part in parts), default=0.0)
@@ -295,7 +295,7 @@ class SignalQuality:
 
     def _shown(self, value: float) -> str:
         """A number in the unit a reader expects."""
-        text, factor = display(self.unit) or (self.unit, 1.0)
+        text, factor = display_conversion(self.unit) or (self.unit, 1.0)
         number = factor * value
         digits = f"{number:.0f}" if 1e3 <= abs(number) < 1e6 else f"{number:.3g}"
         return digits + ("" if text == "1" else f" {text}")

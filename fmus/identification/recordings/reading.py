@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import in_si, parse
+from orchestrator.base.units import parse, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
-from orchestrator.data.table import DATA, GAPS, Array, TextFormat, read_columns
+from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
 PROCEDURES = ("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine")
 FIRST = 50  # lines that are looked at before a file is read
@@ -71,7 +71,7 @@ def left_out(folder: Path, recordings: Sequence[Recording]) -> list[str]:
 
 
 def _data_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in DATA)
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:
@@ -80,7 +80,7 @@ def require(recording: Recording, signals: Mapping[str, str]) -> None:
         recording[name]
         if parse(recording.units[name]).exponents != parse(wanted).exponents:
             raise Problem(
-                f"{recording.source}: signal {name} is in {recording.unit_in_words(name)}, expected {wanted}"
+                f"{recording.source}: signal {name} is in {recording.unit_label(name)}, expected {wanted}"
             )
 
 
@@ -164,7 +164,7 @@ def read_series(
         source=path,
         time=np.arange(len(found_columns.rows)) / rate,
         signals={name: scales[name].factor * values + scales[name].offset for name, values in raw.items()},
-        units={name: in_si(units.get(name, "1")) for name in columns},
+        units={name: si_unit(units.get(name, "1")) for name in columns},
         title=title or path.stem,
     )
 
@@ -187,7 +187,7 @@ def _detected(
     first = lines[0] if lines else ""
     mark = delimiter or next((mark for mark in ";," if mark in first and mark != point), r"\s+")
     cells = [cell.strip(' "') for cell in re.split(mark if len(mark) > 1 else re.escape(mark), first)]
-    if by_place and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAPS for cell in cells):
+    if by_place and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAP_MARKS for cell in cells):
         raise Problem(
             f"{path}: line {skip_lines + 1}: expected numbers, got names: give those of the columns, "
             f"such as {cells[0]!r}, not their places"

@@ -24,7 +24,7 @@ from fmus.identification.refinement.problem import MeasuredRun
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, bridged
+from orchestrator.data.recording import Recording, fill_gaps
 
 Array = NDArray[np.float64]
 
@@ -203,7 +203,7 @@ class RecordingMap:
                 )
         for name, q in declared.items():
             if recording.units.get(self._name(name), q.unit) != q.unit:
-                unit = recording.unit_in_words(self._name(name))
+                unit = recording.unit_label(self._name(name))
                 raise Problem(f"{recording.source}: {self._name(name)} is in {unit}, expected {q.unit}")
 
     def _sd(self, recording: Recording, name: str) -> float:
@@ -219,7 +219,7 @@ class RecordingMap:
         own = self._name(name)
         if own not in recording.signals:
             return np.full(len(recording.time), (self.numbers or values(self.sub)).u[name]), 0
-        signal, noise = bridged(recording, own), recording.sensor(own).sd
+        signal, noise = fill_gaps(recording, own), recording.sensor(own).sd
         if not noise > 0:
             return signal, 0
         if name not in self.smooth:

@@ -31,13 +31,13 @@ from orchestrator.base.plotting import (
     PALETTE,
     WIDTH,
     decimate,
-    frame,
     heading,
     legend,
     new_figure,
     power_ticks,
+    style_axes,
 )
-from orchestrator.base.text import MINUS, labelled, typeset
+from orchestrator.base.text import MINUS, name_with_unit, typeset
 from orchestrator.base.units import pretty
 
 COLUMNS = 2
@@ -127,16 +127,16 @@ def _draw_column(figure: Figure, where: Any, column: Column, room: float, first:
 
 def _label(text: str, unit: str) -> str:
     """A label with its unit; a unit inside the text is printed, too."""
-    return labelled(re.sub(r"\[(.+)\]", lambda m: f"[{pretty(m[1])}]", text), unit)
+    return name_with_unit(re.sub(r"\[(.+)\]", lambda m: f"[{pretty(m[1])}]", text), unit)
 
 
 def _draw_panel(axes: Axes, panel: Panel, room: float) -> None:
     flat = is_residual(panel)
     if flat:  # the unit on a line of its own
         unit = [f"[{pretty(panel.y_unit[0])}]"] if pretty(panel.y_unit[0]) else []
-        frame(axes, y="\n".join([*textwrap.wrap(panel.y_label, FLAT_LABEL), *unit]), size=8)
+        style_axes(axes, y="\n".join([*textwrap.wrap(panel.y_label, FLAT_LABEL), *unit]), size=8)
     else:
-        frame(axes, y=_label(panel.y_label, panel.y_unit[0]))
+        style_axes(axes, y=_label(panel.y_label, panel.y_unit[0]))
     _draw_curves(axes, panel, flat)
     if panel.title:
         pad = 4.0 if flat else 4.0 + LINE * _legend_lines(panel, room)

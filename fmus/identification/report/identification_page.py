@@ -175,9 +175,9 @@ def _fit(refined: Refined, place: int, name: str) -> dict[str, Any]:
         "signal": name,
         "train": mean(refined.training),
         "test": mean(refined.held_out),
-        "noise": html_page.plain(tests.rms),
-        "memory": html_page.plain(tests.outside),
-        "white": html_page.plain(tests.ljung_box),
+        "noise": html_page.json_values(tests.rms),
+        "memory": html_page.json_values(tests.outside),
+        "white": html_page.json_values(tests.ljung_box),
         "inputs": max(tests.inputs.values(), default=None),
     }
 

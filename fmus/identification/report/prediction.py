@@ -13,7 +13,7 @@ from fmus.machine.parts import INPUTS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, bridged
+from orchestrator.data.recording import Recording, fill_gaps
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -42,7 +42,7 @@ class Excitation:
 def drive(recording: Recording, rest: float = 0.5) -> Excitation:
     """What a recording of the machine tells of its drive; it stands still in its first `rest` seconds."""
     pose = {joint: _at_rest(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
-    raw = np.column_stack([bridged(recording, signal) for signal in COMMANDS.values()])
+    raw = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
     return Excitation(recording.time, commands, pose, _supply(recording))
 
@@ -61,7 +61,7 @@ def _supply(recording: Recording) -> Array | None:
     if SUPPLY not in recording.signals:
         return None
     time = recording.time
-    smooth = filter_for(recording, SMOOTH).apply(bridged(recording, SUPPLY))
+    smooth = filter_for(recording, SMOOTH).apply(fill_gaps(recording, SUPPLY))
     full = np.isfinite(smooth)
     smooth = np.interp(time, time[full], smooth[full])
     return straight(time, smooth[:, None], STEADY)[:, 0]

@@ -24,9 +24,9 @@ from orchestrator.base.plotting import (
     TraceLine,
     TracePanel,
     draw_traces,
-    handle,
+    legend_entry,
 )
-from orchestrator.base.text import display_unit, sentences, share
+from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
 
 WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
@@ -146,7 +146,7 @@ def figure(seen: Compared, joint: str, title: str = "") -> Figure:
         (float(time[0]), float(time[-1])),
         title or f"{joint.capitalize()}: {recording.title}",
         footer(FIGURES[joint], [recording.kind]),
-        (handle("measured", **REFERENCE), handle("predicted", **SIMULATION)),
+        (legend_entry("measured", **REFERENCE), legend_entry("predicted", **SIMULATION)),
     )
 
 
@@ -165,14 +165,14 @@ def _panel(label: str, names: Mapping[str, str], seen: Compared) -> TracePanel:
         lines.append(TraceLine(time, unit.factor * predicted, {**SIMULATION, "color": dark}))
         errors.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}))
         if (error := relative_error(measured, predicted)) is not None:
-            remarks.append((f"{name}\nNRMSE {share(error, 2)}".strip(), dark))
+            remarks.append((f"{name}\nNRMSE {percentage(error, 2)}".strip(), dark))
     return TracePanel(
-        unit.shown,
+        unit.display,
         lines,
         label,
         errors=errors,
         error_label="residual",
-        error_unit=unit.shown,
+        error_unit=unit.display,
         remarks=remarks,
         heights=(2.7 if errors else 1.6, 1.2),
     )

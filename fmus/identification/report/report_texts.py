@@ -75,7 +75,7 @@ def share(value: float | None, digits: int = 2) -> str:
     """A pure number as percent; what only rounding made is zero."""
     if value is not None and abs(value) < 1e-9:
         return "0 %"
-    return typeset(text.share(value, digits, zeros=True))
+    return typeset(text.percentage(value, digits, zeros=True))
 
 
 def change(now: float, before: float | None) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import PurePosixPath
 
-from orchestrator.base.xml import child, children, local
+from orchestrator.base.xml import child, children, local_name
 from orchestrator.check.finding import Finding, RuleTable, error, note, some, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
@@ -163,7 +163,7 @@ def categories(subject: Subject) -> Iterator[Finding]:
 def vendors(subject: Subject) -> Iterator[Finding]:
     path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
     for element in children(subject.root, *path):
-        who = element.get("name") or element.get("type") or local(element)
+        who = element.get("name") or element.get("type") or local_name(element)
         yield note(
             f"{DESCRIPTION} line {element.sourceline}: annotations for {who}; other tools pass them over"
         )

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from orchestrator.base.xml import local
+from orchestrator.base.xml import local_name
 from orchestrator.check.finding import Finding, RuleTable, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
@@ -42,8 +42,10 @@ COVERED = {
 def syntax(subject: Subject) -> Iterator[Finding]:
     yield from (f for f in subject.faults if f.rule == "xml.syntax")
     root = subject.root
-    if root is not None and local(root) != "fmiModelDescription":
-        yield error(f"{DESCRIPTION} line {root.sourceline}: expected fmiModelDescription, got {local(root)}")
+    if root is not None and local_name(root) != "fmiModelDescription":
+        yield error(
+            f"{DESCRIPTION} line {root.sourceline}: expected fmiModelDescription, got {local_name(root)}"
+        )
 
 
 @DESCRIPTION_FILE.rule("xml.encoding", "modelDescription.xml is written in UTF-8")
@@ -58,7 +60,7 @@ def encoding(subject: Subject) -> Iterator[Finding]:
 @DESCRIPTION_FILE.rule("version.known", "The FMI version is 2.0 or 3.0")
 def version(subject: Subject) -> Iterator[Finding]:
     said = subject.version
-    if subject.root is None or local(subject.root) != "fmiModelDescription":
+    if subject.root is None or local_name(subject.root) != "fmiModelDescription":
         return
     if said.startswith("1."):
         yield error(
@@ -76,7 +78,7 @@ def new(subject: Subject) -> Iterator[Finding]:
 
 @DESCRIPTION_FILE.rule("xml.schema", "modelDescription.xml keeps the schema of its version", "FMPy#774")
 def schema(subject: Subject) -> Iterator[Finding]:
-    if subject.root is None or not subject.major or local(subject.root) != "fmiModelDescription":
+    if subject.root is None or not subject.major or local_name(subject.root) != "fmiModelDescription":
         return
     for line, message in violations(subject.root, SCHEMAS[subject.major]):
         yield error(f"{DESCRIPTION} line {line}: {message}")

@@ -185,22 +185,23 @@ def kinds(subject: Subject) -> Iterator[Finding]:
 
 
 def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
-    if unknown.kinds is None:
+    if unknown.dependency_kinds is None:
         return
     if unknown.dependencies is None:
         yield error(f"{unknown}: dependenciesKind without dependencies")
         return
-    if len(unknown.kinds) != len(unknown.dependencies):
+    if len(unknown.dependency_kinds) != len(unknown.dependencies):
         yield error(
-            f"{unknown}: {len(unknown.kinds)} dependenciesKind for {len(unknown.dependencies)} dependencies"
+            f"{unknown}: {len(unknown.dependency_kinds)} dependenciesKind"
+            f" for {len(unknown.dependencies)} dependencies"
         )
     allowed = PLAIN if section == "initial" else KINDS
-    wrong = [k for k in unknown.kinds if k in KINDS and k not in allowed]
+    wrong = [k for k in unknown.dependency_kinds if k in KINDS and k not in allowed]
     if wrong:
         yield error(
             f"{unknown}: dependenciesKind {wrong[0]} is not allowed here, expected {' or '.join(allowed)}"
         )
-    special = [k for k in unknown.kinds if k != "dependent"]
+    special = [k for k in unknown.dependency_kinds if k != "dependent"]
     if special and unknown.variable and not unknown.variable.is_float:
         yield note(  # Reference-FMUs have it, too
             f"{unknown}: dependenciesKind {special[0]} of a {unknown.variable.type}, expected dependent"

@@ -12,7 +12,7 @@ from orchestrator.check.finding import Finding, RuleTable, error, listed, note, 
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml
-from orchestrator.fmi.raw_description import UnitDefinition, whole
+from orchestrator.fmi.raw_description import UnitDefinition, parse_int
 
 UNITS = RuleTable()
 DIMENSIONS = [b for b in BASES if b != "rad"]  # tools treat the radian differently
@@ -36,7 +36,7 @@ def undefined(subject: Subject) -> Iterator[Finding]:
 
 @UNITS.rule("unit.display", "Every display unit is defined at its unit", "FMPy#511")
 def display(subject: Subject) -> Iterator[Finding]:
-    displays = {u.name: u.displays for u in subject.model.units}
+    displays = {u.name: u.display_units for u in subject.model.units}
     for v in subject.model.variables:
         shown = v.attributes.get("displayUnit") if v.is_float else None
         if shown is None:
@@ -46,7 +46,7 @@ def display(subject: Subject) -> Iterator[Finding]:
         elif v.unit in displays and shown not in displays[v.unit]:
             yield error(f"{v}: displayUnit {shown!r} is not defined at unit {v.unit}")
     for unit in subject.model.units:
-        for name, said in unit.displays.items():
+        for name, said in unit.display_units.items():
             if _float(said.get("factor", "1")) == 0:
                 yield error(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
@@ -62,20 +62,20 @@ def twice(subject: Subject) -> Iterator[Finding]:
 def base(subject: Subject) -> Iterator[Finding]:
     used = {v.unit for v in subject.model.variables}
     for unit in subject.model.units:
-        if unit.base is None and unit.name in used:
+        if unit.base_unit is None and unit.name in used:
             yield warning(f"{_at(unit)}: has no BaseUnit; no tool can convert it or see a wrong connection")
 
 
 @UNITS.rule("unit.wrong", "Units with well-known names mean what the name says")
 def wrong(subject: Subject) -> Iterator[Finding]:
     for unit in subject.model.units:
-        if unit.base is None or unit.name not in WELL_KNOWN:
+        if unit.base_unit is None or unit.name not in WELL_KNOWN:
             continue
         known = parse(unit.name)
         exponents = {b: str(known.base().get(b, 0)) for b in DIMENSIONS}
-        declared = {b: unit.base.get(b, "0") for b in DIMENSIONS}
-        factor, offset = _float(unit.base.get("factor", "1")), _float(unit.base.get("offset", "0"))
-        if {b: whole(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
+        declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
+        factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
+        if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
             yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, found {_text(declared)}")
         elif not (  # factors are written with five digits or more
             math.isclose(factor, known.factor, rel_tol=1e-4)
@@ -100,7 +100,7 @@ def _float(text: str) -> float:
     "unit.factor", "Inputs and outputs are in SI units: factor 1, offset 0", "libcosim#519 OMSimulator#942"
 )
 def factor(subject: Subject) -> Iterator[Finding]:
-    bases = {u.name: u.base for u in subject.model.units if u.base}
+    bases = {u.name: u.base_unit for u in subject.model.units if u.base_unit}
     in_si = {
         n for n, b in bases.items() if (_float(b.get("factor", "1")), _float(b.get("offset", "0"))) == (1, 0)
     }

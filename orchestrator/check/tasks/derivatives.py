@@ -53,7 +53,7 @@ class ShiftedPoint:
 
     def allowed(self, known: DeclaredVariable, shift: float) -> bool:
         """Is the shifted value within its bounds?"""
-        return known in self.states or known.low <= self.u[known.name] + shift <= known.high
+        return known in self.states or known.minimum <= self.u[known.name] + shift <= known.maximum
 
 
 def _points(trial: Trial) -> Iterator[ShiftedPoint]:

@@ -81,7 +81,7 @@ def _late_parameter(simulation: Simulation, v: DeclaredVariable) -> Iterator[Rem
     """Is another value of a parameter refused, or passed over?"""
     one = simulation.values([v])
     (old,) = one.get()
-    wanted = min(max(old + CHANGE * max(abs(old), v.scale), v.low), v.high)
+    wanted = min(max(old + CHANGE * max(abs(old), v.scale), v.minimum), v.maximum)
     try:
         one.set([wanted])
         (found,) = one.get()

@@ -135,7 +135,7 @@ def _no_state(simulation: Simulation) -> None:
     """Free no state: to be ignored."""
     able = simulation.trial.description.interfaces[simulation.kind]
     if able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"):
-        simulation.instance.forget(ctypes.c_void_p())
+        simulation.instance.free_state(ctypes.c_void_p())
 
 
 def _terminate(simulation: Simulation) -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources
-from orchestrator.fmi.library import Library, find
+from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
+from orchestrator.fmi.library import Library, find_library
 from orchestrator.fmi.messages import ERROR, Log
 from orchestrator.fmi.raw_description import Entry, ModelDescription
-from orchestrator.worker.beacon import Beacon
+from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.main import Channel
 
 MESSAGES = 10_000  # of an instance that are kept
@@ -42,7 +42,7 @@ class Trial:
     folder: Path
     description: ModelDescription
     kind: str
-    beacon: Beacon
+    beacon: ActivityRecord
     seconds: float = 1.0
     pokes: bool = False
     summed: bool = False
@@ -67,7 +67,7 @@ class Trial:
 
     def load(self, folder: Path, identifier: str = "") -> Library:
         """The library of an unpacked FMU; raises OSError where it cannot be loaded."""
-        path = find(folder, identifier or self.able.get("modelIdentifier"), self.description.major)
+        path = find_library(folder, identifier or self.able.get("modelIdentifier"), self.description.major)
         if path is None:
             raise FileNotFoundError("no binary for this platform")
         self.beacon.call(f"loading {path.name}")
@@ -78,12 +78,14 @@ class Trial:
         kind, library = kind or self.kind, library or self.library
         if self._made and self.description.interfaces[kind].declares("canBeInstantiatedOnlyOncePerProcess"):
             raise OnlyOnce
-        log = Log(kept=MESSAGES)
+        log = Log(limit=MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.beacon.call)
         usual = {"token": self.description.token, "name": "probe"}
-        place = {"resources": resources(self.folder, self.description.major)}
+        place = {"resources": resources_location(self.folder, self.description.major)}
         if not instance.instantiate(**{**usual, **place, **options}):
-            raise CallFailed(f"{instance.what('Instantiate')} gives no instance{log.last()}", ERROR)
+            raise CallFailed(
+                f"{instance.describe_call('Instantiate')} gives no instance{log.quoted_messages()}", ERROR
+            )
         self._made += 1
         return instance
 
@@ -91,7 +93,7 @@ class Trial:
 def main(channel: Channel) -> None:
     """Do the job that the parent sends, and send each finding at once."""
     job = channel.get()
-    trial = Trial(**job["trial"], beacon=channel.beacon, at=lambda stage: channel.put({"stage": stage}))
+    trial = Trial(**job["trial"], beacon=channel.activity, at=lambda stage: channel.put({"stage": stage}))
     module, _, name = job["task"].partition(":")
     task: Task = getattr(import_module(f"orchestrator.check.tasks.{module}"), name)
     try:

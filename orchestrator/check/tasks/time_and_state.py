@@ -27,7 +27,7 @@ from orchestrator.check.tasks.trial_run import (
     watched,
 )
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.library import find
+from orchestrator.fmi.library import find_library
 
 BEFORE, AFTER = 7, 9  # steps before the state is saved, and after
 
@@ -47,7 +47,7 @@ def restore(trial: Trial) -> Iterator[Remark]:
             yield "error", f"the run goes on in another way after its state was restored: {text}"
             break
     yield from _same_handle(simulation, state)
-    simulation.instance.forget(state)
+    simulation.instance.free_state(state)
     if state.value:
         yield "warning", "a freed state leaves its handle, expected NULL"
     simulation.close()
@@ -86,9 +86,9 @@ def serialize(trial: Trial) -> Iterator[Remark]:
     simulation = Simulation(trial).begin()
     simulation.run(BEFORE, trial.pokes)
     state, mark = simulation.instance.save(), simulation.mark()
-    data, twice = simulation.instance.pack(state), simulation.instance.pack(state)
+    data, twice = simulation.instance.serialize(state), simulation.instance.serialize(state)
     rows = simulation.run(AFTER, trial.pokes)
-    simulation.instance.forget(state)
+    simulation.instance.free_state(state)
     if data != twice:
         yield "warning", "the same state gives other bytes when it is serialised again"
     trial.result = {"data": data, "rows": rows, "mark": mark, "rest": simulation.rest}
@@ -123,9 +123,9 @@ def _continue(trial: Trial, simulation: Simulation, handed: Any, fresh: bool) ->
     if not fresh:
         simulation.begin()
     simulation.rest = handed["rest"]
-    state = simulation.instance.unpack(handed["data"])
+    state = simulation.instance.deserialize(handed["data"])
     simulation.instance.restore(state)
-    simulation.instance.forget(state)
+    simulation.instance.free_state(state)
     simulation.back(handed["mark"])
     rows = simulation.run(AFTER, trial.pokes)
     simulation.close()
@@ -171,7 +171,7 @@ def _run(trial: Trial, length: float, summed: bool) -> tuple[Rows, str]:
         exact = sum([length] * n, simulation.start)
         there, other = (exact, counted) if summed else (counted, exact)
         text = f"step {n + 1} of {length:.9g} s is refused at the {ways[summed]} time {there:.17g} s"
-        return rows, f"{text} ({ways[not summed]} {other:.17g} s){simulation.instance.log.last()}"
+        return rows, f"{text} ({ways[not summed]} {other:.17g} s){simulation.instance.log.quoted_messages()}"
     return rows, ""
 
 
@@ -248,7 +248,7 @@ def _timeless(trial: Trial) -> bool:
     """Does the model not depend on time? Its model exchange tells, if it has one; else nobody knows."""
     able = trial.description.interfaces.get("ModelExchange")
     name = able.get("modelIdentifier") if able else ""
-    if able is None or find(trial.folder, name, trial.description.major) is None:
+    if able is None or find_library(trial.folder, name, trial.description.major) is None:
         return False
     library = None if name == trial.able.get("modelIdentifier") else trial.load(trial.folder, name)
     simulation = Simulation(trial, kind="ModelExchange", library=library).begin()

@@ -357,7 +357,7 @@ class Simulation:
         """Move all inputs a little, by a fixed pattern."""
         n = self.number if number is None else number
         wanted = [
-            min(max(x + push * v.scale * PATTERN[(n + 3 * i) % len(PATTERN)], v.low), v.high)
+            min(max(x + push * v.scale * PATTERN[(n + 3 * i) % len(PATTERN)], v.minimum), v.maximum)
             for i, (x, v) in enumerate(zip(self.rest, flat(self.inputs.variables), strict=True))
         ]
         self.inputs.set(wanted)
@@ -372,7 +372,7 @@ class Simulation:
         else:
             self.reached = time + length
         if status and not (status == DISCARD and self._ended):
-            self.instance.judge(status, self.instance.what("DoStep"))
+            self.instance.check_status(status, self.instance.describe_call("DoStep"))
 
     def advance(self) -> None:
         """One communication step; in model exchange up to INNER inner steps."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.base.text import DisplayUnit, listed
+from orchestrator.base.text import DisplayUnit, join_words
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -96,7 +96,7 @@ def _first(finding: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[E
     ending = _direction(finding, top)
     if len(leaders) > 1:
         ending = "; these runs do not show which of them moves it more"
-    return f"{finding.name} moves most with {listed(names)}: {listed(sizes)} {share}{ending}."
+    return f"{finding.name} moves most with {join_words(names)}: {join_words(sizes)} {share}{ending}."
 
 
 def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
@@ -134,7 +134,7 @@ def _direction(finding: OutputAnalysis, effect: Effect) -> str:
         medians = [
             f"{finding.display.text(own.median)} with {short(option)}" for option, own in options.items()
         ]
-        return f"; its median is {listed(medians)}" if len(medians) <= MANY else ""
+        return f"; its median is {join_words(medians)}" if len(medians) <= MANY else ""
     direction = effect.direction or 0.0
     if abs(direction) < CLEAR:
         return ", in no one direction"

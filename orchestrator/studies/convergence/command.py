@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import folder, there
-from orchestrator.base.html_page import plain, write_json
+from orchestrator.base.files import make_folder, require_system
+from orchestrator.base.html_page import json_values, write_json
 from orchestrator.base.plotting import png
 from orchestrator.data.recording import read_recording
 from orchestrator.results.validate_system import another_model
@@ -52,10 +52,10 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings, step_list = choose(_items(masters)), read_steps(steps)
-    coupled = with_swaps(load(there(system)).without(*cut), swap or {})
+    coupled = with_swaps(load(require_system(system)).without(*cut), swap or {})
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
-    folder(out)
+    make_folder(out)
     given = {name: value for name, value in options.items() if value not in (None, (), {})}
     if reference is None and not swap and not given.keys() & set(OTHER_RUN):
         names = from_recording(read_recording(default_reference)).names
@@ -156,7 +156,7 @@ def _columns(run: SettingRun) -> dict[str, Any]:
         "setting": run.setting.label,
         "master": coupling.master,
         "extrapolation order": coupling.extrapolation,
-        "most passes": coupling.rounds,
+        "most passes": coupling.max_passes,
         "without rate connections": run.setting.without_rates,
         "case": run.case,
         "step [s]": run.step,
@@ -164,8 +164,8 @@ def _columns(run: SettingRun) -> dict[str, Any]:
         "steps": run.steps,
         "simulated [s]": run.simulated,
         "stable": run.stable,
-        "wall [s]": plain(run.wall),
-        "wall time over simulated time [1]": plain(run.cost),
+        "wall [s]": json_values(run.wall),
+        "wall time over simulated time [1]": json_values(run.cost),
         "ended": run.failure or run.refusal,
     }
 

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from orchestrator.base.plotting import PALETTE, frame, new_figure
+from orchestrator.base.plotting import PALETTE, new_figure, style_axes
 from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun
 
 SIZE = (8.4, 5.2)  # [in]
@@ -132,7 +132,7 @@ def draw_work_precision(study: ConvergenceStudy, group: str | None = None) -> Fi
 def _new_figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
     figure = new_figure(*SIZE)
     axes = figure.subplots()
-    frame(axes, y=f"worst {group}, root mean square error over range", size=10)
+    style_axes(axes, y=f"worst {group}, root mean square error over range", size=10)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.minorticks_off()

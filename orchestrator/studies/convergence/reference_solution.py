@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
-from orchestrator.base.units import linear
+from orchestrator.base.units import factor_and_offset
 from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
@@ -129,7 +129,7 @@ def _deviation(
     signal: ReferenceSignal, trace: Trace, in_run: Indices, in_reference: Indices
 ) -> SignalDeviation:
     unit = trace.units.get(signal.name, signal.unit)
-    factor, offset = linear(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
+    factor, offset = factor_and_offset(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
     with np.errstate(over="ignore"):  # an unstable run may grow beyond all bounds
         error = factor * trace[signal.name][in_run] + offset - signal.values[in_reference]
         rms = float(np.sqrt(np.mean(np.square(error))))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from orchestrator.base.text import TextTable, finer
-from orchestrator.base.units import linear
+from orchestrator.base.text import TextTable, error_display_unit
+from orchestrator.base.units import factor_and_offset
 from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun
 
 UNSTABLE = "unstable"
@@ -26,11 +26,11 @@ def error_table(study: ConvergenceStudy, group: str) -> TextTable:
 
 def maximum_table(study: ConvergenceStudy, group: str) -> TextTable:
     """The largest difference of a group at any instant, in a convenient unit such as bar or mm."""
-    unit = finer(study.reference.groups[group][0].unit).shown
+    unit = error_display_unit(study.reference.groups[group][0].unit).display
 
     def cell(run: SettingRun) -> str:
         error = run.maximum(group)
-        return _short_exponent(f"{error.maximum * linear(error.unit, unit, error.signal)[0]:.2g}")
+        return _short_exponent(f"{error.maximum * factor_and_offset(error.unit, unit, error.signal)[0]:.2g}")
 
     return _table(study, f"{group}: largest difference [{unit or '1'}] from {study.reference.title}", cell)
 

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from orchestrator.base.plotting import PALETTE, few_ticks, frame, handle, legend, new_figure
-from orchestrator.base.text import DisplayUnit, display_unit, labelled
+from orchestrator.base.plotting import PALETTE, legend, legend_entry, limit_ticks, new_figure, style_axes
+from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -47,7 +47,7 @@ def column_figure(height: float) -> Figure:
 
 def label(name: str, unit: DisplayUnit) -> str:
     """A quantity with its display unit."""
-    return labelled(name, unit.shown)
+    return name_with_unit(name, unit.display)
 
 
 PANELS = 4  # six where the tornado next to them is long
@@ -74,18 +74,18 @@ def scatter(
     choice = colouring(results, sensitivity)
     for axes, factor in zip(panels.ravel(), top, strict=False):
         unit = factor_unit(factor)
-        frame(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
+        style_axes(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
         x = unit.factor * runs[factor.column].to_numpy(float)
         y = finding.display.factor * runs[output.column].to_numpy(float)
         _dots(axes, x, y, choice, runs)
         if has_line(results):
             axes.plot(*medians(x, y), color=PALETTE.ink, linewidth=1.8)
-        few_ticks(axes.xaxis, 4)
+        limit_ticks(axes.xaxis, 4)
     for axes in panels.ravel()[len(top) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
         axes.set_ylabel(label(output.name, finding.display), color=PALETTE.ink, fontsize=8)
-        few_ticks(axes.yaxis, 4)
+        limit_ticks(axes.yaxis, 4)
     if choice:
         handles, labels = panels[0, 0].get_legend_handles_labels()
         legend(made, handles=handles, labels=labels, markerscale=3)
@@ -141,7 +141,7 @@ def histogram(results: Results, output: Output, finding: OutputAnalysis, choice:
     """Runs over the output, options stacked; lines at 5, 50 and 95 %."""
     made = column_figure(2.5)
     axes = made.subplots()
-    frame(axes, label(output.name, finding.display), "runs")
+    style_axes(axes, label(output.name, finding.display), "runs")
     scale = finding.display.factor
     runs = done(results).dropna(subset=[output.column])
     values = scale * runs[output.column].to_numpy(float)
@@ -153,7 +153,7 @@ def histogram(results: Results, output: Output, finding: OutputAnalysis, choice:
     if finding.spread:
         for value in (finding.spread.low, finding.spread.median, finding.spread.high):
             axes.axvline(value * scale, color=PALETTE.ink, linewidth=1.0, linestyle=(0, (4, 2)))
-    few_ticks(axes.xaxis, 6)
+    limit_ticks(axes.xaxis, 6)
     if choice:
         legend(made)
     return made
@@ -166,7 +166,7 @@ def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | Non
     """Median, 5 to 95 % and extremes over the runs at each time; a colour per option."""
     made = column_figure(2.7)
     axes = made.subplots()
-    frame(axes, "time [s]", label(signal, unit))
+    style_axes(axes, "time [s]", label(signal, unit))
     runs = done(results)
     assert results.bands is not None  # asked for only where signals are kept
     groups = _groups(runs, choice)[: len(DARK)]
@@ -182,7 +182,7 @@ def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | Non
             style = {"color": DARK[place], "linewidth": 0.9, "linestyle": (0, (2, 2))}
             axes.plot(time, low, label="least and largest", **style)
             axes.plot(time, high, **style)
-    few_ticks(axes.yaxis)
+    limit_ticks(axes.yaxis)
     axes.margins(x=0)
     legend(axes)
     return made
@@ -210,7 +210,7 @@ def tornado(finding: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     unit = finding.display if measure == MU_STAR else DisplayUnit("1", "%")
     made = column_figure(1.25 + 0.27 * len(effects))
     axes = made.subplots()
-    frame(axes, label(LABELS.get(measure, "share of the variance"), unit))
+    style_axes(axes, label(LABELS.get(measure, "share of the variance"), unit))
     axes.grid(False, axis="y")
     for place, effect in enumerate(effects):
         _bar(axes, place, effect, measure, unit.factor)
@@ -222,7 +222,7 @@ def tornado(finding: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     axes.set_ylim(len(effects) - 0.4, -0.6)
     right = axes.get_xlim()[1]
     axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # no share is more than 100 %
-    few_ticks(axes.xaxis)
+    limit_ticks(axes.xaxis)
     if marks := _marks(effects, measure, dotted):
         legend(made, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
     return made
@@ -271,11 +271,11 @@ def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patc
     if any(effect.kind == "choice" for effect in effects):
         marks.append(Patch(color=LIGHT[1], label="choice"))
     if any(effect.estimates[measure].low is not None for effect in effects):
-        marks.append(handle("95 %", color=PALETTE.ink, linewidth=1.4))
+        marks.append(legend_entry("95 %", color=PALETTE.ink, linewidth=1.4))
     if any("sigma" in effect.more for effect in effects):
         name = "\N{GREEK SMALL LETTER SIGMA} of the effects"
-        marks.append(handle(name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
+        marks.append(legend_entry(name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
     if dotted:
         style = {"marker": "o", "markersize": 3, "markerfacecolor": "none", "linewidth": 0}
-        marks.append(handle("each combination", color=PALETTE.faint, **style))
+        marks.append(legend_entry("each combination", color=PALETTE.faint, **style))
     return marks

@@ -14,9 +14,9 @@ import pandas as pd
 from markupsafe import Markup
 
 from orchestrator.base import html_page
-from orchestrator.base.html_page import plain
+from orchestrator.base.html_page import json_values
 from orchestrator.base.plotting import embed
-from orchestrator.base.text import MINUS, NONE, DisplayUnit, TextTable, display_unit
+from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, sentences, size, what
 from orchestrator.studies.analysis.results import (
@@ -77,10 +77,10 @@ def report(folder: Path) -> Path:
 
 def write(folder: Path, results: Results, analysis: Analysis) -> None:
     """Both files; equal results give equal bytes."""
-    study: dict[str, Any] = plain(results.study)
+    study: dict[str, Any] = json_values(results.study)
     study.pop("folder")  # where the study lies is no result
     said = {finding.name: sentences(finding) for finding in analysis.findings}
-    html_page.write_json(folder / NUMBERS, {"study": study, **plain(analysis), "sentences": said})
+    html_page.write_json(folder / NUMBERS, {"study": study, **json_values(analysis), "sentences": said})
     html_page.write_text(folder / PAGE, render(results, analysis))
 
 
@@ -137,7 +137,7 @@ def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
 
 def _tile(finding: OutputAnalysis) -> dict[str, Any]:
     """An output in one line."""
-    value, ends, spread, unit = NONE, "no run has it", finding.spread, finding.display
+    value, ends, spread, unit = NO_VALUE, "no run has it", finding.spread, finding.display
     if spread is not None:
         value = unit.text(spread.median)
         low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
@@ -205,7 +205,7 @@ def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     combinations = [{e.name: e.estimates[measure] for e in found} for found in sensitivity.apart.values()]
     rows = [
         [_code(effect.name)]
-        + [size(own[effect.name], measure, unit) if effect.name in own else NONE for own in combinations]
+        + [size(own[effect.name], measure, unit) if effect.name in own else NO_VALUE for own in combinations]
         for effect in sensitivity.effects
         if effect.kind == "factor"
     ]

@@ -26,7 +26,7 @@ def truth(joint):
 
 def found(record):
     """B, its standard deviation."""
-    joint = record.word("joint")
+    joint = record.text_condition("joint")
     solution = solve([samples(record, [joint], P)], [joint], (CONTACTS[joint].theta,), P)
     return solution.values[0], solution.sd[0]
 

@@ -8,7 +8,7 @@ import pytest
 from fmus.identification.recordings.clock import evenly, thinned, uniform_rate
 from fmus.identification.recordings.reading import take
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Sensor, bridged
+from orchestrator.data.recording import Sensor, fill_gaps
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):
@@ -17,9 +17,9 @@ def test_short_gaps_are_bridged_by_straight_lines(recording):
     holes = ramp.copy()
     holes[[50, *range(100, 119)]] = np.nan
     # interpolation of a ramp: rounding only
-    np.testing.assert_allclose(bridged(recording(u=holes), "u"), ramp, rtol=1e-12)
+    np.testing.assert_allclose(fill_gaps(recording(u=holes), "u"), ramp, rtol=1e-12)
     holes[:3] = np.nan
-    assert list(bridged(recording(u=holes), "u")[:4]) == [3.0, 3.0, 3.0, 3.0]
+    assert list(fill_gaps(recording(u=holes), "u")[:4]) == [3.0, 3.0, 3.0, 3.0]
 
 
 def test_a_long_gap_is_refused_with_its_time(recording):
@@ -27,9 +27,9 @@ def test_a_long_gap_is_refused_with_its_time(recording):
     holes = np.ones(400)
     holes[100:200] = np.nan
     with pytest.raises(Problem, match=r"u has no sample from 0\.5 s to 0\.995 s, expected gaps of at most"):
-        bridged(recording(u=holes), "u")
+        fill_gaps(recording(u=holes), "u")
     with pytest.raises(Problem, match="u has no sample, expected one"):
-        bridged(recording(u=np.full(10, np.nan)), "u")
+        fill_gaps(recording(u=np.full(10, np.nan)), "u")
 
 
 def test_a_uniform_clock_is_left_alone(recording):

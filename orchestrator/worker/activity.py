@@ -16,7 +16,7 @@ SIZE = _HEAD.size + _TEXT
 
 
 @dataclass(frozen=True)
-class Sighting:
+class Activity:
     """The last sign of life; `time` [s] is NaN before the first step."""
 
     count: int
@@ -32,7 +32,7 @@ class Sighting:
         return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
 
 
-class Beacon:
+class ActivityRecord:
     """The writing end, and the reading end, of one file."""
 
     def __init__(self, path: Path) -> None:
@@ -53,11 +53,11 @@ class Beacon:
         self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
         self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))
 
-    def read(self) -> Sighting:
+    def read(self) -> Activity:
         """What was noted last."""
         count, time, call = _HEAD.unpack_from(self._memory, 0)
         text = self._memory[_HEAD.size :]
-        return Sighting(count, time, _text(call), _text(text))
+        return Activity(count, time, _text(call), _text(text))
 
     def close(self) -> None:
         """Let go of the file."""
