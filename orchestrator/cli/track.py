@@ -76,7 +76,7 @@ def track(
     --swap supply=ideal.
     """
     from fmus.controller.paths import route_start_angles, start_angles, write_route
-    from orchestrator.studies.path_following import beginning
+    from orchestrator.studies.path_following import first_point
     from orchestrator.studies.path_study import track as run_study
 
     if path and through:
@@ -88,7 +88,7 @@ def track(
             print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
-        paths = [(file, partial(start_angles, str(file), beginning(file))) for file in files]
+        paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     allowed = None if limit is None else limit / 1e3

@@ -1,4 +1,4 @@
-"""The figure of `harvester track`: the paths that the tip followed, and the error over time."""
+"""Figure of `harvester track`: paths of the tip from above and from the side, and the error over time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from orchestrator.base.plotting import PALETTE, legend, legend_entry, new_figure
 from orchestrator.studies.path_following import Array, PathRun
 
 WITH, WITHOUT = "-", (0, (3, 1.5))
-UPRIGHT = 0.05  # height over length of a path that rises
-STRAIGHT = 1e-3  # width over length, seen from above
-LEAST = 0.1  # mm: nobody looks at less
+RISING = 0.05  # height over length above which a path rises
+STRAIGHT = 1e-3  # width over length, seen from above, below which a path is in one upright plane
+LEAST_ERROR = 0.1  # [mm], lower end of the error axis
 
 
 def draw(runs: Sequence[PathRun]) -> Figure:
@@ -25,36 +25,38 @@ def draw(runs: Sequence[PathRun]) -> Figure:
     figure = new_figure(14, 3.7 * len(paths) + 0.5, w_pad=0.08, h_pad=0.08)
     axes = figure.subplots(len(paths), 3, squeeze=False, width_ratios=(1, 1, 1.4))
     for (left, middle, right), path in zip(axes, paths, strict=True):
-        mine = [r for r in runs if r.path == path]
-        title = f"{path}, up to {mine[0].speed:.2g} m/s"
+        on_path = [r for r in runs if r.path == path]
+        title = f"{path}, up to {on_path[0].speed:.2g} m/s"
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
-        _draw_view(left, mine, machines, top_view, ("to the right [m]", "forward [m]"))
-        side, name = side_view(mine[0].wanted)
-        _draw_view(middle, mine, machines, side, (name, "height [m]"))
-        _errors(right, mine, machines)
+        _draw_view(left, on_path, machines, top_view, ("to the right [m]", "forward [m]"))
+        side, axis_label = side_view(on_path[0].commanded)
+        _draw_view(middle, on_path, machines, side, (axis_label, "height [m]"))
+        _draw_errors(right, on_path, machines)
     axes[-1][2].set_xlabel("time [s]", color=PALETTE.ink)
     _legend(figure, runs, machines)
     return figure
 
 
 def top_view(points: Array) -> Array:
-    """Places (n, 3) seen from above, the machine below: to the right and forward [m], shape (2, n)."""
+    """Points (n, 3) from above, the machine at the bottom: to the right and forward [m], shape (2, n)."""
     return np.stack([-points[:, 1], points[:, 0]])
 
 
-def side_view(wanted: Array) -> tuple[Callable[[Array], Array], str]:
-    """The side view of a path (n, 3), from places (n, 3) to shape (2, n) [m], and the name of its level axis.
+def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
+    """The side view of a path (n, 3), a function from points (n, 3) to shape (2, n) [m], and its axis label.
 
-    A path that rises in one upright plane is seen across that plane, so its lengths are true; any other in
-    the plane of the arm, which swings with it.
+    A path that rises in one upright plane is projected on that plane, so its lengths are true. Any other
+    path is drawn in the plane of the arm, which swings.
     """
-    level = wanted[:, :2] - wanted[0, :2]
-    along = level[np.argmax(np.hypot(*level.T))]
+    horizontal = commanded[:, :2] - commanded[0, :2]
+    along = horizontal[np.argmax(np.hypot(*horizontal.T))]
     length = float(np.hypot(*along))
-    across = np.abs(level @ [along[1], -along[0]]).max()
-    if np.ptp(wanted[:, 2]) > UPRIGHT * length > 0 and across < STRAIGHT * length**2:
-        ahead = along / length
-        return lambda p: np.stack([(p[:, :2] - wanted[0, :2]) @ ahead, p[:, 2]]), "along the ground [m]"
+    across = np.abs(horizontal @ [along[1], -along[0]]).max()
+    if np.ptp(commanded[:, 2]) > RISING * length > 0 and across < STRAIGHT * length**2:
+        direction = along / length
+        return lambda p: np.stack(
+            [(p[:, :2] - commanded[0, :2]) @ direction, p[:, 2]]
+        ), "along the ground [m]"
     return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), "radius from the swing axis [m]"
 
 
@@ -63,22 +65,22 @@ def _draw_view(
     runs: Sequence[PathRun],
     machines: Sequence[str],
     view: Callable[[Array], Array],
-    names: tuple[str, str],
+    axis_labels: tuple[str, str],
 ) -> None:
-    """Both axes to the same scale."""
-    style_axes(axes, *names, size=10)
-    axes.plot(*view(runs[0].wanted), color=PALETTE.faint, linewidth=4, alpha=0.5)
+    """Draw path and tips in one view; both axes have the same scale."""
+    style_axes(axes, *axis_labels, size=10)
+    axes.plot(*view(runs[0].commanded), color=PALETTE.faint, linewidth=4, alpha=0.5)
     for run in runs:
         axes.plot(*view(run.tip), **_style(run, machines))
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
-    """On a logarithmic scale: with and without feedback are far apart."""
+def _draw_errors(axes: Axes, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
+    """Draw the errors over time on a logarithmic scale, as feedback reduces them tenfold and more."""
     style_axes(axes, y="distance to the commanded point [mm]", size=10)
     for run in runs:
-        axes.semilogy(run.time, np.maximum(1e3 * run.error, LEAST / 10), **_style(run, machines))
-    axes.set_ylim(LEAST, None)
+        axes.semilogy(run.time, np.maximum(1e3 * run.error, LEAST_ERROR / 10), **_style(run, machines))
+    axes.set_ylim(LEAST_ERROR, None)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
 

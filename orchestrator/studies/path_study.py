@@ -6,22 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.base.html_page import write_json
 from orchestrator.base.plotting import png
+from orchestrator.base.text import TextTable
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
+from orchestrator.ssp.swap import with_swaps
+from orchestrator.ssp.system import System
 from orchestrator.studies.path_figure import draw
-from orchestrator.studies.path_following import (
-    FEEDBACK,
-    MANIPULATOR,
-    MM,
-    assembled,
-    data,
-    differences,
-    follow,
-    text,
-)
+from orchestrator.studies.path_following import CONTROLLER, FEEDBACK, MANIPULATOR, PathRun, follow
+
+SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
+FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
+MM = 1e3
+HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
 
 Start = Callable[[Mapping[str, float]], Mapping[str, float]]
 
@@ -37,24 +39,24 @@ def track(
 ) -> bool:
     """Run every machine along every path; print a table, write tracking.png and tracking.json.
 
-    paths     scenarios, each with a function from the numbers of the arm to the start values that put the tip
-              at the beginning of the path; it raises a Problem where the arm cannot reach that point
+    paths     scenarios, each with a function from parameter values of the manipulator to start values for the
+              first point of the path; the function raises a Problem if that point is out of reach
     machines  name -> variants {component: variant}
-    limit     on the error with feedback [m]
+    limit     largest allowed error with feedback [m]
     options   of `run`
 
     Returns True if all runs came to the end, within the limit.
     """
     if not system.exists():
         raise Problem(f"{system}: no such file; make it with: harvester build")
-    whole = load(system)
-    if not whole.has(FEEDBACK):
+    loaded = load(system)
+    if not loaded.has(FEEDBACK):
         example = "a machine with the controller, such as build/harvester_control.ssp"
-        raise Problem(f"{system}: has no {FEEDBACK}, expected {example}")
+        raise Problem(f"{system}: expected {example}, got no variable {FEEDBACK}")
     make_folder(out)
     given = options.pop("set", {})
-    systems = assembled(whole, machines, given)
-    # all start values first: a point out of reach is reported before anything runs
+    systems = swapped_systems(loaded, machines, given)
+    # All start values are computed first: a point out of reach is reported before anything runs.
     tasks = [
         (path, name, {**start(machine.components[MANIPULATOR].numbers()), **given})
         for path, start in paths
@@ -67,12 +69,111 @@ def track(
         for path, name, start in tasks
         for on in feedback
     ]
-    figure, numbers = out / "tracking.png", out / "tracking.json"
+    figure, json = out / "tracking.png", out / "tracking.json"
     print(text(runs))
     figure.write_bytes(png(draw(runs)))
-    write_json(numbers, data(runs))
-    print(figure, numbers)
+    write_json(json, [as_dict(r) for r in runs])
+    print(figure, json)
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
     for r in beyond:
-        print(f"{r.path}, {r.machine}: {MM * r.largest:.1f} mm, expected at most {MM * (limit or 0):g} mm")
+        print(
+            f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, got {MM * r.largest:.1f} mm"
+        )
     return not beyond and not any(r.failure for r in runs)
+
+
+def swapped_systems(
+    system: System, machines: Mapping[str, Mapping[str, str]], start: Mapping[str, Value | str]
+) -> dict[str, System]:
+    """Every machine {name: variants} with these start values; all machines must have these variables."""
+    systems = {name: with_swaps(system, variants) for name, variants in machines.items()}
+    for variable in start:
+        having = [name for name, machine in systems.items() if machine.has(variable)]
+        lacking = [name for name in systems if name not in having]
+        if having and lacking:
+            component = variable.partition(".")[0]
+            swaps = [f"--swap {component}={v}" for n in having if (v := machines[n].get(component))]
+            raise Problem(
+                f"--set {variable}: the {' and '.join(lacking)} machine has no such variable, only the"
+                f" {' and '.join(having)} one; to run one machine alone:"
+                f" {[*swaps, '--swap swing=lumped'][0]}, for example"
+            )
+    return {name: machine.with_start(start) for name, machine in systems.items()}
+
+
+def differences(system: System) -> list[str]:
+    """One note for each parameter that controller and machine have in the same unit, with different values.
+
+    A parameter of the machine has the same name in the controller, or `component_name` if several components
+    have a parameter of that name. If one value is 0, the note contains the description of the parameter,
+    since 0 can mean that the FMU derives the value from other parameters.
+    """
+    if CONTROLLER not in system.components:
+        return []
+    controller, notes = system.components[CONTROLLER], []
+    assumed = controller.numbers()
+    for part, component in system.components.items():
+        for name, value in {} if part == CONTROLLER else component.numbers().items():
+            twin = f"{part}_{name}" if f"{part}_{name}" in assumed else name
+            if twin not in assumed or _equal(assumed[twin], value):
+                continue
+            variable = component.interface.variables[name]
+            unit = variable.unit
+            if controller.interface.variables[twin].unit == unit:
+                suffix = f" {unit.name}" if unit and unit.name != "1" else ""
+                meaning = f" ({variable.description})" if 0 in (value, assumed[twin]) and variable.description else ""
+                notes.append(
+                    f"{CONTROLLER}.{twin} is {assumed[twin]:.6g}{suffix}, {part}.{name} is"
+                    f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
+                )
+    return notes
+
+
+def _equal(a: float, b: float) -> bool:
+    return abs(a - b) <= SAME_VALUE * max(abs(a), abs(b))
+
+
+def rows(runs: Sequence[PathRun]) -> list[tuple[str, ...]]:
+    """One row for each run; the last cell is its largest error over that of the same run with feedback."""
+    with_feedback = {(r.path, r.machine): r.largest for r in reversed(runs) if r.feedback}
+    cells = []
+    for r in runs:
+        numbers = [f"{x:.1f}" for x in (MM * r.largest, r.time_of_largest, MM * r.rms, MM * r.last)]
+        closed = None if r.feedback else with_feedback.get((r.path, r.machine))
+        ratio = "" if closed is None else f"{r.largest / closed:.1f}"
+        cells.append((r.path, r.machine, "yes" if r.feedback else "no", *numbers, ratio))
+    return cells
+
+
+def text(runs: Sequence[PathRun]) -> str:
+    """The table, and below it the runs that failed or have a large error."""
+    columns = len(HEAD) - all(r.feedback for r in runs)  # the last one compares with the run with feedback
+    cells = [row[:columns] for row in rows(runs)]
+    table = TextTable(HEAD[:columns], cells, left=range(3)).lines()
+    failed = [
+        f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}" for r in runs if r.failure
+    ]
+    far = [
+        f"{r.path}, {r.machine}: the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{r.cause}"
+        for r in runs
+        if r.feedback and not r.failure and r.largest > FAR
+    ]
+    return "\n".join([*table, *failed, *far])
+
+
+def as_dict(r: PathRun) -> dict[str, Any]:
+    """A run for tracking.json."""
+    return {
+        "path": r.path,
+        "machine": r.machine,
+        "feedback": r.feedback,
+        "highest speed asked for [m/s]": r.speed,
+        "duration [s]": float(r.time[-1]),
+        "largest error [m]": r.largest,
+        "largest outwards, sideways, upwards [m]": np.abs(r.components).max(axis=0).tolist(),
+        "time of the largest error [s]": r.time_of_largest,
+        "RMS error [m]": r.rms,
+        "error at the end [m]": r.last,
+        "largest uses of limits": {name: float(use.max()) for name, use in r.uses.items()},
+        "failure": r.failure,
+    }

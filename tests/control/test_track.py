@@ -13,7 +13,8 @@ from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.__main__ import main
 from orchestrator.data.trace import Trace
-from orchestrator.studies.path_following import PathRun, points, rows
+from orchestrator.studies.path_following import PathRun, points
+from orchestrator.studies.path_study import rows
 
 DETAILED = [
     "--swap", "swing=detailed", "--swap", "boom_stick=detailed",
@@ -22,11 +23,11 @@ DETAILED = [
 
 
 def made(offset: float, feedback: bool) -> PathRun:
-    """A ride that is `offset` [m] beside a straight path of 2 m, and 3 `offset` at the end."""
+    """A run `offset` [m] away from a straight path of 2 m, and 3 `offset` at the end."""
     time = np.linspace(0, 4, 5)
-    wanted = np.column_stack([np.full(5, 3.0), 0.5 * time, np.ones(5)])
+    commanded = np.column_stack([np.full(5, 3.0), 0.5 * time, np.ones(5)])
     away = np.array([1, 1, 1, 1, 3])[:, None] * np.array([0.6, 0.0, 0.8]) * offset
-    return PathRun("made", "thing", feedback, time, wanted, wanted + away)
+    return PathRun("made", "thing", feedback, time, commanded, commanded + away)
 
 
 def test_error_is_the_distance_in_space_at_the_same_instant():
@@ -34,18 +35,18 @@ def test_error_is_the_distance_in_space_at_the_same_instant():
     ride = made(0.01, True)
     assert ride.largest == pytest.approx(0.03, rel=1e-12)  # exact but for rounding
     assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12)
-    assert (ride.when, ride.speed) == (4.0, 0.5)
+    assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
 
 
 def test_parts_of_the_error_are_seen_from_the_column():
     """Outwards, to the left and upwards are the parts of the distance, whatever the swing angle."""
     angle, away = np.linspace(-3, 3, 7), np.array([0.02, -0.01, 0.03])
     out, left = ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
-    wanted = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])
-    tip = wanted + np.column_stack(
+    commanded = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])
+    tip = commanded + np.column_stack(
         [away[0] * out[i] + away[1] * left[i] for i in (0, 1)] + [np.full(7, away[2])]
     )
-    parts = PathRun("", "", True, np.arange(7.0), wanted, tip).parts
+    parts = PathRun("", "", True, np.arange(7.0), commanded, tip).components
     assert parts == pytest.approx(np.tile(away, (7, 1)), abs=1e-12)  # rounding of turns there and back
 
 
@@ -117,13 +118,13 @@ def test_command_keeps_the_bar_of_the_detailed_machine(fmu_dir, tmp_path):
     assert main(["track", system, *DETAILED, "--no-compare", "--limit", "60", "--out", str(tmp_path)]) == 0
 
 
-def test_a_missed_limit_is_told(fmu_dir, tmp_path, capsys):
-    """A limit that cannot be met ends with status 1 and a line that tells path, error and limit."""
+def test_a_missed_limit_is_reported(fmu_dir, tmp_path, capsys):
+    """A limit that cannot be met gives status 1 and a line with path, limit and error."""
     through = [a for point in ("4,0,1", "4,0.5,1") for a in ("--through", point)]
     system = str(fmu_dir / "harvester_control.ssp")
     assert main(["track", system, *through, "--no-compare", "--swap", "swing=lumped", "--limit", "0.01",
                  "--out", str(tmp_path)]) == 1  # fmt: skip
-    assert "mm, expected at most 0.01 mm" in capsys.readouterr().out
+    assert "expected at most 0.01 mm, got " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -168,7 +169,10 @@ def test_a_scenario_without_a_path_is_told(fmu_dir, tmp_path, capsys):
 def test_a_machine_without_a_controller_is_told(fmu_dir, tmp_path, capsys):
     """The usual machine has levers: the message names a system that can be tracked."""
     assert main(["track", str(fmu_dir / "harvester.ssp"), "--out", str(tmp_path)]) == 2
-    assert "has no controller.feedback, expected a machine with the controller" in capsys.readouterr().err
+    assert (
+        "expected a machine with the controller, such as build/harvester_control.ssp, got"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_plain_table_of_places_is_a_path(fmu_dir, tmp_path):

@@ -1,4 +1,4 @@
-"""What `harvester track` tells of a ride that goes far off, of another machine, and of its picture."""
+"""Messages of `harvester track` about large errors and other machines, and its figure."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import pytest
 from orchestrator.__main__ import main
 from orchestrator.ssp.load import load
 from orchestrator.studies.path_figure import draw, side_view, top_view
-from orchestrator.studies.path_following import PathRun, differences, text
+from orchestrator.studies.path_following import PathRun
+from orchestrator.studies.path_study import differences, text
 
 TIME = np.linspace(0, 4, 5)
 STROKE = "controller.stroke_use"
 
 
 def made(offset: float, **uses: float) -> PathRun:
-    """A ride beside a straight path of 2 m, by up to `offset` [m]; limits are reached from 2 s on."""
-    wanted = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
+    """A run up to `offset` [m] away from a straight path of 2 m; limits are reached from 2 s on."""
+    commanded = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
     away = np.array([0, 0, 1, 1, 0.5])[:, None] * np.array([0.6, 0.0, 0.8]) * offset
-    told = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
-    return PathRun("made", "thing", True, TIME, wanted, wanted + away, uses=told)
+    limits = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
+    return PathRun("made", "thing", True, TIME, commanded, commanded + away, uses=limits)
 
 
 @pytest.mark.parametrize(
     ("uses", "cause"),
     [
         ({"stroke": 400, "speed": 1.2, "wait": 0.1}, "the path leads beyond the end of a stroke, from 2.0"),
-        ({"stroke": 0.9, "speed": 1.2, "wait": 0.4}, "the path asks for more speed than an actuator has"),
+        ({"stroke": 0.9, "speed": 1.2, "wait": 0.4}, "the path requires more speed than an actuator has"),
         ({"stroke": 0.2, "speed": 1.2, "wait": 0.9}, "the machine does not follow, from 2.0 s on"),
         ({"stroke": 0.9, "speed": 0.9, "wait": 0.4}, "no limit of the controller acts"),
     ],
@@ -61,22 +62,25 @@ def test_a_speed_that_is_not_reached_is_told(fmu_dir, tmp_path, capsys):
     given = [str(fmu_dir / "harvester_control.ssp"), *points, "--out", str(tmp_path)]
     assert main(["track", *given, "--speed", "20"]) == 0
     asked = json.loads((tmp_path / "tracking.json").read_text())[0]["highest speed asked for [m/s]"]
-    assert f"note: --speed 20: up to {asked:.2g} m/s, the way is too short" in capsys.readouterr().out
+    assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in capsys.readouterr().out
     assert main(["track", *given, "--speed", "0.3"]) == 0
     assert "--speed" not in capsys.readouterr().out
 
 
-def test_another_machine_than_the_controller_believes_is_told(fmu_dir):
-    """As built nothing differs; a longer stick and a smaller swing valve have a note each."""
+def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
+    """As built nothing differs; each other value has a note, a value of 0 with its meaning."""
     system = load(fmu_dir / "harvester_control.ssp")
     assert differences(system) == []
     longer = system.with_start({"manipulator.stick_length": 3.2, "swing.valve_area": 3e-5})
     assert differences(longer) == [
-        "controller.stick_length is 2.9 m, manipulator.stick_length 3.2 m: the controller believes another"
+        "controller.stick_length is 2.9 m, manipulator.stick_length is 3.2 m: the controller assumes another"
         " machine",
-        "controller.swing_valve_area is 4e-05 m2, swing.valve_area 3e-05 m2: the controller believes another"
-        " machine",
+        "controller.swing_valve_area is 4e-05 m2, swing.valve_area is 3e-05 m2:"
+        " the controller assumes another machine",
     ]  # fmt: skip
+    line = system.with_start({"controller.line_capacitance": 1e-12, "swing.line_capacitance": 0.0})
+    (note,) = differences(line)
+    assert "swing.line_capacitance is 0 m3/Pa (Capacitance C" in note
     both = longer.with_start({"controller.stick_length": 3.2, "controller.swing_valve_area": 3e-5})
     assert differences(both) == []
 
