@@ -121,7 +121,11 @@ def differences(system: System) -> list[str]:
             unit = variable.unit
             if controller.interface.variables[twin].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
-                meaning = f" ({variable.description})" if 0 in (value, assumed[twin]) and variable.description else ""
+                meaning = (
+                    f" ({variable.description})"
+                    if 0 in (value, assumed[twin]) and variable.description
+                    else ""
+                )
                 notes.append(
                     f"{CONTROLLER}.{twin} is {assumed[twin]:.6g}{suffix}, {part}.{name} is"
                     f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
