@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
-from fmus.identification.estimate import ProcedureResult
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import content, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, identify
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.clock import evenly, thinned
 from fmus.identification.recordings.reading import left_out, read_folder
 from fmus.identification.report import report_texts

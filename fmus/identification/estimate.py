@@ -1,19 +1,15 @@
-"""Estimates with their 95 % confidence intervals; the result of a procedure with figure and remarks."""
+"""Estimates of parameters and their 95 % confidence intervals."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.parameters import Number
 
-Array = NDArray[np.float64]
-CONFIDENCE = 0.95  # of all intervals
+CONFIDENCE = 0.95  # level of all intervals
 
 
 def coverage_factor(freedom: float = math.inf) -> float:
@@ -30,27 +26,27 @@ def confidence_interval(
     minimum: float = -math.inf,
     maximum: float = math.inf,
 ) -> tuple[float, float]:
-    """Both ends of the 95 % interval of a value with this standard deviation.
+    """Lower and upper end of the 95 % interval of a value with this standard deviation.
 
-    freedom            degrees of freedom of the standard deviation, infinite if it is known
-    log                interval of the logarithm, which keeps a positive value positive
-    minimum, maximum   bounds of the value: the interval ends there
+    freedom            degrees of freedom of the standard deviation, infinite if it is known exactly
+    log                interval of the logarithm, which keeps both ends of a positive value positive
+    minimum, maximum   physical bounds of the value, at which the interval is cut off
     """
-    reach = coverage_factor(freedom) * sd
+    half_width = coverage_factor(freedom) * sd
     if log and value > 0:
-        ratio = math.exp(reach / value)
+        ratio = math.exp(half_width / value)
         return value / ratio, value * ratio
-    return max(value - reach, minimum), min(value + reach, maximum)
+    return max(value - half_width, minimum), min(value + half_width, maximum)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter with its 95 % interval.
+    """Estimated value of one parameter with its 95 % confidence interval.
 
-    name   as in parameters.toml; `part.name` where parts declare different things by one name
-    sd     one standard deviation
-    low, high   the interval, not always symmetrical; infinite where the data do not bound it
-    note   source: how it was estimated, one line
+    name        as in parameters.toml; `part.name` if parts declare different parameters of one name
+    sd          standard deviation
+    low, high   ends of the interval, not always symmetrical; infinite if the data do not bound the value
+    note        how the parameter was estimated, one line
     """
 
     name: str
@@ -74,7 +70,7 @@ class Estimate:
         log: bool = False,
         minimum: float = -math.inf,
     ) -> Estimate:
-        """An estimate with the interval of `confidence_interval`."""
+        """An estimate with the interval that `confidence_interval` computes."""
         low, high = confidence_interval(value, sd, freedom, log=log, minimum=minimum)
         return cls(name, value, unit, sd, low, high, note)
 
@@ -83,52 +79,3 @@ class Estimate:
         low, high = (f"{end:.4g}" if math.isfinite(end) else "open" for end in (self.low, self.high))
         note = f"{self.note}; 95 % interval {low} to {high}"
         return Number(self.value, self.unit, "identified", note, self.sd)
-
-
-Kind = Literal["measured", "fit", "masked", "compared", "corrected"]
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One curve or cloud of a panel; `error` are half bars, `line` joins the points."""
-
-    label: str
-    x: Array
-    y: Array
-    kind: Kind = "measured"
-    line: bool = False
-    error: Array | None = None
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One pair of axes; SI inside, `x_unit` and `y_unit` are what to show (factor = SI value of one)."""
-
-    x_label: str
-    y_label: str
-    curves: tuple[Curve, ...]
-    title: str = ""
-    x_unit: tuple[str, float] = ("", 1.0)
-    y_unit: tuple[str, float] = ("", 1.0)
-    log: bool = False
-
-
-@dataclass(frozen=True)
-class ProcedureResult:
-    """What one procedure estimated, as the page shows it.
-
-    procedure   "valve", "hose_resistance", ...
-    figure      the paper's figure that this one corresponds to, 0 if none
-    estimates   parameters of the machine
-    others      what else was estimated, such as C_R at each voltage; not for parameters.toml
-    panels      measurement with fit, then residual
-    remarks     what the reader must know: what was masked, corrected, left out, in whole sentences
-    """
-
-    procedure: str
-    title: str
-    figure: int
-    estimates: tuple[Estimate, ...]
-    panels: tuple[Panel, ...]
-    remarks: tuple[str, ...] = ()
-    others: tuple[Estimate, ...] = ()

@@ -12,8 +12,9 @@ from types import ModuleType
 
 from fmus.composition import declared
 from fmus.identification import machine
-from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Numbers, nominal, parameters, short_name, updated
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import (
     damping,
     hose_dynamics,

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from fmus.identification import command, pipeline
-from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.estimate import Estimate
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.multistart import Starts
 from fmus.identification.refinement.refine import Refined
 from orchestrator.__main__ import main

@@ -29,9 +29,15 @@ import numpy as np
 import statsmodels.api as sm
 from numpy.typing import NDArray
 
-from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult, coverage_factor
+from fmus.identification.estimate import Estimate, coverage_factor
+from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.bench_data import noise_of, tank_pressure, training
+from fmus.identification.procedures.experiment_data import (
+    condition,
+    noise_sd,
+    tank_pressure,
+    training_recordings,
+)
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
     JOINTS,
@@ -143,14 +149,9 @@ class JointDamping:
 
 def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> ProcedureResult:
     """B of each joint of which there are recordings."""
-    own = training(recordings, "damping", dict.fromkeys(ANGLES, "rad"))
+    own = training_recordings(recordings, "damping", dict.fromkeys(ANGLES, "rad"))
     for r in own:
-        if r.text_condition("joint") not in CONTACTS:
-            raise Problem(
-                f"{r.source}: [experiment] joint is {r.text_condition('joint')!r},"
-                f" expected {', '.join(CONTACTS)}"
-            )
-        require(r, dict.fromkeys(PRESSURES[r.text_condition("joint")], "Pa"))
+        require(r, dict.fromkeys(PRESSURES[condition(r, "joint", CONTACTS)], "Pa"))
     parts = {joint: [r for r in own if r.text_condition("joint") == joint] for joint in CONTACTS}
     joints = [joint_damping(CONTACTS[joint], part, known) for joint, part in parts.items() if part]
     return ProcedureResult(
@@ -266,7 +267,7 @@ def _sums(recording: Recording, joint: str, p: Array, size: int) -> Array:
     pressures = apply(value, momentum_balance.pressures(recording, PRESSURES[joint]))[:, there]
     printed = motion(()).printed(q, w, bend, pressures, tank_pressure(recording), p)
     error, by_speed, arm = (x.full()[row] for x in printed)
-    v = kernel.gain(1) * noise_of(recording, ANGLES[row])
+    v = kernel.gain(1) * noise_sd(recording, ANGLES[row])
     product, square = w[row] @ error, np.sum((arm * w[row]) ** 2)
     return np.array([product, square, v**2 * by_speed.sum(), v**2 * np.sum(arm**2)])
 

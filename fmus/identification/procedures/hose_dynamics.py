@@ -1,27 +1,27 @@
-"""Inertance and capacitance of a hose (section 4(c), Fig. 7) from pressures and flows at both ends.
+"""Hose dynamics procedure (section 4(c), Fig. 7): inertance and capacitance from both ends of a hose.
 
-Two ways. By regression on the equations of a hose of one lump, filtered over windows (`weak_form`):
+Two methods. First, regression on the equations of a lumped hose, filtered over windows (`weak_form`):
 
     I dQ/dt = P_in - P_out - R Q - C_R Q|Q| - p_0        Q = Q_in + s (Q_out - Q_in)
     C dP/dt = Q_in - Q_out - q_0                         P = P_out + s (P_in - P_out)
 
-where the machine (`fmus.boom_stick.drive`) has the flow of the inlet and the capacitance at the
-outlet, s = 0. A hose along which both are spread has s = 1/2: the mean of its ends. The share s, the friction
-and the offsets p_0, q_0 between two instruments of one kind are estimated with I and C, so that none of them
-is mistaken for these. The result goes to the machine: I ~ l/A and C ~ A l for its other lines.
+In the machine (`fmus.boom_stick.drive`) s = 0: the inertance sees the flow of the inlet, and the capacitance
+is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends. The position s, the
+friction, and the offsets p_0, q_0 between two instruments of one kind are estimated together with I and C, so
+that they do not bias them. The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
 
-And by their definitions, as the paper does, for comparison: sample by sample, then a mean of each group of
-recordings, then the mean of these.
+Second, the definitions, which the paper uses, for comparison: sample by sample, then the mean of each group
+of recordings, then the mean of these means.
 
     I = (P_in - P_out - drop)/(dQ_in/dt)        C = (Q_in - Q_out)/(dP_out/dt)
 
-Derivatives by the Savitzky-Golay filter that smooths the other signals too. Only samples with a clear
-derivative count, as a ratio with nothing below it says nothing. Noise of the derivative draws it to zero, and
-what the machine's model leaves out (the share s) goes into it.
+One Savitzky-Golay filter gives the derivatives and smooths the other signals. Samples with a small derivative
+are left out, because the ratio is undetermined. Noise of the derivative biases the ratio towards zero, and it
+includes what the lumped model neglects (the position s).
 
-Validity: changes below the frequency of eq. (3), C_0/(2 pi l), above which a hose is no single lump: windows
-of four of its periods to each side pass what is below a quarter of it. A clock with fewer than 2.5
-samples in such a period is refused.
+Validity: changes below the frequency of eq. (3), C_0/(2 pi l), above which a hose is not a single lump.
+Windows of four periods of this frequency to each side pass what is below a quarter of it. Recordings with
+fewer than 2.5 samples per period are refused.
 """
 
 from __future__ import annotations
@@ -31,19 +31,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from fmus.components import hose
-from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult, coverage_factor
-from fmus.identification.procedures.bench_data import (
-    BAR,
-    LITRES,
+from fmus.identification.estimate import Estimate, coverage_factor
+from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
+from fmus.identification.procedures.experiment_data import (
     density_ratio,
     hose_size,
-    noise_of,
-    training,
-    value,
+    noise_sd,
+    parameter_value,
+    training_recordings,
 )
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.procedures.regression import (
@@ -62,8 +60,7 @@ from fmus.identification.recordings.masks import good_all
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, true_intervals
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {
     "pressure_in": "Pa",
@@ -71,9 +68,10 @@ SIGNALS: Mapping[str, str] = {
     "flow_in": "m3/s",
     "flow_out": "m3/s",
 }
-PERIODS = 4.0  # half width of the windows, in periods of eq. (3)
-SAMPLES = 2.5  # in a period of eq. (3): above Nyquist's two
+PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
+SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
 UNITS = {"I": "kg/m4", "C": "m3/Pa"}
+# parameters of the machine and the lines that they belong to
 LINES = {
     "I": {
         "boom_stick.stick_hose_inertance": "boom_stick.stick_hose",
@@ -85,79 +83,85 @@ LINES = {
         "boom_stick.boom_hose_capacitance": "boom_stick.boom_hose",
     },
 }
-DETERMINED = 0.25  # largest relative standard deviation of what the data determine
-LEAST = 20  # windows of a group: with fewer its five unknowns say little
-WINDOW = 0.055  # s, of the definition's filter: a third of the shortest change
-DEFINITION_SAMPLES = 4  # from the first to the last at least: more than the degree of the filter's polynomial
-CLEAR = 0.3  # of the largest derivative of the recording
+MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
+DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
+DEFINITION_SAMPLES = 4  # intervals in that filter at least: more than the degree of its polynomial
+CLEAR = 0.3  # derivatives above this fraction of the recording's largest one are used in the definitions
 
 
-def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> ProcedureResult:
+def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Inertance and capacitance of the stick's, the boom's and the swing's lines from the tested hose."""
-    groups = training(recordings, "hose_dynamics", SIGNALS)
+    groups = training_recordings(recordings, "hose_dynamics", SIGNALS)
     length, bore = hose_size(groups)
     for group in groups:
         _check_flows(group)
-    # of the tested hose from that of the stick's, eq. (10)
-    own = (value(known, "boom_stick.stick_hose_length"), value(known, "boom_stick.stick_hose_bore"))
-    resistance = scaled(value(known, "boom_stick.stick_hose_resistance"), *own, length, bore)
-    by_inertance, by_capacitance = _both_fits(groups, known, length, bore, resistance)
+    # resistance of the tested hose from that of the stick's hose, eq. (10)
+    stick = (parameter_value(parameters, f"boom_stick.stick_hose_{name}") for name in ("length", "bore"))
+    stick_resistance = parameter_value(parameters, "boom_stick.stick_hose_resistance")
+    resistance = scaled(stick_resistance, *stick, length, bore)
+    inertances, capacitances = _fit_both(groups, parameters, length, bore, resistance)
     defined = [by_definition(group, resistance) for group in groups]
     return ProcedureResult(
         procedure="hose_dynamics",
         title=f"Hose inertance and capacitance: {length:g} m, bore {bore * 1e3:.4g} mm",
         figure=7,
-        estimates=(*_lines(by_inertance, groups, known), *_lines(by_capacitance, groups, known)),
+        estimates=(*_lines(inertances, groups, parameters), *_lines(capacitances, groups, parameters)),
         panels=(
-            _groups_panel(by_inertance, [i for i, _ in defined], "inertance [kg/m4]"),
-            _groups_panel(by_capacitance, [c for _, c in defined], "capacitance [m3/Pa]"),
-            *_equation_panels(by_inertance, "dQ/dt [m3/s2]", "drop without friction", BAR),
-            *_equation_panels(by_capacitance, "dP/dt [Pa/s]", "flow that stays in the hose", LITRES),
+            _groups_panel(inertances, [i for i, _ in defined], "inertance [kg/m4]"),
+            _groups_panel(capacitances, [c for _, c in defined], "capacitance [m3/Pa]"),
+            *_equation_panels(inertances, "dQ/dt [m3/s2]", "drop without friction", BAR),
+            *_equation_panels(capacitances, "dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
         ),
-        remarks=tuple(_remarks(by_inertance, by_capacitance)),
-        others=tuple(_others(by_inertance, by_capacitance, defined)),
+        remarks=tuple(_remarks(inertances, capacitances)),
+        others=tuple(_others(inertances, capacitances, defined)),
     )
 
 
 def _check_flows(group: Recording) -> None:
-    """Refuse flows that stand, and meters at the two ends that count against each other."""
+    """Refuse constant flows, and meters at the two ends that count in opposite directions."""
     ends = [group[name] for name in ("flow_in", "flow_out")]
-    there = np.isfinite(ends[0]) & np.isfinite(ends[1])
-    inlet, outlet = (flow[there] for flow in ends)
+    valid = np.isfinite(ends[0]) & np.isfinite(ends[1])
+    inlet, outlet = (flow[valid] for flow in ends)
     if inlet.size and not np.ptp(inlet) > 0:
-        raise Problem(f"{group.source}: flow_in does not change, expected fast changes of flow and pressure")
+        raise Problem(f"{group.source}: flow_in: expected fast changes of flow and pressure, got a constant")
     if inlet @ outlet < 0:
         raise Problem(
-            f"{group.source}: flow_in and flow_out have opposite signs, expected both positive from inlet to "
-            "outlet"
+            f"{group.source}: flow_in, flow_out: expected both positive from inlet to outlet, got "
+            "opposite signs"
         )
 
 
-def _both_fits(
-    groups: Sequence[Recording], known: Mapping[str, Number], length: float, bore: float, resistance: float
+def _fit_both(
+    groups: Sequence[Recording],
+    parameters: Mapping[str, Number],
+    length: float,
+    bore: float,
+    resistance: float,
 ) -> tuple[GroupFits, GroupFits]:
-    density, modulus = value(known, "boom_stick.density"), value(known, "boom_stick.bulk_modulus")
+    """Fits of the inertance and of the capacitance."""
+    density = parameter_value(parameters, "boom_stick.density")
+    modulus = parameter_value(parameters, "boom_stick.bulk_modulus")
     limit = float(hose.frequency_limit(length, density, modulus))
     for group in groups:
         rate = uniform_rate(group)
-        if rate < SAMPLES * limit:
+        if rate < SAMPLES_PER_PERIOD * limit:
             raise Problem(
-                f"{group.source}: {rate:.0f} samples per second, expected {SAMPLES * limit:.0f} or more: the "
-                f"hose itself swings at up to {limit:.0f} Hz, which would be folded into what is slow"
+                f"{group.source}: sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got "
+                f"{rate:.0f} Hz: the hose oscillates at up to {limit:.0f} Hz, which would be aliased"
             )
-    pairs = [(group, cut(group, PERIODS / limit)) for group in groups]
-    transition = value(known, "boom_stick.valve_transition_flow")
+    pairs = [(group, good_windows(group, PERIODS / limit)) for group in groups]
+    transition_flow = parameter_value(parameters, "boom_stick.valve_transition_flow")
     flow = max(float(np.nanstd(group["flow_in"])) for group in groups)
     files = [str(group.source) for group in groups]
     start = inertance_start(float(hose.inertance(length, bore, density)), resistance, flow)
-    by_inertance = fits("I", [inertance(g, w, transition) for g, w in pairs], start, files)
+    inertances = fits("I", [inertance(g, w, transition_flow) for g, w in pairs], start, files)
     guess = float(hose.capacitance(length, bore, modulus))
     start = {"C": Guess(guess), "s": Guess(0.0, 1.0), "q_0": Guess(0.0, flow)}
-    return by_inertance, fits("C", [capacitance(g, w) for g, w in pairs], start, files)
+    return inertances, fits("C", [capacitance(g, w) for g, w in pairs], start, files)
 
 
 def inertance_start(guess: float, resistance: float, flow: float) -> dict[str, Guess]:
-    """Where the fit of the inertance starts, and the magnitudes of its parameters."""
+    """Initial values and magnitudes of the parameters in the equation of the inertance."""
     drop = resistance * flow**2
     return {
         "I": Guess(guess),
@@ -168,48 +172,48 @@ def inertance_start(guess: float, resistance: float, flow: float) -> dict[str, G
     }
 
 
-def cut(recording: Recording, half_width: float) -> Windows:
-    """Windows [half width in s] in which all four signals are good throughout."""
-    parts = true_intervals(good_all(recording, SIGNALS))
-    return windows(parts, recording.time.size, 1 / uniform_rate(recording), half_width)
+def good_windows(recording: Recording, half_width: float) -> Windows:
+    """Windows [half width in s] in which all samples of all four signals are good."""
+    good = true_intervals(good_all(recording, SIGNALS))
+    return windows(good, recording.time.size, 1 / uniform_rate(recording), half_width)
 
 
 def inertance(recording: Recording, w: Windows, transition_flow: float) -> FilteredEquation:
-    """P_in - P_out = I dQ/dt + R Q + C_R Q|Q| + p_0 at Q = Q_in + s (Q_out - Q_in), to the first order in s.
+    """P_in - P_out = I dQ/dt + R Q + C_R Q|Q| + p_0 at Q = Q_in + s (Q_out - Q_in), to first order in s.
 
     |Q| is rounded as in `spool_valve.turbulent_drop`.
     """
     flow = np.nan_to_num(recording["flow_in"])
-    more = np.nan_to_num(recording["flow_out"] - recording["flow_in"])
-    speed = np.hypot(flow, transition_flow)
-    growth = speed + flow**2 / speed  # of Q|Q| with Q
-    bend = flow / speed * (3 - (flow / speed) ** 2)  # of that with Q
-    own, other = (w.bump @ sparse.diags_array(values) for values in (growth, bend * more))
-    of_inlet = {
+    difference = np.nan_to_num(recording["flow_out"] - recording["flow_in"])
+    magnitude = np.hypot(flow, transition_flow)  # |Q|
+    first = magnitude + flow**2 / magnitude  # d(Q|Q|)/dQ
+    second = flow / magnitude * (3 - (flow / magnitude) ** 2)  # d2(Q|Q|)/dQ2
+    by_first, by_second = (w.bump @ sparse.diags_array(values) for values in (first, second * difference))
+    noise_of_inlet = {
         "I": w.slope,
         "I s": -w.slope,
         "R": w.bump,
         "R s": -w.bump,
-        "C_R": own,
-        "C_R s": other - own,
+        "C_R": by_first,
+        "C_R s": by_second - by_first,
     }
     return FilteredEquation(
         windows=w,
         y=w.bump @ np.nan_to_num(recording["pressure_in"] - recording["pressure_out"]),
-        columns={
+        regressors={
             "I": w.slope @ flow,
-            "I s": w.slope @ more,
+            "I s": w.slope @ difference,
             "R": w.bump @ flow,
-            "R s": w.bump @ more,
-            "C_R": w.bump @ (flow * speed),
-            "C_R s": own @ more,
+            "R s": w.bump @ difference,
+            "C_R": w.bump @ (flow * magnitude),
+            "C_R s": by_first @ difference,
             "p_0": w.bump @ np.ones_like(flow),
         },
         noise=(
-            (noise_of(recording, "pressure_in"), {"y": w.bump}),
-            (noise_of(recording, "pressure_out"), {"y": w.bump}),
-            (noise_of(recording, "flow_in"), of_inlet),
-            (noise_of(recording, "flow_out"), {"I s": w.slope, "R s": w.bump, "C_R s": own}),
+            (noise_sd(recording, "pressure_in"), {"y": w.bump}),
+            (noise_sd(recording, "pressure_out"), {"y": w.bump}),
+            (noise_sd(recording, "flow_in"), noise_of_inlet),
+            (noise_sd(recording, "flow_out"), {"I s": w.slope, "R s": w.bump, "C_R s": by_first}),
         ),
         factors=lambda v: {
             **{name: v[name] for name in ("I", "R", "C_R", "p_0")},
@@ -220,20 +224,20 @@ def inertance(recording: Recording, w: Windows, transition_flow: float) -> Filte
 
 def capacitance(recording: Recording, w: Windows) -> FilteredEquation:
     """Q_in - Q_out = C dP/dt + q_0 at P = P_out + s (P_in - P_out)."""
-    outlet, more = recording["pressure_out"], recording["pressure_in"] - recording["pressure_out"]
+    outlet, difference = recording["pressure_out"], recording["pressure_in"] - recording["pressure_out"]
     return FilteredEquation(
         windows=w,
         y=w.bump @ np.nan_to_num(recording["flow_in"] - recording["flow_out"]),
-        columns={
+        regressors={
             "C": w.slope @ np.nan_to_num(outlet),
-            "C s": w.slope @ np.nan_to_num(more),
+            "C s": w.slope @ np.nan_to_num(difference),
             "q_0": w.bump @ np.ones_like(outlet),
         },
         noise=(
-            (noise_of(recording, "flow_in"), {"y": w.bump}),
-            (noise_of(recording, "flow_out"), {"y": w.bump}),
-            (noise_of(recording, "pressure_in"), {"C s": w.slope}),
-            (noise_of(recording, "pressure_out"), {"C": w.slope, "C s": -w.slope}),
+            (noise_sd(recording, "flow_in"), {"y": w.bump}),
+            (noise_sd(recording, "flow_out"), {"y": w.bump}),
+            (noise_sd(recording, "pressure_in"), {"C s": w.slope}),
+            (noise_sd(recording, "pressure_out"), {"C": w.slope, "C s": -w.slope}),
         ),
         factors=lambda v: {"C": v["C"], "C s": v["C"] * v["s"], "q_0": v["q_0"]},
     )
@@ -241,9 +245,9 @@ def capacitance(recording: Recording, w: Windows) -> FilteredEquation:
 
 @dataclass(frozen=True)
 class GroupFits:
-    """Of one quantity, "I" or "C": the fit of all groups and those of each.
+    """Fits of one quantity, "I" or "C": to each group of recordings, and to all groups (`pooled`).
 
-    homogeneity   probability of the groups' scatter if all have the same value
+    homogeneity   probability of the scatter between the groups if all have the same value
     """
 
     name: str
@@ -254,63 +258,64 @@ class GroupFits:
 
     @property
     def determined(self) -> bool:
-        """Do the data determine the quantity at all?"""
-        return self.pooled.sd(self.name) < DETERMINED * self.pooled[self.name]
+        """Whether the data determine the quantity."""
+        return self.pooled.determined(self.name)
 
 
 def fits(
     name: str, equations: Sequence[FilteredEquation], start: Mapping[str, Guess], files: Sequence[str]
 ) -> GroupFits:
-    """All groups together and each; the pooled interval is widened to the groups' scatter if they differ."""
+    """Fits of all groups and of each; the pooled interval is widened to their scatter if they differ."""
     for equation, file in zip(equations, files, strict=True):
-        if equation.y.size < LEAST:
+        if equation.y.size < MIN_WINDOWS:
             raise Problem(
                 f"{file}: {equation.y.size} windows without a bad sample (gap, clipped, dead zone), "
-                f"expected at least {LEAST}"
+                f"expected at least {MIN_WINDOWS}"
             )
 
-    def fitted(some: Sequence[FilteredEquation]) -> Regression:
+    def fitted(equations: Sequence[FilteredEquation]) -> Regression:
         def residual(theta: Mapping[str, float]) -> Array:
-            return np.concatenate([equation.weighted(theta) for equation in some])
+            return np.concatenate([equation.whitened_residual(theta) for equation in equations])
 
         return fit(residual, start, f"hose_dynamics, {name}")
 
-    each = tuple(fitted([equation]) for equation in equations)
-    values, sds = [one[name] for one in each], [one.sd(name) for one in each]
-    probability = homogeneity(values, sds) if len(each) > 1 else 1.0
+    groups = tuple(fitted([equation]) for equation in equations)
+    values, sds = [group[name] for group in groups], [group.sd(name) for group in groups]
+    probability = homogeneity(values, sds) if len(groups) > 1 else 1.0
     pooled = fitted(equations)
     if pooled[name] < -SIGNIFICANT * pooled.sd(name):
         raise Problem(
-            f"{', '.join(files)}: {name} is {pooled[name]:.3g}, expected positive: turn the sign of the "
+            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: turn the sign of the "
             "flows or the order of the pressures"
         )
     if probability < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
         widening = max(1.0, scatter / pooled.sd(name))
         pooled = replace(pooled, covariance=pooled.covariance * widening**2)
-    return GroupFits(name, tuple(equations), each, pooled, probability)
+    return GroupFits(name, tuple(equations), groups, pooled, probability)
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:
     """Samples of I and of C; the drop is C_R Q|Q| with the hose's C_R [Pa.s2/m6]."""
-    window = max(WINDOW, DEFINITION_SAMPLES * period(recording.time))
-    used, good = filter_for(recording, window), good_all(recording, SIGNALS)
+    window = max(DEFINITION_WINDOW, DEFINITION_SAMPLES * period(recording.time))
+    smoothing, good = filter_for(recording, window), good_all(recording, SIGNALS)
     signal, rate = (
-        {name: used.apply(np.where(good, recording[name], np.nan), order) for name in SIGNALS}
+        {name: smoothing.apply(np.where(good, recording[name], np.nan), order) for name in SIGNALS}
         for order in (0, 1)
     )
     flow = signal["flow_in"]
-    driving = signal["pressure_in"] - signal["pressure_out"] - resistance * flow * np.abs(flow)
+    inertial_drop = signal["pressure_in"] - signal["pressure_out"] - resistance * flow * np.abs(flow)
+    fractions = ((inertial_drop, rate["flow_in"]), (flow - signal["flow_out"], rate["pressure_out"]))
     ratios = []
-    for top, below in ((driving, rate["flow_in"]), (flow - signal["flow_out"], rate["pressure_out"])):
-        size = np.abs(below)
+    for numerator, denominator in fractions:
+        size = np.abs(denominator)
         clear = size > CLEAR * np.max(size, initial=0.0, where=np.isfinite(size))
-        ratios.append(top[clear] / below[clear])
+        ratios.append(numerator[clear] / denominator[clear])
     return ratios[0], ratios[1]
 
 
 def mean_of_means(name: str, unit: str, groups: list[Array]) -> Estimate:
-    """The mean of the groups' means; its interval by Student's t from their scatter."""
+    """The mean of the groups' means, with Student's t interval from their scatter."""
     means = np.array([group.mean() for group in groups if group.size])
     n = means.size
     mean = float(means.mean()) if n else float("nan")
@@ -319,98 +324,94 @@ def mean_of_means(name: str, unit: str, groups: list[Array]) -> Estimate:
     return Estimate.normal(name, mean, unit, sd, note, max(n - 1, 1))
 
 
-def _lines(of: GroupFits, groups: Sequence[Recording], known: Mapping[str, Number]) -> Iterator[Estimate]:
-    """The machine's lines by I ~ rho l/A, C ~ A l: the same kind of hose. None if the data leave it open."""
-    if not of.determined:
+def _lines(
+    fits: GroupFits, groups: Sequence[Recording], parameters: Mapping[str, Number]
+) -> Iterator[Estimate]:
+    """The machine's lines by I ~ rho l/A and C ~ A l; none if the data do not determine the quantity."""
+    if not fits.determined:
         return
     length, bore = hose_size(groups)
-    denser = density_ratio(groups, known) if of.name == "I" else 1.0
-    for name, line in LINES[of.name].items():
-        longer = value(known, f"{line}_length") / length
-        wider = float(hose.area(value(known, f"{line}_bore")) / hose.area(bore))
-        factor = denser * (longer / wider if of.name == "I" else longer * wider)
+    density = density_ratio(groups, parameters) if fits.name == "I" else 1.0
+    for name, line in LINES[fits.name].items():
+        line_length = parameter_value(parameters, f"{line}_length")
+        area = float(hose.area(parameter_value(parameters, f"{line}_bore")) / hose.area(bore))
+        ratio = line_length / length
+        factor = density * (ratio / area if fits.name == "I" else ratio * area)
         note = "regression over windows, section 4(c)"
         if abs(factor - 1) > 1e-9:
-            note += f", times {factor:.4g} for {longer * length:g} m instead of {length:g} m"
-            note += "" if abs(wider - 1) < 1e-9 else f" and {wider:.4g} times the area"
-            note += "" if abs(denser - 1) < 1e-9 else f" and {denser:.4g} times the density"
-        yield of.pooled.estimate(name, UNITS[of.name], note, of.name, factor)
+            note += f", times {factor:.4g} for {line_length:g} m instead of {length:g} m"
+            note += "" if abs(area - 1) < 1e-9 else f" and {area:.4g} times the area"
+            note += "" if abs(density - 1) < 1e-9 else f" and {density:.4g} times the density"
+        yield fits.pooled.estimate(name, UNITS[fits.name], note, fits.name, factor)
 
 
 def _others(
-    by_inertance: GroupFits, by_capacitance: GroupFits, defined: Sequence[tuple[Array, Array]]
+    inertances: GroupFits, capacitances: GroupFits, defined: Sequence[tuple[Array, Array]]
 ) -> Iterator[Estimate]:
-    for k, of in enumerate((by_inertance, by_capacitance)):
-        unit = UNITS[of.name]
-        yield of.pooled.estimate(of.name, unit, "regression, the tested hose")
-        yield mean_of_means(f"{of.name} by definition", unit, [one[k] for one in defined])
-    for of, what, end in ((by_inertance, "flow", "outlet"), (by_capacitance, "pressure", "inlet")):
-        note = f"s of the {what}; 0 lumped, 1/2 spread"
-        yield of.pooled.estimate(f"share of the {end}'s {what}", "1", note, "s")
+    for k, fits in enumerate((inertances, capacitances)):
+        unit = UNITS[fits.name]
+        yield fits.pooled.estimate(fits.name, unit, "regression, the tested hose")
+        yield mean_of_means(f"{fits.name} by definition", unit, [both[k] for both in defined])
+    for fits, signal, end in ((inertances, "flow", "outlet"), (capacitances, "pressure", "inlet")):
+        note = f"position s of the {signal}; 0 lumped, 1/2 distributed"
+        yield fits.pooled.estimate(f"weight of the {end}'s {signal}", "1", note, "s")
 
 
-def _groups_panel(of: GroupFits, defined: Sequence[Array], label: str) -> Panel:
-    """Values by group, by both ways."""
+def _groups_panel(fits: GroupFits, defined: Sequence[Array], label: str) -> Panel:
+    """Values of each group by both methods."""
     number = np.arange(1.0, len(defined) + 1)
-    values = np.array([one[of.name] for one in of.groups])
-    errors = coverage_factor() * np.array([one.sd(of.name) for one in of.groups])
-    means, scatter = (np.array([f(one) for one in defined]) for f in (np.mean, np.std))
+    values = np.array([group[fits.name] for group in fits.groups])
+    errors = coverage_factor() * np.array([group.sd(fits.name) for group in fits.groups])
+    means, scatter = (np.array([f(samples) for samples in defined]) for f in (np.mean, np.std))
     ends = np.array([0.5, len(defined) + 0.5])
     curves = (
         Curve("by definition: mean and scatter of samples", number - 0.1, means, "compared", error=scatter),
         Curve("by definition: mean of means", ends, np.full(2, means.mean()), "compared", line=True),
         Curve("regression, 95 %", number + 0.1, values, "measured", error=errors),
-        Curve("regression, all groups", ends, np.full(2, of.pooled[of.name]), "fit", line=True),
+        Curve("regression, all groups", ends, np.full(2, fits.pooled[fits.name]), "fit", line=True),
     )
     return Panel("group", label, curves, f"{label.split()[0].capitalize()} of each group")
 
 
-def _equation_panels(of: GroupFits, rate: str, side: str, unit: tuple[str, float]) -> tuple[Panel, Panel]:
-    """Both sides of the equation, as means over the windows: its slope is the quantity; and the residual."""
-    theta = of.pooled.as_dict()
-    x = np.concatenate([e.columns[of.name] + theta["s"] * e.columns[f"{of.name} s"] for e in of.equations])
-    left = np.concatenate([e.residual(theta) for e in of.equations])
-    weight = np.concatenate([e.weight for e in of.equations])
-    x, left = x / weight, left / weight
-    ends = np.array([x.min(), x.max()])
-    curves = (
-        Curve("measured, filtered", x, theta[of.name] * x + left),
-        Curve("fit", ends, theta[of.name] * ends, "fit", line=True),
-    )
-    residual = (Curve("measured - fitted", x, left),)
-    return (
-        Panel(rate, side, curves, "Filtered equation", y_unit=unit),
-        Panel(rate, side + ", residual", residual, "Residual", y_unit=unit),
-    )
+def _equation_panels(fits: GroupFits, rate: str, side: str, unit: tuple[str, float]) -> tuple[Panel, Panel]:
+    """Both sides of the equation as means over the windows, whose slope is the quantity; and the residual."""
+    theta, equations = fits.pooled.as_dict(), fits.equations
+    name, position = fits.name, theta["s"]
+    weight = np.concatenate([e.weight for e in equations])
+    x = np.concatenate([e.regressors[name] + position * e.regressors[f"{name} s"] for e in equations])
+    x, residual = x / weight, np.concatenate([e.residual(theta) for e in equations]) / weight
+    measured = Curve("measured, filtered", x, theta[name] * x + residual)
+    return Panel(rate, side, (measured,), "Filtered equation", y_unit=unit).with_line(theta[name], "fit")
 
 
-def _remarks(by_inertance: GroupFits, by_capacitance: GroupFits) -> Iterator[str]:
-    count = sum(e.y.size for e in by_inertance.equations)
+def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
+    count = sum(e.y.size for e in inertances.equations)
     yield (
-        f"The regression uses {count} windows of {len(by_inertance.groups)} groups, none with a sample in "
-        "the dead zone of a meter. It accounts for the noise of every signal, also of the other terms."
+        f"The regression uses {count} windows of {len(inertances.groups)} groups, none with a sample in "
+        "the dead zone of a meter. It accounts for the noise of every signal, also in the other terms."
     )
     yield (
-        "The values by definition are the paper's way: their scatter is that of the groups' means, and the "
-        "noise of the derivatives and the place where the flow is measured are in them."
+        "The values by definition are the paper's method: their interval is the scatter of the groups' "
+        "means. They are biased by the noise of the derivatives and by the position of the flow meter."
     )
-    for of, what in ((by_inertance, "inertance"), (by_capacitance, "capacitance")):
-        if not of.determined:
+    for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
+        unit = UNITS[fits.name]
+        if not fits.determined:
             yield (
-                f"These recordings do not tell the {what}: {of.pooled[of.name]:.2g} +- "
-                f"{of.pooled.sd(of.name):.1g} {UNITS[of.name]}. It stays as it is known; faster changes "
-                "would tell more."
+                f"These recordings do not determine the {quantity}: {fits.pooled[fits.name]:.2g} +- "
+                f"{fits.pooled.sd(fits.name):.1g} {unit}. It keeps its known value. Faster changes of flow "
+                "and pressure would determine it better."
             )
-        elif of.homogeneity < UNLIKELY:
-            each = ", ".join(f"{one[of.name]:.4g}" for one in of.groups)
+        elif fits.homogeneity < UNLIKELY:
+            values = ", ".join(f"{group[fits.name]:.4g}" for group in fits.groups)
             yield (
-                f"The {what} differs between the groups ({each} {UNITS[of.name]}), more than noise explains: "
-                "one number cannot describe this hose. The interval is widened to their scatter."
+                f"The {quantity} differs between the groups ({values} {unit}) more than noise explains: "
+                "one value cannot describe this hose. The interval is widened to their scatter."
             )
-    if by_inertance.determined and by_inertance.pooled.significant("s"):
+    if inertances.determined and inertances.pooled.significant("s"):
         yield (
-            f"The inertia goes with a flow {by_inertance.pooled['s']:.2f} of the way from the inlet's to the "
-            "outlet's (1/2: it is spread evenly along the hose). The lumped hose takes that of the inlet."
+            f"The inertance sees a flow at {inertances.pooled['s']:.2f} of the way from the inlet to the "
+            "outlet (1/2: distributed evenly along the hose). The lumped hose uses the flow of the inlet."
         )
-    yield from misfit_remark(by_inertance.pooled, "The equation of the inertance")
-    yield from misfit_remark(by_capacitance.pooled, "The equation of the capacitance")
+    yield from misfit_remark(inertances.pooled, "The equation of the inertance")
+    yield from misfit_remark(capacitances.pooled, "The equation of the capacitance")

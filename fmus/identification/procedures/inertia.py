@@ -31,9 +31,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from fmus.contract import quantities, symbols
-from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult
+from fmus.identification.estimate import Estimate
+from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.bench_data import training
+from fmus.identification.procedures.experiment_data import training_recordings
 from fmus.identification.procedures.momentum_balance import (
     JOINTS,
     PARAMETERS,
@@ -85,7 +86,7 @@ def identify(
         raise Problem(
             f"inertia: expected a recording of the machine or of a joint to train with, found {there}"
         )
-    own, p = training(recordings, source, SIGNALS), numbers(known)
+    own, p = training_recordings(recordings, source, SIGNALS), numbers(known)
     records = [samples(r, JOINTS, p, window=WINDOW, every=EVERY) for r in own]
     names, dropped = list(free), list[str]()
     while True:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic, symbols
-from fmus.identification.procedures.bench_data import filled, noise_of, tank_pressure
+from fmus.identification.procedures.experiment_data import interpolated, noise_sd, tank_pressure
 from fmus.identification.procedures.weak_form import modulating_function
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
@@ -282,13 +282,13 @@ class SmoothedRecording:
 
 def angles(recording: Recording) -> Array:
     """The joints' angles without gaps, shape (3, n)."""
-    return np.array([filled(recording[name]) for name in ANGLES])
+    return np.array([interpolated(recording[name]) for name in ANGLES])
 
 
 def pressures(recording: Recording, needed: Collection[str]) -> Array:
     """The pressures without gaps, shape (6, n); zero for those that are not needed."""
     zero = np.zeros(recording.time.size)
-    return np.array([filled(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
+    return np.array([interpolated(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
 
 
 def samples(
@@ -328,8 +328,8 @@ def samples(
         tank=tank_pressure(recording),
         filters=kernels,
         good=good,
-        angle_noise=np.array([noise_of(recording, n) for n in ANGLES]),
-        pressure_noise=np.array([noise_of(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
+        angle_noise=np.array([noise_sd(recording, n) for n in ANGLES]),
+        pressure_noise=np.array([noise_sd(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
         touched=int(ends.sum()),
     )
 

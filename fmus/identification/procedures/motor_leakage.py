@@ -1,13 +1,14 @@
-"""Leakage of the swing motor (section 4(d), eqs. (11), (12), Fig. 8): shaft locked, port pressures stepped.
+"""Motor leakage procedure (section 4(d), eqs. (11), (12), Fig. 8): shaft locked, port pressures stepped.
 
     drain_flow = (P_1 + P_2)/R_ex              flow_a = (P_1 - P_2)/R_in + P_1/R_ex
 
-with pressures above that of the tank. Both flows are linear in the conductances 1/R, which are estimated
-together by least squares over the means of the steps, weighted with their errors; those of the pressures
-count by the slope. Each flow has a zero in addition, which takes what the zeros of meters and transducers add
-up to. Quadratic terms are tested, not used.
+Pressures are relative to that of the tank. Both flows are linear in the conductances 1/R, which are estimated
+together by weighted least squares over means of steady stretches. The weights contain the errors of the flows
+and of the pressures times the conductances. Each flow has an additional offset for the zeros of meters and
+transducers. Quadratic terms are tested but not used.
 
-Validity: laminar leakage, steady pressures, pressure sensors at the motor (a remark says what the line does).
+Validity: laminar leakage, steady pressures, pressure sensors at the motor (a remark gives the effect of the
+lines).
 """
 
 from __future__ import annotations
@@ -17,42 +18,50 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmus.identification.estimate import Curve, Panel, ProcedureResult, coverage_factor
-from fmus.identification.procedures.bench_data import (
-    BAR,
-    LITRES,
-    NEEDED,
-    standing,
+from fmus.identification.estimate import coverage_factor
+from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
+from fmus.identification.procedures.experiment_data import (
+    SHORTEST_STRETCH,
+    condition,
+    parameter_value,
+    steady_stretches,
     tank_pressure,
-    training,
-    value,
+    training_recordings,
 )
-from fmus.identification.procedures.regression import SIGNIFICANT, Regression, linear, misfit_remark
+from fmus.identification.procedures.regression import (
+    NEGLIGIBLE,
+    SIGNIFICANT,
+    Regression,
+    linear,
+    misfit_remark,
+)
 from fmus.identification.recordings.masks import averages
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 SIGNALS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
 PRESSURES = ("pressure_a", "pressure_b")
-LITTLE = 0.1  # of a standard deviation: what is smaller is not mentioned
 EQUATIONS = {"internal": "(11)", "external": "(12)"}
-# what else could be in the flows
-TESTED = {
+# terms that the laminar law neglects
+QUADRATIC_TERMS = {
     "square_in": "a quadratic part of the internal leakage",
     "square_ex": "a quadratic part of the external leakage",
 }
-ZEROS = {"zero_a": "in line A", "zero_drain": "in the drain"}
+OFFSETS = {"zero_a": "in line A", "zero_drain": "in the drain"}
+MIN_POINTS = 3
+LITRE = LITRES_PER_MINUTE[1]
 
 
 @dataclass(frozen=True)
 class SteadyPoints:
-    """One entry per stretch, shape (n,): gauge pressures above the tank [Pa], flows [m3/s], standard errors.
+    """Means over steady stretches with their standard errors; arrays with one entry per stretch, shape (n,).
 
-    source   number of the recording
+    pressure_a, pressure_b   above the tank pressure [Pa]
+    flow_a, drain            [m3/s]
+    recording                index of the recording
     """
 
     pressure_a: Array
@@ -63,96 +72,96 @@ class SteadyPoints:
     pressure_b_error: Array
     flow_a_error: Array
     drain_error: Array
-    source: Array
+    recording: Array
 
     @property
     def difference(self) -> Array:
-        """P_1 - P_2, over which the internal leakage flows."""
+        """P_1 - P_2, which drives the internal leakage."""
         return self.pressure_a - self.pressure_b
 
     @property
     def total(self) -> Array:
-        """P_1 + P_2 above the tank, over which both external leakages flow."""
+        """P_1 + P_2, which drives both external leakages."""
         return self.pressure_a + self.pressure_b
 
 
-def identify(recordings: Sequence[Recording], known: Mapping[str, Number]) -> ProcedureResult:
+def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Internal and external leakage resistance."""
-    own = training(recordings, "motor_leakage", SIGNALS)
-    points = steady_points(own)
+    tests = training_recordings(recordings, "motor_leakage", SIGNALS)
+    points = steady_points(tests)
     fit = conductances(points)
-    for which in EQUATIONS:
-        if fit[which] < -SIGNIFICANT * fit.sd(which):
+    for name in EQUATIONS:
+        if fit[name] < -SIGNIFICANT * fit.sd(name):
             raise Problem(
-                f"motor_leakage: the {which} leakage is {fit[which]:.3g} m3/(s.Pa), expected positive: turn "
+                f"motor_leakage: the {name} leakage is {fit[name]:.3g} m3/(s.Pa), expected positive: turn "
                 "the sign of flow_a (positive into port A) or of drain_flow (positive out of the motor)"
             )
-    # only of a conductance clearly above zero there is a resistance
-    clear = [which for which in EQUATIONS if fit[which] > SIGNIFICANT * fit.sd(which)]
-    line = f"line through {points.source.size} steady points"
+    # a resistance 1/g is only determined if the conductance g is clearly positive
+    positive = [name for name in EQUATIONS if fit[name] > SIGNIFICANT * fit.sd(name)]
+    line = f"line through {points.recording.size} steady points"
     return ProcedureResult(
         procedure="motor_leakage",
         title="Leakage of the swing motor: flow over pressure",
         figure=8,
         estimates=tuple(
             fit.derived(
-                f"{which}_leakage_resistance",
+                f"{name}_leakage_resistance",
                 "Pa.s/m3",
-                f"eq. {EQUATIONS[which]}, {line}",
-                partial(lambda name, g: 1 / g[name], which),
+                f"eq. {EQUATIONS[name]}, {line}",
+                partial(lambda name, conductance: 1 / conductance[name], name),
             )
-            for which in clear
+            for name in positive
         ),
-        panels=panels(points, fit["internal"], fit["external"], [r.title for r in own]),
+        panels=panels(points, fit["internal"], fit["external"], [r.title for r in tests]),
         remarks=(
-            f"{points.source.size} stretches with steady pressures in {len(own)} recordings are used.",
+            f"{points.recording.size} stretches with steady pressures in {len(tests)} recordings are used.",
             *misfit_remark(fit, "The linear law"),
-            *_remarks(fit, points, clear, value(known, "swing.line_resistance")),
+            *_remarks(fit, points, positive, parameter_value(parameters, "swing.line_resistance")),
         ),
         others=tuple(
-            fit.estimate(f"conductance, {which} leakage", "m3/(s.Pa)", "1/R", which) for which in EQUATIONS
+            fit.estimate(f"conductance, {name} leakage", "m3/(s.Pa)", "1/R", name) for name in EQUATIONS
         ),
     )
 
 
 def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
-    """All steady points of these recordings; at least three."""
+    """The steady points of all recordings; at least three."""
     rows = [np.empty((0, len(fields(SteadyPoints))))]
     for k, recording in enumerate(recordings):
-        shaft = recording.conditions.get("shaft", "locked")
-        if shaft != "locked":
-            raise Problem(f"{recording.source}: [experiment] shaft is {shaft!r}, expected 'locked'")
-        parts = standing(recording, PRESSURES)
-        if parts:
-            average = averages(recording, list(SIGNALS), parts)
+        if "shaft" in recording.conditions:
+            condition(recording, "shaft", ["locked"])
+        steady = steady_stretches(recording, PRESSURES)
+        if steady:
+            average = averages(recording, list(SIGNALS), steady)
             means, errors = (
-                np.column_stack([one[n] for n in SIGNALS]) for one in (average.mean, average.error)
+                np.column_stack([table[n] for n in SIGNALS]) for table in (average.mean, average.error)
             )
             means[:, :2] -= tank_pressure(recording)
-            rows.append(np.column_stack([means, errors, np.full(len(parts), k)]))
+            rows.append(np.column_stack([means, errors, np.full(len(steady), k)]))
     table = np.concatenate(rows)
     table = table[np.isfinite(table).all(axis=1)]
-    if len(table) < 3:
+    if len(table) < MIN_POINTS:
         raise Problem(
-            f"{recordings[0].source}: {len(table)} stretches with steady pressures, expected 3 or more of "
-            f"{NEEDED:g} s"
+            f"{recordings[0].source}: {len(table)} stretches with steady pressures, expected {MIN_POINTS} or "
+            f"more of {SHORTEST_STRETCH:g} s"
         )
     return SteadyPoints(*table.T)
 
 
-def conductances(p: SteadyPoints, tested: Sequence[str] = ()) -> Regression:
-    """Both equations over all points, flows in line A first; `tested` are names of TESTED."""
-    y, columns = np.concatenate([p.flow_a, p.drain]), _columns(p)
-    used = {n: columns[n] for n in (*EQUATIONS, *ZEROS, *tested)}
-    meters = np.concatenate([p.flow_a_error, p.drain_error])
-    fit = linear(y, used, meters, "motor_leakage")
+def conductances(p: SteadyPoints, terms: Sequence[str] = ()) -> Regression:
+    """Fit of both equations to all points; `terms` are additional ones of `QUADRATIC_TERMS`."""
+    y, regressors = np.concatenate([p.flow_a, p.drain]), _regressors(p)
+    selected = {n: regressors[n] for n in (*EQUATIONS, *OFFSETS, *terms)}
+    flow_error = np.concatenate([p.flow_a_error, p.drain_error])
+    fit = linear(y, selected, flow_error, "motor_leakage")
     g_in, g_ex = fit["internal"], fit["external"]
     by_a = np.concatenate([(g_in + g_ex) * p.pressure_a_error, g_ex * p.pressure_a_error])
     by_b = np.concatenate([g_in * p.pressure_b_error, g_ex * p.pressure_b_error])
-    return linear(y, used, np.sqrt(meters**2 + by_a**2 + by_b**2), "motor_leakage")
+    return linear(y, selected, np.sqrt(flow_error**2 + by_a**2 + by_b**2), "motor_leakage")
 
 
-def _columns(p: SteadyPoints) -> dict[str, Array]:
+def _regressors(p: SteadyPoints) -> dict[str, Array]:
+    """Regressors of all terms, first for the flows in line A, then for those in the drain."""
     zero, one, d = np.zeros_like(p.total), np.ones_like(p.total), p.difference
     square_a, square_b = p.pressure_a * np.abs(p.pressure_a), p.pressure_b * np.abs(p.pressure_b)
     return {
@@ -167,72 +176,72 @@ def _columns(p: SteadyPoints) -> dict[str, Array]:
 
 def panels(p: SteadyPoints, internal: float, external: float, titles: Sequence[str]) -> tuple[Panel, ...]:
     """Both leakages over pressure with their lines, residuals below."""
-    inner, inner_error = (
-        p.flow_a - external * p.pressure_a,
-        np.hypot(p.flow_a_error, external * p.pressure_a_error),
-    )
-    every: list[Panel] = []
-    for which, over, x, y, error, slope in (
+    inner = p.flow_a - external * p.pressure_a
+    inner_error = np.hypot(p.flow_a_error, external * p.pressure_a_error)
+    millilitres = ("mL/min", LITRE / 1000)
+    result: list[Panel] = []
+    for name, pressure, x, y, error, conductance in (
         ("internal", "P_1 - P_2", p.difference, inner, inner_error, internal),
         ("external", "P_1 + P_2", p.total, p.drain, p.drain_error, external),
     ):
-        parts = [(title, p.source == k) for k, title in enumerate(titles)]
-        ends = np.array([min(x.min(), 0.0), max(x.max(), 0.0)])
-        measured = [Curve(title, x[m], y[m]) for title, m in parts]
         half = coverage_factor() * error
-        left = [Curve(title, x[m], (y - slope * x)[m], error=half[m]) for title, m in parts]
-        fitted = Curve(f"line, 1/R = {slope:.4g} m3/(s.Pa)", ends, slope * ends, "fit", line=True)
-        line = Panel(over, f"{which} leakage", (*measured, fitted), x_unit=BAR, y_unit=LITRES)
-        millilitres = ("mL/min", LITRES[1] / 1000)
-        every += [line, replace(line, y_label="residual", curves=tuple(left), y_unit=millilitres)]
-    return tuple(every)
+        of_recording = [(title, p.recording == k) for k, title in enumerate(titles)]
+        measured = tuple(Curve(title, x[m], y[m], error=half[m]) for title, m in of_recording)
+        panel = Panel(pressure, f"{name} leakage", measured, x_unit=BAR, y_unit=LITRES_PER_MINUTE)
+        line, residual = panel.with_line(conductance, f"line, 1/R = {conductance:.4g} m3/(s.Pa)")
+        result += [line, replace(residual, y_unit=millilitres)]
+    return tuple(result)
 
 
-def _remarks(fit: Regression, p: SteadyPoints, clear: Sequence[str], resistance: float) -> Iterator[str]:
-    """Zeros, terms that the laminar law does not have, what cannot be seen, the line to the sensors."""
-    litre = LITRES[1]
-    for name, place in ZEROS.items():
+def _remarks(fit: Regression, p: SteadyPoints, positive: Sequence[str], resistance: float) -> Iterator[str]:
+    """Offsets, quadratic terms, leakages too small to be determined, and the lines to the sensors."""
+    for name, location in OFFSETS.items():
         if fit.significant(name):
             yield (
-                f"Without pressure a flow {place} of {fit[name] / litre:.2g} +- {fit.sd(name) / litre:.1g} "
-                "L/min would be left. That is taken off as an error of the zeros of meters or transducers."
+                f"Without pressure a flow {location} of {fit[name] / LITRE:.2g} +- "
+                f"{fit.sd(name) / LITRE:.1g} L/min would remain. It is subtracted as an offset of meters or "
+                "transducers."
             )
-    yield from _tested(p)
-    for which in EQUATIONS:
-        if which not in clear:
+    yield from _linearity_remarks(p)
+    for name in EQUATIONS:
+        if name not in positive:
+            bound = max(fit[name], 0.0) + coverage_factor() * fit.sd(name)
             yield (
-                f"The {which} leakage is too small to be seen: it is below "
-                f"{max(fit[which], 0.0) + coverage_factor() * fit.sd(which):.2g} m3/(s.Pa). The resistance "
-                "stays as it is known."
+                f"The {name} leakage is too small to be determined: it is below {bound:.2g} m3/(s.Pa). The "
+                "resistance keeps its known value."
             )
     drop = resistance * float(np.abs(p.flow_a).max())
-    share = resistance * (fit["internal"] + fit["external"])
-    if share >= LITTLE * fit.sd("external") / abs(fit["external"]):
+    bias = resistance * (fit["internal"] + fit["external"])
+    if bias >= NEGLIGIBLE * fit.sd("external") / abs(fit["external"]):
         yield (
-            f"The pressures are taken as those at the motor. If the sensors are at the far end of its lines "
-            f"({resistance:.3g} Pa.s/m3), up to {drop:.2g} Pa lie between, and the resistances are "
-            f"{100 * share:.2g} % too large."
+            "The pressures are assumed to be those at the motor. If the sensors are at the far end of its "
+            f"lines ({resistance:.3g} Pa.s/m3), the drop along a line is up to {drop:.2g} Pa, and the "
+            f"resistances are {100 * bias:.2g} % too large."
         )
 
 
-def _tested(p: SteadyPoints) -> Iterator[str]:
-    """A sentence on each significant quadratic term, the clearest first, and one if there is none."""
+def _linearity_remarks(p: SteadyPoints) -> Iterator[str]:
+    """A sentence on each significant quadratic term, the clearest first; one sentence if there is none."""
     chosen: list[str] = []
-    while left := [n for n in TESTED if n not in chosen]:
-        fits = {n: conductances(p, [*chosen, n]) for n in left}
-        best = max(left, key=lambda n: abs(fits[n][n]) / fits[n].sd(n))
+    while candidates := [n for n in QUADRATIC_TERMS if n not in chosen]:
+        fits = {n: conductances(p, [*chosen, n]) for n in candidates}
+        best = max(candidates, key=lambda n: abs(fits[n][n]) / fits[n].sd(n))
         if not fits[best].significant(best):
             break
         chosen.append(best)
-    largest = {n: np.abs(column).max() / LITRES[1] for n, column in _columns(p).items()}
+    largest = {n: np.abs(regressor).max() / LITRE for n, regressor in _regressors(p).items()}
     if chosen:
         fit = conductances(p, chosen)
         for n in chosen:
             yield (
-                f"The flows have {TESTED[n]}: {fit[n] * largest[n]:.2g} +- {fit.sd(n) * largest[n]:.1g} "
-                "L/min at most, which the laminar law of eqs. (11), (12) does not have."
+                f"The flows have {QUADRATIC_TERMS[n]}: {fit[n] * largest[n]:.2g} +- "
+                f"{fit.sd(n) * largest[n]:.1g} L/min at most, which the laminar law of eqs. (11), (12) "
+                "neglects."
             )
         return
-    visible = max(SIGNIFICANT * conductances(p, [n]).sd(n) * largest[n] for n in TESTED) * LITRES[1]
-    share = 100 * visible / max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
-    yield f"The leakage is linear: a quadratic part would be seen from {share:.2g} % of the largest flow on."
+    visible = max(SIGNIFICANT * conductances(p, [n]).sd(n) * largest[n] for n in QUADRATIC_TERMS) * LITRE
+    percent = 100 * visible / max(np.abs(p.flow_a).max(), np.abs(p.drain).max())
+    yield (
+        f"The leakage is linear: a quadratic part would be significant from {percent:.2g} % of the largest "
+        "flow on."
+    )

@@ -1,9 +1,9 @@
-"""Regression with known errors: lmfit and statsmodels fit, this returns estimates with 95 % intervals.
+"""Weighted least squares with known measurement errors: linear (statsmodels) and nonlinear (lmfit).
 
-Residuals are divided by their standard deviations, so chi-square is the sum of their squares and the
-covariance is (J'J)^-1, not scaled. Only if chi-square says that the model does not fit the data (probability
-below `UNLIKELY`) the covariance is multiplied by chi-square per degree of freedom, and `misfit` is true: the
-interval then covers what the model cannot show as well.
+Each residual is divided by its standard deviation, so chi-square is the sum of squared residuals, and the
+covariance of the estimates is (J'J)^-1 without scaling. Goodness of fit: if chi-square is less probable than
+`UNLIKELY`, `misfit` is true, and the covariance is multiplied by chi-square per degree of freedom. The
+intervals then also cover the model error.
 """
 
 from __future__ import annotations
@@ -15,42 +15,43 @@ from dataclasses import dataclass, replace
 import lmfit
 import numpy as np
 import statsmodels.api as sm
-from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.identification.estimate import Estimate
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 Residual = Callable[[Mapping[str, float]], Array]
 
-UNLIKELY = 1e-3  # a fit whose chi-square is less probable than this is called a misfit
-SINGULAR = 1e8  # condition of scaled columns from which on rounding of the data decides
-SIGNIFICANT = 3.7  # standard deviations from which on a term is significant: 1 in 5000 by chance
+UNLIKELY = 1e-3  # probability of chi-square below which a fit is a misfit
+SINGULAR = 1e8  # largest condition number of the scaled regressors; beyond, rounding errors decide
+SIGNIFICANT = 3.7  # standard deviations above which a term is significant: 1 in 5000 by chance
+DETERMINED = 0.25  # largest relative standard deviation of a parameter that the data determine
+NEGLIGIBLE = 0.1  # effects below this fraction of a standard deviation are not mentioned
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Where the search for one parameter starts; `scale` is its magnitude, by default that of `value`."""
+    """Initial value of a parameter, its nominal magnitude (by default that of the value) and its bounds."""
 
     value: float
-    scale: float = 0.0
+    magnitude: float = 0.0
     low: float = -math.inf
     high: float = math.inf
 
     @property
-    def unit(self) -> float:
-        """What the search takes for 1."""
-        return self.scale or abs(self.value) or 1.0
+    def nominal(self) -> float:
+        """The value that is scaled to 1 during the search."""
+        return self.magnitude or abs(self.value) or 1.0
 
 
 @dataclass(frozen=True)
 class Regression:
     """Result of a fit.
 
-    names, values, covariance   in the same order; the covariance is scaled if there is a misfit
-    residual    each divided by its standard deviation
-    chi_square, freedom         of these residuals
+    names, values, covariance   parameters in one order; the covariance is scaled if there is a misfit
+    residual                    residuals, each divided by its standard deviation
+    chi_square, freedom         sum of their squares, and its degrees of freedom
     """
 
     names: tuple[str, ...]
@@ -62,12 +63,12 @@ class Regression:
 
     @property
     def misfit(self) -> bool:
-        """True if noise alone cannot explain the residuals: so large a chi-square is improbable."""
+        """Whether chi-square is too large to be explained by measurement noise."""
         return float(stats.chi2.sf(self.chi_square, self.freedom)) < UNLIKELY
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion for residuals of known standard deviation: the lower, the better."""
+        """Akaike's information criterion for residuals of known standard deviation; lower is better."""
         return self.chi_square + 2 * len(self.names)
 
     def __getitem__(self, name: str) -> float:
@@ -78,93 +79,103 @@ class Regression:
         return dict(zip(self.names, map(float, self.values), strict=True))
 
     def significant(self, name: str) -> bool:
-        """Is a parameter not zero by chance?"""
+        """Whether a parameter differs from zero by more than chance."""
         return abs(self[name]) > SIGNIFICANT * self.sd(name)
+
+    def determined(self, name: str) -> bool:
+        """Whether the data determine a positive parameter: its relative standard deviation is small."""
+        return self.sd(name) <= DETERMINED * self[name]
 
     def sd(self, name: str) -> float:
         """Standard deviation of one parameter."""
         i = self.names.index(name)
         return math.sqrt(self.covariance[i, i])
 
-    def estimate(self, name: str, unit: str, note: str, of: str = "", factor: float = 1.0) -> Estimate:
-        """One parameter, times a factor known exactly, as an estimate called `name`."""
-        parameter = of or name
+    def estimate(self, name: str, unit: str, note: str, parameter: str = "", factor: float = 1.0) -> Estimate:
+        """The estimate `name`: the fitted parameter (by default of that name) times an exact factor."""
+        parameter = parameter or name
         return Estimate.normal(name, factor * self[parameter], unit, abs(factor) * self.sd(parameter), note)
 
     def derived(
         self, name: str, unit: str, note: str, function: Callable[[Mapping[str, float]], float]
     ) -> Estimate:
-        """A function of the parameters, its standard deviation by its gradient (central differences).
+        """A function of the parameters, with its standard deviation by linear error propagation.
 
-        A positive value gets the interval of its logarithm, which stays positive.
+        The gradient is formed by central differences over the range of the noise. The interval of a positive
+        value is that of its logarithm, so that it stays positive.
         """
-        at, steps = self.as_dict(), np.sqrt(np.diag(self.covariance)) / 10  # where the noise moves it
-        rises = np.array(
+        values, steps = self.as_dict(), np.sqrt(np.diag(self.covariance)) / 10
+        differences = np.array(
             [
-                function(at | {n: x + h}) - function(at | {n: x - h})
-                for (n, x), h in zip(at.items(), steps, strict=True)
+                function(values | {n: x + h}) - function(values | {n: x - h})
+                for (n, x), h in zip(values.items(), steps, strict=True)
             ]
         )
-        gradient = np.divide(rises, 2 * steps, out=np.zeros_like(rises), where=steps > 0)
+        gradient = np.divide(differences, 2 * steps, out=np.zeros_like(differences), where=steps > 0)
         sd = math.sqrt(float(gradient @ self.covariance @ gradient))
-        return Estimate.normal(name, function(at), unit, sd, note, log=True)
+        return Estimate.normal(name, function(values), unit, sd, note, log=True)
 
 
-def fit(residual: Residual, start: Mapping[str, Guess], what: str) -> Regression:
-    """Least squares of a residual, divided by its standard deviation, as a function of parameters by name.
+def fit(residual: Residual, start: Mapping[str, Guess], label: str) -> Regression:
+    """Nonlinear least squares of residuals over their standard deviations, a function of the parameters.
 
-    `what` names the fit in an error message.
+    start   initial value of each parameter
+    label   name of the fit in error messages
     """
-    units = {name: guess.unit for name, guess in start.items()}
+    nominal = {name: guess.nominal for name, guess in start.items()}
     search = lmfit.Parameters()
     for name, guess in start.items():
-        value, low, high = (x / units[name] for x in (guess.value, guess.low, guess.high))
+        value, low, high = (x / nominal[name] for x in (guess.value, guess.low, guess.high))
         search.add(name, value=value, min=low, max=high)
 
     def scaled(parameters: lmfit.Parameters) -> Array:
-        return residual({name: parameters[name].value * unit for name, unit in units.items()})
+        return residual({name: parameters[name].value * unit for name, unit in nominal.items()})
 
     result = lmfit.minimize(scaled, search, scale_covar=False, nan_policy="propagate")
     if not result.success or getattr(result, "covar", None) is None:
-        raise Problem(f"{what}: the fit of {', '.join(start)} did not converge on {result.ndata} values")
-    scale = np.array(list(units.values()))
-    values = scale * [result.params[name].value for name in units]
-    return _regression(tuple(units), values, result.covar * np.outer(scale, scale), result.residual)
+        raise Problem(f"{label}: the fit of {', '.join(start)} to {result.ndata} values did not converge")
+    scale = np.array(list(nominal.values()))
+    values = scale * [result.params[name].value for name in nominal]
+    return _regression(tuple(nominal), values, result.covar * np.outer(scale, scale), result.residual)
 
 
-def linear(y: Array, columns: Mapping[str, Array], sd: Array, what: str) -> Regression:
-    """Weighted linear least squares of y = sum of parameter times column; `sd` is that of each y.
+def linear(y: Array, regressors: Mapping[str, Array], sd: Array, label: str) -> Regression:
+    """Weighted linear least squares of y = sum of parameter times regressor.
 
-    `what` names the fit in an error message.
+    regressors   parameter -> its regressor, shape (n,) as y
+    sd           standard deviation of each y
+    label        name of the fit in error messages
     """
-    matrix = np.column_stack(list(columns.values()))
+    matrix = np.column_stack(list(regressors.values()))
     scale = np.linalg.norm(matrix, axis=0)
     if not (scale > 0).all() or np.linalg.cond(matrix / scale) > SINGULAR:
-        raise Problem(f"{what}: the {len(y)} points do not tell apart {', '.join(columns)}")
+        raise Problem(f"{label}: the {len(y)} points cannot distinguish between {', '.join(regressors)}")
     result = sm.WLS(y, matrix / scale, weights=1 / sd**2).fit()
     covariance = result.normalized_cov_params / np.outer(scale, scale)
-    return _regression(tuple(columns), result.params / scale, covariance, result.resid / sd)
+    return _regression(tuple(regressors), result.params / scale, covariance, result.resid / sd)
 
 
 def _regression(names: tuple[str, ...], values: Array, covariance: Array, residual: Array) -> Regression:
     freedom, chi_square = len(residual) - len(names), float(residual @ residual)
-    plain = Regression(names, values, covariance, residual, chi_square, freedom)
-    return replace(plain, covariance=covariance * chi_square / freedom) if plain.misfit else plain
+    unscaled = Regression(names, values, covariance, residual, chi_square, freedom)
+    if not unscaled.misfit:
+        return unscaled
+    return replace(unscaled, covariance=covariance * chi_square / freedom)
 
 
 def homogeneity(values: Sequence[float], sds: Sequence[float]) -> float:
-    """Probability that independent estimates of one quantity scatter as much as these (chi-square)."""
+    """Probability (chi-square) that independent estimates of one quantity scatter as much as these."""
     v, w = np.array(values), 1 / np.array(sds) ** 2
     mean = np.sum(w * v) / np.sum(w)
     return float(stats.chi2.sf(np.sum(w * (v - mean) ** 2), len(v) - 1))
 
 
-def misfit_remark(fit: Regression, what: str) -> tuple[str, ...]:
-    """A sentence if the model cannot explain the data, else nothing."""
+def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:
+    """A sentence if the equation cannot explain the data, else nothing."""
     if not fit.misfit:
         return ()
     ratio = math.sqrt(fit.chi_square / fit.freedom)
     return (
-        f"{what} leaves residuals {ratio:.3g} times as large as the noise: the model lacks something. "
+        f"{equation} leaves residuals {ratio:.3g} times as large as the noise: the model is incomplete. "
         "The intervals are widened by that factor.",
     )

@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from fmus.identification.estimate import Array, Curve, Panel, ProcedureResult
+from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.report_texts import footer
 from orchestrator.base.plotting import (
     DASHES,
@@ -39,6 +39,7 @@ from orchestrator.base.plotting import (
 )
 from orchestrator.base.text import MINUS, name_with_unit, typeset
 from orchestrator.base.units import pretty
+from orchestrator.data.table import Array
 
 COLUMNS = 2
 MANY = 3  # panels over one quantity that stand next to each other, not below

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.estimate import Estimate
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.refinement.multistart import Starts

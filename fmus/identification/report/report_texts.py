@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate, ProcedureResult
+from fmus.identification.estimate import Estimate
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.refine import Refined
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset

@@ -175,10 +175,10 @@ def test_noise_that_is_not_told_is_seen():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"conditions": {"joint": "elbow"}}, "joint is 'elbow', expected swing, boom, stick"),
+        ({"conditions": {"joint": "elbow"}}, "joint: expected swing, boom, stick, got 'elbow'"),
         ({"conditions": {}}, "joint: expected a word, got nothing"),
-        ({"procedure": "valve"}, "expected a recording with this procedure"),
-        ({"use": "test"}, "expected a recording with this procedure"),
+        ({"procedure": "valve"}, "expected a recording of this procedure"),
+        ({"use": "test"}, "expected a recording of this procedure"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(change, words):

@@ -50,15 +50,15 @@ def test_intervals_hold_the_truth_as_often_as_they_say(findings, name, truth):
 
 
 @pytest.mark.parametrize("name", ["inertance", "capacitance"])
-def test_weighted_residuals_are_white(name):
-    """At the true parameters the weighted residuals have variance 1 and neighbours no correlation."""
+def test_whitened_residuals_are_white(name):
+    """At the true parameters the whitened residuals have variance 1 and neighbours no correlation."""
     theta = {"I": bench.INERTANCE, "C_R": bench.RESISTANCE, "R": 0.0, "p_0": 0.0}
     theta |= {"C": bench.CAPACITANCE, "q_0": 0.0, "s": 0.0}
     every = []
     for group in bench.moving_hose(0, groups=6):
-        cut = hose_equations.cut(group, 0.08)
+        cut = hose_equations.good_windows(group, 0.08)
         more = (bench.TRANSITION,) if name == "inertance" else ()
-        every.append(getattr(hose_equations, name)(group, cut, *more).weighted(theta))
+        every.append(getattr(hose_equations, name)(group, cut, *more).whitened_residual(theta))
     white = np.concatenate(every)
     # 4 standard deviations of n normal numbers' mean square and lag products
     assert np.mean(white**2) == pytest.approx(1, abs=4 * np.sqrt(2 / white.size))
@@ -67,21 +67,21 @@ def test_weighted_residuals_are_white(name):
 
 
 def least_squares(equation):
-    """I by plain least squares of the same equation at s = 0, as if its columns had no noise."""
+    """I by plain least squares of the same equation at s = 0, as if its regressors had no noise."""
     names = ("I", "R", "C_R", "p_0")
-    matrix = np.column_stack([equation.columns[n] for n in names])
+    matrix = np.column_stack([equation.regressors[n] for n in names])
     size = np.linalg.norm(matrix, axis=0)
     return (np.linalg.lstsq(matrix / size, equation.y)[0] / size)[0]
 
 
-def test_noisy_columns_do_not_draw_it_to_zero():
+def test_noisy_regressors_do_not_bias_it_towards_zero():
     """With a noisy meter and short windows I stays right, where plain least squares is 2 % too low."""
     wild = dataclasses.replace(bench.FLOW, noise=8 * bench.FLOW.noise)
     start = inertance_start(bench.INERTANCE, bench.RESISTANCE, 1e-3)
     errors, plain = [], []
     for seed in range(12):
         group = noisier(bench.moving_hose(seed, groups=1)[0], wild, seed)
-        cut = hose_equations.cut(group, 0.03)
+        cut = hose_equations.good_windows(group, 0.03)
         equation = hose_equations.inertance(group, cut, bench.TRANSITION)
         found = fits("I", [equation], start, ["x"]).pooled
         plain.append(least_squares(equation))
@@ -109,7 +109,7 @@ def test_spread_hose_is_told_and_does_not_bend_the_inertance():
     found = named(finding)
     assert abs(found["I"].value - bench.INERTANCE) < 4 * found["I"].sd
     assert abs(found["C"].value - bench.CAPACITANCE) < 4 * found["C"].sd
-    assert abs(found["share of the outlet's flow"].value - 0.5) < 4 * found["share of the outlet's flow"].sd
+    assert abs(found["weight of the outlet's flow"].value - 0.5) < 4 * found["weight of the outlet's flow"].sd
 
 
 def test_groups_that_differ_widen_the_interval():
@@ -138,7 +138,7 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     flow = group["flow_out"].copy()
     flow[500:900] = 0.0
     part = dataclasses.replace(group, signals={**group.signals, "flow_out": flow})
-    cut = hose_equations.cut(part, 0.08)
+    cut = hose_equations.good_windows(part, 0.08)
     touched = cut.bump[:, 500:900].sum(axis=1)
     assert cut.bump.shape[0] > 100
     assert not touched.any()

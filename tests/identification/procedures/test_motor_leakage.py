@@ -150,7 +150,7 @@ def test_leakage_too_small_to_be_seen_is_no_estimate():
         still.append(replace(r, signals={**r.signals, **noise}))
     finding = identify(still, KNOWN)
     assert not finding.estimates
-    assert sum("too small to be seen" in text for text in finding.remarks) == 2
+    assert sum("too small to be determined" in text for text in finding.remarks) == 2
 
 
 def test_ripple_of_the_pump_hides_no_step():
@@ -167,8 +167,8 @@ def test_ripple_of_the_pump_hides_no_step():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"conditions": {"shaft": "free"}}, "shaft is 'free', expected 'locked'"),
-        ({"procedure": "valve"}, "expected a recording with this procedure"),
+        ({"conditions": {"shaft": "free"}}, "shaft: expected locked, got 'free'"),
+        ({"procedure": "valve"}, "expected a recording of this procedure"),
         ({"signals": {}}, "signal pressure_a is missing"),
         ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
     ],

@@ -118,45 +118,45 @@ def test_an_offset_of_a_pressure_is_taken_off_and_said(name):
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("valve", turned, r"flow is against the drop .* in 13 of 13 steps"),
+        ("valve", turned, r"expected along the drop .*, got the opposite in 13 of 13 steps"),
         ("hose_resistance", turned, "drop pressure_in - pressure_out falls with the flow"),
-        ("hose_dynamics", turned, "is -.*, expected positive: turn the sign"),
+        ("hose_dynamics", turned, "I: expected positive, got -.*: turn the sign"),
         (
             "hose_dynamics",
             lambda r: with_signals(r, lambda n, x: -x if n == "flow_out" else x),
-            "flow_in and flow_out have opposite signs",
+            "expected both positive from inlet to outlet, got opposite signs",
         ),
-        ("hose_dynamics", slower, "50 samples per second, expected 128 or more"),
+        ("hose_dynamics", slower, "sampling rate: expected 128 Hz or more, got 50 Hz"),
         (
             "hose_dynamics",
             lambda r: with_signals(r, lambda _, x: np.full_like(x, x[0])),
-            "flow_in does not change",
+            "flow_in: expected fast changes",
         ),
         (
             "valve",
             lambda r: replace(r, conditions={"edge": "P-X"}),
-            "edge is 'P-X', expected P-A, B-T, P-B, A-T",
+            "edge: expected P-A, B-T, P-B, A-T, got 'P-X'",
         ),
         (
             "valve",
             lambda r: with_signals(r, lambda n, x: np.abs(x) if n == "command" else x),
-            "expected negative commands, which open P-B, found none",
+            "expected negative values, which open P-B, got none",
         ),
         (
             "valve",
             lambda r: with_signals(r, lambda n, x: np.minimum(x, 1e6) if n == "pressure_in" else x),
-            r"at 0 voltages.* 13 with an instrument at an end of its range",
+            r"at 3 voltages or more, got 0; .* 13 with an instrument at an end of its range",
         ),
         ("valve", lambda r: replace(r, units={**r.units, "flow": "Pa"}), "flow is in Pa, expected m3/s"),
         (
             "valve",
             lambda r: rows(r, slice(0, 100)),
-            "expected steps that stand for 0.8 s or longer, found none",
+            "expected commands that are held for 0.8 s or longer, got none",
         ),
         (
             "hose_resistance",
             lambda r: rows(r, slice(0, 60)),
-            "flows that stand for 0.75 s or longer, found none",
+            "flow: expected to be steady for 0.75 s or longer, got no such",
         ),
     ],
 )
@@ -173,7 +173,7 @@ def test_two_hoses_are_not_taken_for_one(name):
     procedure, recordings = BENCHES[name]
     own = recordings()
     other = replace(own[0], conditions={**own[0].conditions, "length": 2.0})
-    with pytest.raises(Problem, match=r"length is 2 m, expected 4 m as in [^\n]*$"):
+    with pytest.raises(Problem, match=r"length: expected 4 m as in [^\n]*, got 2 m[^\n]*$"):
         procedure.identify([*own, other], bench.KNOWN)
 
 
@@ -222,4 +222,4 @@ def test_fast_changes_that_tell_nothing_are_no_estimate():
     )
     names = {e.name for e in finding.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names
-    assert any("do not tell the capacitance" in text for text in finding.remarks)
+    assert any("do not determine the capacitance" in text for text in finding.remarks)

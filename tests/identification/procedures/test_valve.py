@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from identification.procedures import bench
 
 from fmus.identification.procedures import valve
-from fmus.identification.procedures.valve_law import Constants, Law, resistance
+from fmus.identification.procedures.valve_law import OpeningLaw, ValveConstants, resistance
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -122,7 +122,9 @@ def test_uncertain_rounding_widens_the_dead_band():
 def test_any_fitted_curve_is_positive_and_falls(area, dead_band, rounding):
     """Whatever the fit finds, C_R is positive and falls with the command, where a polynomial may not."""
     volts = np.linspace(dead_band + 0.1, 10.0, 200)
-    curve = resistance(volts, Law(area, dead_band, rounding), Constants(0.62, 10.0, 1e-14, 1e-5, 970.0))
+    curve = resistance(
+        volts, OpeningLaw(area, dead_band, rounding), ValveConstants(0.62, 10.0, 1e-14, 1e-5, 970.0)
+    )
     assert (curve > 0).all()
     assert (np.diff(curve) < 0).all()
 
@@ -138,9 +140,9 @@ def test_mistakes_have_one_line():
     """A missing parameter, no recording, too few voltages: each is told in one line that names it."""
     some = bench.edges(0)
     unknown = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}
-    with pytest.raises(Problem, match=r"^boom_stick\.density is needed[^\n]*$"):
+    with pytest.raises(Problem, match=r"^known parameters: expected boom_stick\.density[^\n]*$"):
         valve.identify(some, unknown)
     with pytest.raises(Problem, match=r"^valve: expected a recording[^\n]*$"):
         valve.identify([], bench.KNOWN)
-    with pytest.raises(Problem, match=r"^valve P-A: [^\n]* at 2 voltages[^\n]*$"):
+    with pytest.raises(Problem, match=r"^valve P-A: [^\n]*, got 2; [^\n]*$"):
         valve.identify([bench.edge("P-A", 0, steps=(0.5, 3.0, 5.0))], bench.KNOWN)

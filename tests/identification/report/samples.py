@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmus.identification.estimate import Curve, Estimate, Panel, ProcedureResult
+from fmus.identification.estimate import Estimate
+from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
 from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter
 

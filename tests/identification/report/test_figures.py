@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from identification.report.samples import finding, panel, residual
 from matplotlib.image import imread
 
-from fmus.identification.estimate import Curve, Panel
+from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
 from fmus.identification.report.finding_figures import draw_finding, draw_matrix
 from fmus.identification.report.recording_comparison import SIGNALS, Compared, figure, relative_error

@@ -1,0 +1,222 @@
+"""Data of an experiment: its training recordings, known parameters, steady stretches, means over steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.stats import median_abs_deviation
+
+from fmus.identification.procedure_result import BAR
+from fmus.identification.procedures.regression import SIGNIFICANT
+from fmus.identification.recordings.clock import evenly
+from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.masks import averages, dead, good, noise
+from fmus.identification.recordings.reading import require
+from fmus.parameters import Number
+from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Mask, Recording, true_intervals
+from orchestrator.data.table import Array
+
+Table = TypeVar("Table")
+Steps = TypeVar("Steps", bound="StepMeans")
+
+SAME_HOSE = 1e-3  # largest relative difference between two measurements of one hose
+RATE_WINDOW = 0.25  # s, filter that estimates the rate of change of a signal
+STEADY = 4.0  # standard deviations of the rate below which a signal is steady
+MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, and minimum length of the rest
+SHORTEST_STRETCH = 2 * MARGIN + SHORTEST_CORE
+SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
+SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
+FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
+STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
+
+
+def training_recordings(
+    recordings: Sequence[Recording], procedure: str, signals: Mapping[str, str]
+) -> tuple[Recording, ...]:
+    """The recordings of a procedure that are not held out, at least one, with these signals in SI units."""
+    selected = tuple(r for r in recordings if r.procedure == procedure and r.use == "train")
+    if not selected:
+        procedures = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
+        raise Problem(f"{procedure}: expected a recording of this procedure to train with, got {procedures}")
+    for recording in selected:
+        require(recording, signals)
+    return tuple(map(evenly, selected))
+
+
+def condition(recording: Recording, name: str, choices: Collection[str]) -> str:
+    """A condition of the experiment that is one of some words."""
+    word = recording.text_condition(name)
+    if word not in choices:
+        raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {word!r}")
+    return word
+
+
+def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Length and inside diameter [m] of the tested hose, which must be equal in all recordings."""
+    first = recordings[0]
+    for name in ("length", "diameter"):
+        size = first.numeric_condition(name)
+        for other in recordings[1:]:
+            if abs(other.numeric_condition(name) / size - 1) > SAME_HOSE:
+                raise Problem(
+                    f"{other.source}: [experiment] {name}: expected {size:g} m as in {first.source.name}, "
+                    f"got {other.numeric_condition(name):g} m: identify one hose at a time"
+                )
+    return first.numeric_condition("length"), first.numeric_condition("diameter")
+
+
+def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
+    """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
+    if "density" not in recordings[0].conditions:
+        return 1.0
+    return parameter_value(parameters, "boom_stick.density") / recordings[0].numeric_condition("density")
+
+
+def parameter(parameters: Mapping[str, Number], name: str) -> Number:
+    """A parameter that the procedure takes as known."""
+    if name not in parameters:
+        raise Problem(f"known parameters: expected {name}, which the procedure needs, got no such parameter")
+    return parameters[name]
+
+
+def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
+    """The value of a known parameter, in SI units."""
+    return parameter(parameters, name).value
+
+
+def tank_pressure(recording: Recording) -> float:
+    """Gauge pressure of the tank [Pa], 0 if it is not recorded."""
+    return recording.numeric_condition("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
+
+
+def noise_sd(recording: Recording, name: str) -> float:
+    """Standard deviation of the noise of a sample, as described for the sensor, else estimated."""
+    sensor = recording.sensor(name)
+    sd = sensor.sd or noise(recording[name], sensor)
+    return sd if math.isfinite(sd) else 0.0
+
+
+def interpolated(samples: Array) -> Array:
+    """Samples with linear interpolation over gaps; zero if no sample is valid."""
+    valid = np.isfinite(samples)
+    if not valid.any():
+        return np.zeros_like(samples)
+    index = np.arange(samples.size)
+    return np.interp(index, index[valid], samples[valid])
+
+
+def select(table: Table, mask: Mask) -> Table:
+    """The rows of a dataclass of arrays for which a mask is true."""
+    return type(table)(**{name: array[mask] for name, array in vars(table).items()})
+
+
+def concatenate(tables: Sequence[Table]) -> Table:
+    """The rows of several dataclasses of arrays, one table after the other."""
+    columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
+    return type(tables[0])(**columns)
+
+
+def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
+    """Stretches in which no signal changes faster than its noise or ripple explains.
+
+    The ripple of a pump is not white: its effect on the rate is measured as the scatter of the rate, which is
+    close to zero most of the time. Gaps are interpolated here and left out of means.
+    """
+    derivative = filter_for(recording, RATE_WINDOW, 2)
+    margin, shortest = (round(x * derivative.rate) for x in (MARGIN, SHORTEST_CORE))
+    steady = np.ones(recording.time.size, dtype=bool)
+    for name in names:
+        rate = derivative.apply(interpolated(recording[name]), 1)
+        ripple = float(median_abs_deviation(rate, scale="normal", nan_policy="omit"))
+        noise_of_rate = derivative.gain(1) * noise_sd(recording, name)
+        steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
+    cores = [slice(s.start + margin, s.stop - margin) for s in true_intervals(steady)]
+    return [s for s in cores if s.stop - s.start >= shortest]
+
+
+@dataclass(frozen=True)
+class StepMeans:
+    """Means of pressure drop and flow over steps; arrays with one entry per step, shape (n,).
+
+    drop, flow   means [Pa], [m3/s] with their standard errors
+    dead         the flow meter is in its dead zone at least at times, so that its mean is wrong
+    clipped      an instrument is at an end of its range at least at times
+    good         neither dead nor clipped, and half of the samples are valid
+    """
+
+    drop: Array
+    drop_error: Array
+    flow: Array
+    flow_error: Array
+    dead: Mask
+    clipped: Mask
+    good: Mask
+
+    def measured(self: Steps) -> Steps:
+        """The good steps."""
+        return select(self, self.good)
+
+    def omissions(self) -> str:
+        """Numbers of steps that are not good, with the reasons; empty if all steps are good."""
+        reasons = (
+            (self.dead, "in the dead zone of the flow meter"),
+            (self.clipped, "with an instrument at an end of its range"),
+            (~(self.dead | self.clipped | self.good), "without enough samples or without flow"),
+        )
+        return ", ".join(f"{np.count_nonzero(mask)} {reason}" for mask, reason in reasons if mask.any())
+
+    @property
+    def resistance(self) -> Array:
+        """C_R [Pa.s2/m6] of each step, eq. (1)."""
+        return self.drop / (self.flow * np.abs(self.flow))
+
+    @property
+    def resistance_error(self) -> Array:
+        """Standard error of C_R, from those of the drop and (twice, as C_R ~ 1/Q^2) of the flow."""
+        relative = np.hypot(self.drop_error / self.drop, 2 * self.flow_error / self.flow)
+        return np.abs(self.resistance) * relative
+
+
+def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
+    """Means of pressure_in - pressure_out and of flow over each step."""
+    if not steps:
+        raise Problem(
+            f"{recording.source}: expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or "
+            "longer, got none"
+        )
+    means = averages(recording, STEP_SIGNALS, steps)
+    in_dead_zone, flow = dead(recording, "flow"), recording["flow"]
+    # a missing sample only drops out of the mean, but a sample with a wrong value biases it
+    bad = [np.isfinite(recording[n]) & ~good(recording, n) for n in STEP_SIGNALS]
+    wrong = np.logical_or.reduce(bad) & ~in_dead_zone
+    error = {n: np.maximum(means.error[n], FINEST * np.abs(means.mean[n])) for n in STEP_SIGNALS}
+    drop = means.mean["pressure_in"] - means.mean["pressure_out"]
+    dead_steps, wrong_steps = (
+        np.array([bool(mask[step].any()) for step in steps]) for mask in (in_dead_zone, wrong)
+    )
+    readings = [flow[step][np.isfinite(flow[step])] for step in steps]  # also those in the dead zone
+    return StepMeans(
+        drop=drop,
+        drop_error=np.hypot(error["pressure_in"], error["pressure_out"]),
+        flow=np.array([samples.mean() if samples.size else math.nan for samples in readings]),
+        flow_error=error["flow"],
+        dead=dead_steps,
+        clipped=wrong_steps & ~dead_steps,
+        good=~dead_steps & ~wrong_steps & np.isfinite(drop + means.mean["flow"]),
+    )
+
+
+def pressure_offset_remark(offset: float, sd: float) -> tuple[str, ...]:
+    """A sentence if the estimated difference [Pa] of the two pressures without flow is significant."""
+    if abs(offset) <= SIGNIFICANT * sd:
+        return ()
+    bar = BAR[1]
+    return (
+        f"Without flow the two pressures would differ by {offset / bar:.2g} +- {sd / bar:.1g} bar. "
+        "This offset of the transducers is subtracted.",
+    )
