@@ -1,15 +1,16 @@
-"""Several subsystems and their connections as one set of equations, and as one `Subsystem`.
+"""Symbolic composition of connected subsystems: into one set of equations, or into one `Subsystem`.
 
 No signal is held or extrapolated: every connection is substituted symbolically, so that
 
     dX/dt = F(X, U, P)        Y = G(X, U, P)        X(0) = S(X_start, U, P)
 
-with X, P and Y stacked over the subsystems and U the inputs of the whole. As one subsystem it makes one FMU,
-without coupling error. There
+with X, P and Y stacked over the components and U the external inputs. The composed subsystem can be exported
+as one FMU without coupling error. Names in it:
 
-- a variable keeps its name where no other component shows the same, else it gets its component in front;
-- parameters that several components declare alike, down to the text (but for the heading), and to which they
-  give the same value, are one thing and have one name; so have the outputs of which the sum is shown.
+- A variable keeps its name, unless another component has a variable of the same name; then the component name
+  is prefixed.
+- Parameters with equal declarations (except `group`) and values in several components become one parameter.
+- Outputs listed in `totals` become one output, their sum.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from fmus.contract import (
     Terminal,
     column,
     make_group,
-    never,
+    no_event,
     quantities,
     stack,
     symbolic,
@@ -39,14 +40,19 @@ from fmus.contract import (
 from fmus.parameters import Number, Tables, numbers
 from orchestrator.base.errors import Problem
 
+Names = Mapping[str, str]  # `component.variable` -> name in the composed subsystem
+Inputs = Mapping[str, Sequence[str]]  # external input -> `component.variable` of each input that it feeds
+_EQUALITY_DEPTH = 9  # of casadi.is_equal, which compares two requirements with the same text
+
 
 @dataclass(frozen=True)
 class CoupledEquations:
-    """Symbols x, u, p (columns) and the expressions of them.
+    """Symbols x, u, p (columns) and expressions in them.
 
-    states, parameters, outputs, calculated   names, `component.variable`
-    inputs                                    names of the inputs of the whole
-    statements                                (component, what must hold) for each row of `require`
+    states, parameters, outputs   names, `component.variable`
+    calculated                    names of the states whose initial value is calculated
+    inputs                        names of the external inputs
+    statements                    (component, text of the requirement) for each row of `require`
     """
 
     states: tuple[str, ...]
@@ -72,80 +78,86 @@ class CoupledEquations:
 def couple(
     subsystems: Mapping[str, Subsystem],
     connections: Sequence[tuple[str, str]],
-    inputs: Mapping[str, Sequence[str]],
+    inputs: Inputs,
     constant: Mapping[str, float],
 ) -> CoupledEquations:
-    """Couple subsystems by (source output, target input) pairs; `inputs` feeds the inputs of the whole.
+    """Couple subsystems by (source output, target input) pairs. Raises Problem on an algebraic loop.
 
-    Inputs that nobody feeds are `constant`. Raises Problem on an algebraic loop.
+    inputs     external input -> component inputs that it feeds
+    constant   values of unconnected inputs, zero by default
     """
-    parts = {name: symbolic(sub) for name, sub in subsystems.items()}
+    components = {name: symbolic(sub) for name, sub in subsystems.items()}
 
-    def named(group: str) -> tuple[str, ...]:
+    def names(group: str) -> tuple[str, ...]:
         return tuple(f"{n}.{v}" for n, s in subsystems.items() for v in quantities(getattr(s, group)))
 
     def stacked(field: str) -> Any:
-        return column(*(getattr(s, field) for s in parts.values()))
+        return column(*(getattr(s, field) for s in components.values()))
 
     external = {name: ca.SX.sym(name) for name in inputs}
-    feed = {t: external[name] for name, targets in inputs.items() for t in targets}
-    outputs = named("outputs")
+    sources = {t: external[name] for name, targets in inputs.items() for t in targets}
+    outputs = names("outputs")
     y = dict(zip(outputs, ca.vertsplit(stacked("y")), strict=True))
-    _check(connections, feed, set(outputs), set(named("inputs")))
-    feed |= {target: y[source] for source, target in connections}
-    symbols = stacked("u")
-    fed = column(*(feed.get(name, ca.SX(constant.get(name, 0.0))) for name in named("inputs")))
-    dx, shown, require = _resolve([stacked("dx"), stacked("y"), stacked("require")], symbols, fed)
-    calculated = tuple(f"{n}.{v}" for n, s in parts.items() for v in s.calculated)
-    states = named("states")
+    _check(connections, sources, set(outputs), set(names("inputs")))
+    sources |= {target: y[source] for source, target in connections}
+    u = stacked("u")
+    values = column(*(sources.get(name, ca.SX(constant.get(name, 0.0))) for name in names("inputs")))
+    dx, y_all, require = _substitute(
+        [stacked("dx"), stacked("y"), stacked("require")], u, values, names("inputs")
+    )
+    calculated = tuple(f"{n}.{v}" for n, s in components.items() for v in s.calculated)
+    states = names("states")
     rows = [states.index(name) for name in calculated]
     x, start = stacked("x"), stacked("start")
-    (start,) = _resolve([start], column(symbols, *_rows(x, rows)), column(fed, *_rows(start, rows)))
+    (start,) = _substitute(
+        [start],
+        column(u, *(x[i] for i in rows)),
+        column(values, *(start[i] for i in rows)),
+        names("inputs") + calculated,
+    )
     return CoupledEquations(
         states=states,
         inputs=tuple(external),
-        parameters=named("parameters"),
+        parameters=names("parameters"),
         outputs=outputs,
         calculated=calculated,
-        statements=tuple((n, text) for n, s in parts.items() for text in s.statements),
+        statements=tuple((n, text) for n, s in components.items() for text in s.statements),
         x=x,
         u=column(*external.values()),
         p=stacked("p"),
         dx=ca.cse(dx),
-        y=ca.cse(shown),
+        y=ca.cse(y_all),
         start=start,
         require=require,
     )
 
 
 def _check(
-    connections: Sequence[tuple[str, str]], feed: Collection[str], outputs: Set[str], inputs: Set[str]
+    connections: Sequence[tuple[str, str]], fed: Collection[str], outputs: Set[str], inputs: Set[str]
 ) -> None:
+    """Refuse unknown outputs and inputs, and inputs with two sources; fed: targets of external inputs."""
     for source, target in connections:
         if source not in outputs:
-            raise Problem(f"{source} -> {target}: {source} is no output of the components")
-    fed = [*feed, *(target for _, target in connections)]
-    for target in fed:
+            raise Problem(f"{source} -> {target}: {source} is not an output of any component")
+    targets = [*fed, *(target for _, target in connections)]
+    for target in targets:
         if target not in inputs:
-            raise Problem(f"{target} is fed, expected an input of the components")
-        if fed.count(target) > 1:
-            raise Problem(f"{target} is fed twice, expected one source")
+            raise Problem(f"{target}: expected an input of a component, got another name")
+        if targets.count(target) > 1:
+            raise Problem(f"{target}: expected one source, got {targets.count(target)}")
 
 
-def _rows(values: ca.SX, rows: Sequence[int]) -> list[ca.SX]:
-    return [values[i] for i in rows]
-
-
-def _resolve(terms: list[ca.SX], symbols: ca.SX, meanings: ca.SX) -> list[ca.SX]:
-    """Replaces the symbols by what they stand for until none is left."""
+def _substitute(terms: list[ca.SX], symbols: ca.SX, values: ca.SX, names: Sequence[str]) -> list[ca.SX]:
+    """Substitute values for symbols, which may occur in other values, until no symbol is left."""
     for _ in range(symbols.numel() + 1):
         if not any(ca.depends_on(t, symbols) for t in terms):
             return terms
-        terms = list(ca.substitute(terms, [symbols], [meanings]))
-    raise Problem("the connections form an algebraic loop")
+        terms = list(ca.substitute(terms, [symbols], [values]))
+    loop = [n for n, s in zip(names, ca.vertsplit(symbols), strict=True) if ca.depends_on(column(*terms), s)]
+    raise Problem(f"the connections form an algebraic loop through {', '.join(loop)}")
 
 
-Names = Mapping[str, str]  # `component.variable` -> name
+# ---- names in the composed subsystem
 
 
 def declared(subsystems: Mapping[str, Subsystem], group: str) -> dict[str, Quantity]:
@@ -160,45 +172,45 @@ def declared(subsystems: Mapping[str, Subsystem], group: str) -> dict[str, Quant
 def flat_names(
     subsystems: Mapping[str, Subsystem],
     tables: Mapping[str, Tables],
-    taken: Collection[str],
+    reserved: Collection[str],
     totals: Collection[str],
     hidden: Collection[str],
 ) -> Names:
-    """Names of parameters, states and outputs, but `hidden` ones; those in `taken` belong to others."""
+    """Names of parameters, states and outputs, except `hidden` outputs; `reserved` names are already used."""
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
     unknown = set(hidden) - set(outputs)
     if unknown:
-        raise Problem(f"{min(unknown)} is hidden, expected an output of {', '.join(subsystems)}")
+        raise Problem(f"hidden: {min(unknown)} is not an output of {', '.join(subsystems)}")
     visible = [v for v in outputs if v not in hidden]
-    own = {v: v.partition(".")[2] for v in [*parameters, *states, *visible]}
-    merged = _common(parameters, tables) | {v for v in visible if own[v] in totals}
-    single = [v for v in own if v not in merged]
-    others = [*taken, *{own[v] for v in merged}]
-    seen = Counter([*others, *(own[v] for v in single)])
-    names = own | {v: v.replace(".", "_") for v in single if seen[own[v]] > 1}
-    seen = Counter([*others, *(names[v] for v in single)])
-    twice = sorted(name for name, count in seen.items() if count > 1)
-    if twice:
-        raise Problem(f"{', '.join(subsystems)}: {twice[0]} would name two variables of the whole")
+    local = {v: v.partition(".")[2] for v in [*parameters, *states, *visible]}
+    shared = _shared(parameters, tables) | {v for v in visible if local[v] in totals}
+    unshared = [v for v in local if v not in shared]
+    used = [*reserved, *{local[v] for v in shared}]
+    counts = Counter([*used, *(local[v] for v in unshared)])
+    names = local | {v: v.replace(".", "_") for v in unshared if counts[local[v]] > 1}
+    counts = Counter([*used, *(names[v] for v in unshared)])
+    ambiguous = sorted(name for name, count in counts.items() if count > 1)
+    if ambiguous:
+        raise Problem(f"{', '.join(subsystems)}: the name {ambiguous[0]} is ambiguous when composed")
     return names
 
 
-def _common(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) -> set[str]:
-    """Parameters that stand for the same thing in several components."""
-    alike: dict[str, list[str]] = {}
+def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) -> set[str]:
+    """Parameters with the same name, declaration and value in several components."""
+    by_name: dict[str, list[str]] = {}
     for v in parameters:
-        alike.setdefault(v.partition(".")[2], []).append(v)
+        by_name.setdefault(v.partition(".")[2], []).append(v)
 
-    def meaning(v: str) -> tuple[Quantity, float]:
+    def signature(v: str) -> tuple[Quantity, float]:
         component, _, name = v.partition(".")
         return replace(parameters[v], group=""), tables[component]["parameters"][name].value
 
     return {
-        v for group in alike.values() if len(group) > 1 and len({*map(meaning, group)}) == 1 for v in group
+        v
+        for same_name in by_name.values()
+        if len(same_name) > 1 and len({*map(signature, same_name)}) == 1
+        for v in same_name
     }
-
-
-Inputs = Mapping[str, Sequence[str]]  # input of the whole -> `component.variable` that it feeds
 
 
 def compose(
@@ -215,31 +227,33 @@ def compose(
     texts: Mapping[str, str] | None = None,
     terminals: tuple[Terminal, ...] = (),
 ) -> Subsystem:
-    """One subsystem of several, connected by (source output, target input) pairs.
+    """One subsystem composed of several, which are connected by (source output, target input) pairs.
 
-    Inputs that nothing feeds keep their start value.
-    Components that have a `corner` are refused: the whole would not tell it.
+    Unconnected inputs keep their start value. Components with time events (`next_event`) are not supported.
 
-    tables   numbers by component; by default those of its parameters.toml
-    folder   where README.md and icon.png are, if there are any
-    hidden   outputs, `component.variable`, that nobody outside needs
-    totals   names that several components give to an output, of which the sum is shown
-    texts    output of the whole -> what it is, where the words of the component do not fit
+    inputs   external input -> component inputs that it feeds
+    tables   parameter and start values by component; default: from its parameters.toml
+    folder   folder of README.md and icon.png, if any
+    hidden   outputs, `component.variable`, that the composed subsystem does not have
+    totals   names of outputs that are replaced by their sum over the components
+    texts    descriptions of outputs that replace those of the components
     """
-    told = [n for n, sub in subsystems.items() if sub.corner is not never]
-    if told:
-        raise Problem(f"{name}: {told[0]} has corners, expected components without")
+    with_events = [n for n, sub in subsystems.items() if sub.next_event is not no_event]
+    if with_events:
+        raise Problem(
+            f"{name}: {with_events[0]} has time events, which a composed subsystem does not support"
+        )
     tables = tables or {n: numbers(sub) for n, sub in subsystems.items()}
     start = {f"{c}.{v}": number for c, t in tables.items() for v, number in t["start"].items()}
-    whole = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})
+    coupled = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})
     names = flat_names(subsystems, tables, inputs, totals, hidden)
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
-    visible = _shown({v: q for v, q in outputs.items() if v not in hidden}, names)
-    visible |= {v: replace(visible[v], text=words) for v, words in (texts or {}).items()}
+    visible = _by_new_name({v: q for v, q in outputs.items() if v not in hidden}, names)
+    visible |= {v: replace(visible[v], text=description) for v, description in (texts or {}).items()}
     groups = {
-        "parameters": _shown(parameters, names),
-        "states": _shown(states, names),
-        "inputs": _fed(name, declared(subsystems, "inputs"), inputs, start),
+        "parameters": _by_new_name(parameters, names),
+        "states": _by_new_name(states, names),
+        "inputs": _external_inputs(name, declared(subsystems, "inputs"), inputs, start),
         "outputs": visible,
     }
     types: dict[str, Any] = {
@@ -249,94 +263,95 @@ def compose(
         name=name,
         text=text,
         **types,
-        **_equations(whole, names, types["states"], types["outputs"]),
+        **_functions(coupled, names, types["states"], types["outputs"]),
         values=folder and folder / "parameters.toml",
-        numbers=_numbers(tables, names, inputs),
+        numbers=_composed_tables(tables, names, inputs),
         derive=lambda p: _derived(subsystems, names, p),
         terminals=terminals,
     )
 
 
-def _shown(members: Mapping[str, Quantity], names: Names) -> dict[str, Quantity]:
-    """By their names in the whole; of several with one name the first counts."""
-    found: dict[str, Quantity] = {}
+def _by_new_name(members: Mapping[str, Quantity], names: Names) -> dict[str, Quantity]:
+    """Quantities by their new name; of several with one name the first is used."""
+    renamed: dict[str, Quantity] = {}
     for variable, quantity in members.items():
-        found.setdefault(names[variable], quantity)
-    return found
+        renamed.setdefault(names[variable], quantity)
+    return renamed
 
 
-def _fed(
+def _external_inputs(
     name: str, members: Mapping[str, Quantity], inputs: Inputs, start: Mapping[str, Number]
 ) -> dict[str, Quantity]:
-    """The inputs of the whole, as the first target declares them; rates by their names in the whole."""
-    found: dict[str, Quantity] = {}
-    for own, targets in inputs.items():
-        first = members[targets[0]]
+    """External inputs as their first targets declare them, with the external name of their rate."""
+
+    def signature(target: str) -> tuple[str, float]:
+        return members[target].unit, start[target].value if target in start else 0.0
+
+    external: dict[str, Quantity] = {}
+    for new_name, targets in inputs.items():
+        first = targets[0]
         for t in targets:
-            if (members[t].unit, _value(start, t)) != (first.unit, _value(start, targets[0])):
-                raise Problem(f"{name}: {own} feeds {targets[0]} and {t}, expected one unit and start value")
-        rate = targets[0].partition(".")[0] + f".{first.rate}"
-        found[own] = replace(first, rate=next((n for n, ends in inputs.items() if rate in ends), None))
-    return found
-
-
-def _value(start: Mapping[str, Number], variable: str) -> float:
-    return start[variable].value if variable in start else 0.0
+            if signature(t) != signature(first):
+                raise Problem(
+                    f"{name}: {new_name} feeds {first} and {t}, expected equal unit and start value"
+                )
+        rate = first.partition(".")[0] + f".{members[first].rate}"
+        rate_name = next((n for n, fed in inputs.items() if rate in fed), None)
+        external[new_name] = replace(members[first], rate=rate_name)
+    return external
 
 
 def _derived(subsystems: Mapping[str, Subsystem], names: Names, p: Any) -> dict[str, Scalar]:
-    """What the components derive of their parameters, by its name in the whole."""
-    found: dict[str, Scalar] = {}
+    """Derived parameters of the components, by their new name."""
+    derived: dict[str, Scalar] = {}
     for component, sub in subsystems.items():
-        of_whole = {n: names[f"{component}.{n}"] for n in quantities(sub.parameters)}
-        own = SimpleNamespace(**{n: getattr(p, name) for n, name in of_whole.items()})
-        found |= {of_whole[n]: value for n, value in sub.derive(own).items()}
-    return found
+        new_names = {n: names[f"{component}.{n}"] for n in quantities(sub.parameters)}
+        local = SimpleNamespace(**{n: getattr(p, name) for n, name in new_names.items()})
+        derived |= {new_names[n]: value for n, value in sub.derive(local).items()}
+    return derived
 
 
-def _numbers(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:
-    """The numbers of the whole; of several with one name the first counts, the value is the same."""
-    ends = {**names} | {targets[0]: own for own, targets in inputs.items()}
-    found: dict[str, dict[str, Number]] = {"parameters": {}, "start": {}}
+def _composed_tables(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:
+    """Parameter and start values by new name; shared ones are equal, so the first is used."""
+    new_names = {**names} | {targets[0]: name for name, targets in inputs.items()}
+    composed: dict[str, dict[str, Number]] = {"parameters": {}, "start": {}}
     for component, sections in tables.items():
         for section, entries in sections.items():
             for variable, number in entries.items():
-                if f"{component}.{variable}" in ends:
-                    found[section].setdefault(ends[f"{component}.{variable}"], number)
-    return found
+                if f"{component}.{variable}" in new_names:
+                    composed[section].setdefault(new_names[f"{component}.{variable}"], number)
+    return composed
 
 
-_DEEP = 9  # levels down to which two requirements with the same text are compared
-
-
-def _equations(
-    whole: CoupledEquations, names: Names, states: type[Any], outputs: type[Any]
+def _functions(
+    coupled: CoupledEquations, names: Names, states: type[Any], outputs: type[Any]
 ) -> dict[str, Any]:
-    """The functions of the contract by name, over the groups of the whole."""
-    rows = {n: [i for i, v in enumerate(whole.outputs) if names.get(v) == n] for n in quantities(outputs)}
-    shown = column(*(sum(whole.y[i] for i in found) for found in rows.values()))
-    f, g = whole.function("f", whole.dx), whole.function("g", shown)
-    s, r = whole.function("s", whole.start), whole.function("r", whole.require)
+    """The functions that a Subsystem needs, by name: dynamics, observe, initial, require."""
+    rows = {n: [i for i, v in enumerate(coupled.outputs) if names.get(v) == n] for n in quantities(outputs)}
+    summed = column(*(sum(coupled.y[i] for i in indices) for indices in rows.values()))
+    f, g = coupled.function("f", coupled.dx), coupled.function("g", summed)
+    s, r = coupled.function("s", coupled.start), coupled.function("r", coupled.require)
 
-    def known(x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
-        return stack(x), stack(u), column(*(getattr(p, names[v]) for v in whole.parameters))
+    def arguments(x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
+        return stack(x), stack(u), column(*(getattr(p, names[v]) for v in coupled.parameters))
 
     def initial(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        found = s(*known(x, u, p))
-        return {names[v]: found[whole.states.index(v)] for v in whole.calculated}
+        start = s(*arguments(x, u, p))
+        return {names[v]: start[coupled.states.index(v)] for v in coupled.calculated}
 
     def require(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        found = r(*known(x, u, p))
-        statements: dict[str, Scalar] = {}
-        for i, (component, statement) in enumerate(whole.statements):
-            same = statement in statements and ca.is_equal(statements[statement], found[i], _DEEP)
-            told = statement if same or statement not in statements else f"{component}: {statement}"
-            statements[told] = found[i]
-        return statements
+        """Requirements by text; equal ones once, different ones of the same text with the component name."""
+        margins = r(*arguments(x, u, p))
+        by_text: dict[str, Scalar] = {}
+        for i, (component, statement) in enumerate(coupled.statements):
+            same = statement in by_text and ca.is_equal(by_text[statement], margins[i], _EQUALITY_DEPTH)
+            key = statement if same or statement not in by_text else f"{component}: {statement}"
+            by_text[key] = margins[i]
+        return by_text
 
     return {
-        "dynamics": lambda x, u, p: unstack(states, f(*known(x, u, p))),
-        "observe": lambda x, u, p: unstack(outputs, g(*known(x, u, p))),
+        "dynamics": lambda x, u, p: unstack(states, f(*arguments(x, u, p))),
+        "observe": lambda x, u, p: unstack(outputs, g(*arguments(x, u, p))),
         "initial": initial,
         "require": require,
     }

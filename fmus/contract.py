@@ -1,12 +1,12 @@
-"""The one declaration from which everything else is derived: a subsystem.
+"""Declaration of a subsystem, from which its FMU, documentation and identification are derived.
 
-A subsystem is data plus two pure functions of it,
+A subsystem is data and two pure functions,
 
     dx/dt = dynamics(x, u, p)        y = observe(x, u, p)
 
-over four groups of scalars (`Group`): states x, inputs u, parameters p and outputs y.
-Each field is a scalar with a `Quantity` (unit, text, magnitude).
-A name that stands both in the states and in the outputs is one variable.
+of four groups of scalars (`Group`): states x, inputs u, parameters p and outputs y.
+Each field of a group is a scalar with a `Quantity` (unit, description, nominal value).
+A name that is both in the states and in the outputs is one variable.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ import casadi as ca
 
 from orchestrator.base.errors import Problem
 
-Scalar: TypeAlias = Any  # float | ca.SX; the operators of CasADi's own annotations do not fit symbols
+Scalar: TypeAlias = Any  # float | ca.SX; the operators in CasADi's annotations do not accept symbols
 G = TypeVar("G")
 
 
-ModelError = Problem  # its name until version 0.1
+ModelError = Problem  # old name, kept for compatibility
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Meaning of one scalar.
+    """Declaration of one scalar.
 
-    unit, text   SI unit and one line of description
-    nominal      magnitude in that unit, for scaling and error control
-    absolute     states only: the absolute tolerance over the relative one; without it, nominal
+    unit, text   SI unit and description in one line
+    nominal      typical magnitude in that unit, for scaling and error control
+    absolute     states only: absolute tolerance divided by relative tolerance; default: nominal
     minimum, maximum   bounds that an importer and the FMU check
     tunable      parameters only: may be changed while the simulation runs
-    rate         inputs only: name of the input that carries this one's exact time derivative
+    rate         inputs only: name of the input with the exact time derivative of this input
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
-    group        parameters only: the heading it stands under; without one, that of the parameter before
-    value        its number, for a subsystem that has no file of numbers
+    group        parameters only: heading in documentation; default: heading of the previous parameter
+    value        parameter or start value, for a subsystem without parameters.toml
     """
 
     unit: str
@@ -59,11 +59,11 @@ class Quantity:
 
     @property
     def absolute_scale(self) -> float:
-        """Absolute tolerance of the error control over the relative one."""
+        """Absolute tolerance of the error control, divided by its relative tolerance."""
         return self.nominal if self.absolute is None else self.absolute
 
     def of(self, prefix: str, owner: str) -> Quantity:
-        """With `owner` in place of "{}" in its texts, and its rate by the name with the prefix."""
+        """The quantity with `owner` for "{}" in text and heading, and the prefix in the name of its rate."""
         heading = self.group.replace("{}", owner)
         return replace(
             self,
@@ -75,18 +75,19 @@ class Quantity:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Quantity,))
 class Group:
-    """Scalars that belong together, such as the states of a subsystem; each field is a `Quantity`.
+    """Base class of a group of scalars, such as the states of a subsystem; each field is a `Quantity`.
 
         class State(Group):
             pressure: Scalar = Quantity("Pa", "Pressure of the chamber", 1e7)
 
-    A frozen dataclass, made with fields by name. A group that inherits from others has their fields, too.
-    What is needed twice is declared once and put in with a prefix, before the fields of the class itself:
+    A group is a frozen dataclass with keyword arguments. It inherits the fields of its base groups.
+    Quantities that are needed several times are declared once and inserted with a prefix, before the fields
+    of the class:
 
         class Parameters(Group, boom=Cylinder, stick=Cylinder):      boom_bore, boom_rod, ..., stick_bore, ...
 
-    "{}" in its texts becomes the prefix, or the words in `boom=(Cylinder, "lift")`; `Cylinder.of(p, "boom")`
-    takes it out again.
+    "{}" in the texts of `Cylinder` is replaced by the prefix, or by "lift" for `boom=(Cylinder, "lift")`.
+    `Cylinder.of(p, "boom")` returns the `Cylinder` with the values of boom_bore, boom_rod, ...
     """
 
     if TYPE_CHECKING:
@@ -96,8 +97,8 @@ class Group:
     def __init_subclass__(cls, **parts: type[Group] | tuple[type[Group], str]) -> None:
         declared: dict[str, Quantity] = {}
         for prefix, part in parts.items():
-            kind, owner = part if isinstance(part, tuple) else (part, prefix)
-            declared |= {f"{prefix}_{name}": q.of(prefix, owner) for name, q in quantities(kind).items()}
+            group, owner = part if isinstance(part, tuple) else (part, prefix)
+            declared |= {f"{prefix}_{name}": q.of(prefix, owner) for name, q in quantities(group).items()}
         declared |= {name: q for name, q in vars(cls).items() if isinstance(q, Quantity)}
         cls.__annotations__ = dict.fromkeys(declared, "Scalar")
         for name, quantity in declared.items():
@@ -107,13 +108,13 @@ class Group:
 
     @classmethod
     def of(cls: type[G], values: Any, prefix: str = "") -> G:
-        """The group from those fields of `values` that have its names, with this prefix and "_"."""
-        before = f"{prefix}_" if prefix else ""
-        return cls(**{f.name: getattr(values, before + f.name) for f in fields(cls)})  # type: ignore[arg-type]
+        """A group with the values of the fields `prefix_name` of `values`; without a prefix, `name`."""
+        start = f"{prefix}_" if prefix else ""
+        return cls(**{f.name: getattr(values, start + f.name) for f in fields(cls)})  # type: ignore[arg-type]
 
 
 def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group]) -> type[Any]:
-    """A group with these members, after those of its bases."""
+    """A group class with the members of its bases, followed by these."""
     return type(name, bases or (Group,), {"__module__": __name__, **members})
 
 
@@ -121,9 +122,9 @@ def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group]) 
 class Member:
     """One variable of a terminal.
 
-    name   equal on both sides of a connection
-    flow   "in" or "out" for what is balanced over the connection (force, torque, flow), positive
-           into or out of the subsystem; empty for the rest
+    name   member name, equal on both sides of a connection
+    flow   "in" or "out" for a flow variable (force, torque, volume flow), positive into or out of the
+           subsystem; empty for all others
     """
 
     name: str
@@ -133,7 +134,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Terminal:
-    """A port: variables that are connected together, to a terminal of the same kind of another subsystem."""
+    """A port: variables that are connected together to a terminal of the same kind of another subsystem."""
 
     name: str
     kind: str
@@ -145,31 +146,31 @@ def _none(*_: Any) -> dict[str, Scalar]:
     return {}
 
 
-def never(*_: Any) -> Scalar:
-    """The `corner` of a subsystem without any."""
+def no_event(*_: Any) -> Scalar:
+    """The `next_event` of a subsystem without time events."""
     return math.inf
 
 
 @dataclass(frozen=True)
 class Subsystem:
-    """One FMU-to-be.
+    """A model that can be exported as an FMU.
 
-    name       identifier: model identifier and file name of the FMU
-    values     the parameters.toml with the numbers of parameters and start values; README.md and icon.png
-               beside it go into the FMU. Without a file the numbers are the `value`s of the quantities
-    initial    (x, u, p) -> {state: value}: states computed at initialisation, perhaps from
-               the start values x of the others, which start at their start value
-    require    (x, u, p) -> {statement: expression}: what must hold (expression > 0)
-               at the start and after every step, else the FMU reports an error
-    derive     (p) -> {parameter: value}: the value of a parameter wherever its number is 0
-    corner     (x, u, p) -> seconds to the next known instant at which a rate jumps, infinite for none:
-               a time event in model exchange, so that no solver steps over it
-    terminals  its ports
-    numbers    what would stand in that file (`parameters.read`), for a subsystem that has none
-    stiff      are there modes much faster than the motion? If not, an explicit method is tried first
-    part, variant   the component that it stands for and which fidelity of it (`family`)
-    validity   where it holds, in one line
-    elsewhere  names in the file that only other variants of the part declare
+    name       model identifier and file name of the FMU
+    values     parameters.toml with parameter and start values; README.md and icon.png in its folder are
+               copied into the FMU. Without a file the `value`s of the quantities are used
+    initial    (x, u, p) -> {state: value}: states calculated at initialisation, also from the start values x
+               of other states; the other states start at their start value
+    require    (x, u, p) -> {statement: expression}: requirements, fulfilled if the expression is positive.
+               The FMU reports an error if one is violated at the start or after a step
+    derive     (p) -> {parameter: value}: derived parameters; a value applies if the parameter is 0
+    next_event (x, u, p) -> seconds to the next time event, a known instant at which a rate jumps; infinite
+               without one. In Model Exchange no solver steps over it
+    terminals  ports
+    numbers    content of a parameters.toml (`parameters.read`), for a subsystem that has no such file
+    stiff      whether modes are much faster than the motion; if not, an explicit method is tried first
+    part, variant   component of a system, and the name of this variant of it (`family`)
+    validity   range of validity, in one line
+    names_of_variants   names in parameters.toml that only other variants of the part declare
     """
 
     name: str
@@ -184,68 +185,68 @@ class Subsystem:
     initial: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = _none
     derive: Callable[[Any], Mapping[str, Scalar]] = _none
-    corner: Callable[[Any, Any, Any], Scalar] = never
+    next_event: Callable[[Any, Any, Any], Scalar] = no_event
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
     stiff: bool = True
     part: str = ""
     variant: str = ""
     validity: str = ""
-    elsewhere: frozenset[str] = frozenset()
+    names_of_variants: frozenset[str] = frozenset()
 
     @property
     def folder(self) -> Path:
-        """Where README.md, icon.png and the reference experiment are, if it has any."""
+        """Folder of README.md, icon.png and the reference experiment, as far as they exist."""
         return Path(os.devnull) if self.values is None else self.values.parent
 
     @property
     def component(self) -> str:
-        """The name that it has in a system."""
+        """Name of the component in a system."""
         return self.part or self.name
 
 
 def family(part: str, **variants: Subsystem) -> dict[str, Subsystem]:
-    """Variants of one part by name, the usual one first; completes what makes them a family.
+    """Variants of one part by name, the default variant first, with their FMU names.
 
-    The usual one is named like the part, another one `part_variant`. All have the same inputs, and at least
-    the outputs of the usual one: whichever stands in a system, the wires and the signals fit.
+    The default variant has the name of the part, another one is `part_variant`. All variants have the same
+    inputs, and at least the outputs of the default variant, so they are interchangeable in a system.
     """
-    names = {v: _startable(sub) for v, sub in variants.items()}
-    usual = next(iter(variants.values()))
+    names = {v: _names_in_file(sub) for v, sub in variants.items()}
+    default = next(iter(variants.values()))
     for sub in variants.values():
         for group in ("inputs", "outputs"):
-            declared, wanted = quantities(getattr(sub, group)), quantities(getattr(usual, group))
-            differ = [n for n, q in wanted.items() if declared.get(n) != q]
-            differ += [n for n in declared if n not in wanted and group == "inputs"]
+            declared, expected = quantities(getattr(sub, group)), quantities(getattr(default, group))
+            differ = [n for n, q in expected.items() if declared.get(n) != q]
+            differ += [n for n in declared if n not in expected and group == "inputs"]
             if differ:
-                raise Problem(f"{sub.name}: {group} differ from those of {usual.name}: {', '.join(differ)}")
+                raise Problem(f"{sub.name}: {group} differ from those of {default.name}: {', '.join(differ)}")
     return {
         v: replace(
             sub,
-            name=part if sub is usual else f"{part}_{v}",
+            name=part if sub is default else f"{part}_{v}",
             part=part,
             variant=v,
-            elsewhere=frozenset().union(*names.values()) - names[v],
+            names_of_variants=frozenset().union(*names.values()) - names[v],
         )
         for v, sub in variants.items()
     }
 
 
-def _startable(sub: Subsystem) -> frozenset[str]:
-    """The names that may stand in the file of numbers."""
+def _names_in_file(sub: Subsystem) -> frozenset[str]:
+    """Names of variables that parameters.toml may contain."""
     return frozenset(n for g in (sub.parameters, sub.inputs, sub.states) for n in quantities(g))
 
 
-_DECLARED: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve
+_CACHE: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve
 
 
 def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
-    """The quantities of a group in the order of its fields, each with the heading it stands under.
+    """Quantities of a group in the order of its fields, each with its heading.
 
-    Also of a dataclass whose fields are `Annotated[float, Quantity(...)]`.
+    The group may also be a dataclass whose fields are `Annotated[float, Quantity(...)]`.
     """
-    if group in _DECLARED:
-        return _DECLARED[group]
+    if group in _CACHE:
+        return _CACHE[group]
     if issubclass(group, Group):
         declared = {f.name: f.metadata["quantity"] for f in fields(group)}  # type: ignore[arg-type]
     else:
@@ -255,16 +256,16 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
     for name, quantity in declared.items():
         heading = quantity.group or heading
         declared[name] = replace(quantity, group=heading)
-    return _DECLARED.setdefault(group, MappingProxyType(declared))
+    return _CACHE.setdefault(group, MappingProxyType(declared))
 
 
 def symbols(group: type[G]) -> G:
-    """A group of fresh scalar symbols named like its fields."""
+    """A group of new scalar symbols, named like its fields."""
     return group(**{f.name: ca.SX.sym(f.name) for f in fields(group)})  # type: ignore[arg-type]
 
 
 def column(*values: Scalar) -> Any:
-    """Scalars and columns under each other, shape (n, 1); the one place that hides CasADi's types."""
+    """Scalars and columns stacked vertically, shape (n, 1), also none of them."""
     return ca.vertcat(*values) if values else ca.SX(0, 1)
 
 
@@ -280,53 +281,60 @@ def unstack(group: type[G], values: Any) -> G:
 
 @dataclass(frozen=True)
 class Symbolic:
-    """A subsystem written out: symbols x, u, p (columns) and the expressions of them."""
+    """A subsystem as symbols x, u, p (columns) and expressions in them.
+
+    start        initial states from the start values (the symbols x), u and p
+    calculated   names of the states that `initial` calculates
+    require      expressions that must be positive
+    statements   text of each requirement
+    """
 
     x: ca.SX
     u: ca.SX
     p: ca.SX
     dx: ca.SX
     y: ca.SX
-    start: ca.SX  # x at the start: of the start values (the symbols x), u and p
-    calculated: tuple[str, ...]  # states that `initial` computes
+    start: ca.SX
+    calculated: tuple[str, ...]
     require: ca.SX
     statements: tuple[str, ...]
-    corner: ca.SX
+    next_event: ca.SX
 
     def function(self, name: str = "model") -> ca.Function:
         """(x, u, p) -> (dx, y)."""
         return ca.Function(name, [self.x, self.u, self.p], [self.dx, self.y], ["x", "u", "p"], ["dx", "y"])
 
     def initial(self) -> ca.Function:
-        """(start values x, u, p) -> x at the start."""
+        """(start values x, u, p) -> initial x."""
         return ca.Function("initial", [self.x, self.u, self.p], [self.start])
 
 
 def symbolic(sub: Subsystem) -> Symbolic:
     """Evaluate the subsystem's functions once on symbols."""
-    x, u, given = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
+    x, u, declared = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
     derived = {
-        n: ca.if_else(getattr(given, n) > 0, getattr(given, n), v) for n, v in sub.derive(given).items()
+        n: ca.if_else(getattr(declared, n) > 0, getattr(declared, n), v)
+        for n, v in sub.derive(declared).items()
     }
-    p = replace(given, **derived)
-    computed = dict(sub.initial(x, u, p))
-    unknown = set(computed) - set(quantities(sub.states))
+    p = replace(declared, **derived)
+    calculated = dict(sub.initial(x, u, p))
+    unknown = set(calculated) - set(quantities(sub.states))
     if unknown:
         raise Problem(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
-    own = column(*(getattr(x, name) for name in computed))
-    if ca.depends_on(ca.SX(column(*computed.values())), own):
-        raise Problem(f"{sub.name}: initial() uses a state that it computes, expected those of others")
-    start = [computed.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
+    states = column(*(getattr(x, name) for name in calculated))
+    if ca.depends_on(ca.SX(column(*calculated.values())), states):
+        raise Problem(f"{sub.name}: initial() uses a state that it calculates, expected only other states")
+    start = [calculated.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
     require = dict(sub.require(x, u, p))
     return Symbolic(
         x=stack(x),
         u=stack(u),
-        p=stack(given),
+        p=stack(declared),
         dx=stack(sub.dynamics(x, u, p)),
         y=stack(sub.observe(x, u, p)),
         start=column(*start),
-        calculated=tuple(computed),
+        calculated=tuple(calculated),
         require=column(*require.values()),
         statements=tuple(require),
-        corner=ca.SX(sub.corner(x, u, p)),
+        next_event=ca.SX(sub.next_event(x, u, p)),
     )

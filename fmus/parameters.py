@@ -130,7 +130,7 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
                 own[section][name] = number
-            elif name not in sub.elsewhere:
+            elif name not in sub.names_of_variants:
                 raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return own
 

@@ -176,12 +176,12 @@ def test_totals_are_sums():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"wires": [("a.aim", "b.u"), ("b.aim", "a.u")], "inputs": {}}, "algebraic loop"),
-        ({"wires": [("a.z", "b.u")]}, "a.z -> b.u: a.z is no output"),
-        ({"wires": [("a.y", "b.z")]}, "b.z is fed, expected an input"),
-        ({"wires": [("a.y", "a.u")]}, "a.u is fed twice"),
-        ({"inputs": {"gain": ("a.u",)}}, "gain would name two variables"),
-        ({"hidden": ["a.z"]}, "a.z is hidden, expected an output of a, b"),
+        ({"wires": [("a.aim", "b.u"), ("b.aim", "a.u")], "inputs": {}}, "algebraic loop through a.u, b.u"),
+        ({"wires": [("a.z", "b.u")]}, "a.z -> b.u: a.z is not an output"),
+        ({"wires": [("a.y", "b.z")]}, "b.z: expected an input of a component"),
+        ({"wires": [("a.y", "a.u")]}, "a.u: expected one source, got 2"),
+        ({"inputs": {"gain": ("a.u",)}}, "the name gain is ambiguous"),
+        ({"hidden": ["a.z"]}, "hidden: a.z is not an output of a, b"),
     ],
 )
 def test_mistakes_in_the_wiring_are_told(changes, message):
@@ -194,7 +194,7 @@ def test_targets_of_an_input_start_alike():
     """One input cannot start with two values."""
     second = part("b")
     second[1]["start"]["u"] = Number(0.25, "m", "assumed", "")
-    with pytest.raises(Problem, match=r"all feeds a\.u and b\.u, expected one unit and start value"):
+    with pytest.raises(Problem, match=r"all feeds a\.u and b\.u, expected equal unit and start value"):
         chain(part("a"), second, wires=[], inputs={"all": ("a.u", "b.u")})
 
 

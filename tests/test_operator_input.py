@@ -176,7 +176,7 @@ def exchanging(path, start):
 
 def test_no_event_is_lost_in_a_whole():
     """Components with corners cannot be joined: the FMU of the whole would not tell them."""
-    with pytest.raises(Problem, match="whole: operator_input has corners, expected components without"):
+    with pytest.raises(Problem, match="whole: operator_input has time events"):
         compose(
             "whole", "The operator alone", {"operator_input": OPERATOR}, (), {}, folder=OPERATOR.values.parent
         )

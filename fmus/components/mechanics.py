@@ -34,7 +34,7 @@ class Triangle:
 
     length: Scalar
     arm: Scalar
-    arm_slope: Scalar
+    arm_derivative: Scalar
 
 
 def rotate(cos: Scalar, sin: Scalar, point: Point) -> Point:

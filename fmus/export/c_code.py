@@ -177,7 +177,7 @@ def write_out(interface: Interface) -> Equations:
         "ft": ca.jtimes(sym.dx, sym.u, given["du"]),
         "y": interface.y,
         "require": sym.require,
-        "delay": sym.corner,
+        "delay": sym.next_event,
         **_directional(sym, interface.y, given),
         **_adjoint(sym, interface.y, given),
     }

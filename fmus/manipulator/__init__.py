@@ -1,4 +1,4 @@
-"""Mechanics of the manipulator: swing column, boom, stick and processing head."""
+"""Manipulator: mechanics of swing column, boom, stick and processing head."""
 
 from fmus.contract import family
 from fmus.manipulator.friction import FRICTION

@@ -1,8 +1,8 @@
-"""The arm: geometry, energies and pistons of swing column, boom and stick.
+"""Mechanics of the arm (swing column, boom, stick): geometry, energies, pistons.
 
-Signs: the boom angle counts from the horizontal, up positive; the stick angle from the boom, up
-positive (a folded stick is negative); the swing angle counter-clockwise seen from above. Extending
-the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
+Signs: the boom angle is measured from the horizontal, upwards positive. The stick angle is measured from the
+boom, upwards positive; it is negative for a folded stick. The swing angle is counter-clockwise seen from
+above. Extending the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fmus.manipulator.variables import ArmLink, CylinderMount, ManipulatorParame
 
 
 class Posture(Protocol):
-    """Whatever has the angles of boom and stick [rad]: a state, or what a controller wants."""
+    """An object with the angles of boom and stick [rad]: a state, or a setpoint of a controller."""
 
     @property
     def boom_angle(self) -> Scalar: ...
@@ -38,7 +38,7 @@ class Posture(Protocol):
 
 
 class Moving(Posture, Protocol):
-    """And their speeds [rad/s]."""
+    """An object with the angles and speeds [rad, rad/s] of boom and stick."""
 
     @property
     def boom_speed(self) -> Scalar: ...
@@ -48,22 +48,22 @@ class Moving(Posture, Protocol):
 
 
 def points(x: Posture, p: ManipulatorParameters) -> tuple[Point, Point]:
-    """Stick pivot (elbow) and stick end (tip) as (radius, height) [m]."""
+    """Elbow (stick pivot) and tip (end of the stick) as (radius, height) [m]."""
     pitch = x.boom_angle + x.stick_angle
     elbow = _add((p.boom_pivot_x, p.boom_pivot_z), _turn(x.boom_angle, (p.stick_pivot_x, p.stick_pivot_z)))
     return elbow, _add(elbow, _turn(pitch, (p.stick_length, 0)))
 
 
 def tip_velocity(x: Moving, p: ManipulatorParameters) -> Point:
-    """Velocity of the stick end in the plane of the arm, outwards and upwards [m/s]."""
+    """Velocity of the tip in the plane of the arm, outwards and upwards [m/s]."""
     elbow, tip = points(x, p)
     upper = _add(elbow, (p.boom_pivot_x, p.boom_pivot_z), -1)
     return _end_velocity(upper, _add(tip, elbow, -1), x.boom_speed, x.boom_speed + x.stick_speed)
 
 
-def _end_velocity(upper: Point, lower: Point, boom_speed: Scalar, turn: Scalar) -> Point:
-    """Velocity of the end of two links `upper` and `lower` that turn at these rates."""
-    return -boom_speed * upper[1] - turn * lower[1], boom_speed * upper[0] + turn * lower[0]
+def _end_velocity(upper: Point, lower: Point, upper_rate: Scalar, lower_rate: Scalar) -> Point:
+    """Velocity of the end of two links `upper` and `lower` with these pitch rates [rad/s]."""
+    return -upper_rate * upper[1] - lower_rate * lower[1], upper_rate * upper[0] + lower_rate * lower[0]
 
 
 def _turn(angle: Scalar, point: Point) -> Point:
@@ -81,13 +81,13 @@ def _dot(a: Point, b: Point) -> Scalar:
 def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> EquationsOfMotion:
     """M, V, G of eq. (4) from the energies of boom, stick and head, q = (swing, boom, stick, head angles).
 
-    In the plane of the arm the stick and the head, a point mass at the stick end and what `head` adds,
-    count by their first moment about the elbow and their inertia; everything outboard of the elbow moves
-    with it. The links are slender: no inertia about their own axis, so about the vertical a link at pitch
-    f has m r^2 + I cos(f)^2.
+    The head is a point mass at the tip, plus the energies that `head` adds. In the plane of the arm, stick
+    and point mass enter with their first moment and their moment of inertia about the elbow; their whole mass
+    moves with the elbow. The links are slender: they have no inertia about their own axis, so the inertia of
+    a link at pitch f about the vertical is m r^2 + I cos(f)^2.
     """
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
-    boom, stick, end = ArmLink.of(p, "boom").centre, ArmLink.of(p, "stick").centre, (p.stick_length, 0)
+    boom, stick, tip = ArmLink.of(p, "boom").centre, ArmLink.of(p, "stick").centre, (p.stick_length, 0)
     outboard = p.stick_mass + p.head_mass
     moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick_mass)  # about the elbow [kg.m]
     inertia_boom = p.boom_inertia + p.boom_mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)
@@ -96,18 +96,18 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     def kinetic(q: ca.SX, w: ca.SX) -> Scalar:
         pitch = q[1] + q[2]
         at_elbow = _add(pivot, _turn(q[1], elbow))
-        at_tip = _add(at_elbow, _turn(pitch, end))
+        at_tip = _add(at_elbow, _turn(pitch, tip))
         radii = [(p.boom_mass, _add(pivot, _turn(q[1], boom))[0])]
         radii += [(p.stick_mass, _add(at_elbow, _turn(pitch, stick))[0])]
         radii += [(p.head_mass, at_tip[0])]
         yaw = p.column_inertia + p.boom_inertia * ca.cos(q[1]) ** 2 + p.stick_inertia * ca.cos(pitch) ** 2
         yaw += sum(m * r**2 for m, r in radii)
         coupling = _dot(elbow, _turn(q[2], moment))
-        turn = w[1] + w[2]
-        planar = inertia_boom * w[1] ** 2 + inertia_stick * turn**2 + 2 * coupling * w[1] * turn
-        out, up = _end_velocity(_add(at_elbow, pivot, -1), _add(at_tip, at_elbow, -1), w[1], turn)
-        tip = TipMotion(velocity=(out, at_tip[0] * w[0], up), yaw_rate=w[0])
-        return (yaw * w[0] ** 2 + planar) / 2 + head.kinetic(tip, q[3:], w[3:], p)
+        pitch_rate = w[1] + w[2]
+        planar = inertia_boom * w[1] ** 2 + inertia_stick * pitch_rate**2 + 2 * coupling * w[1] * pitch_rate
+        out, up = _end_velocity(_add(at_elbow, pivot, -1), _add(at_tip, at_elbow, -1), w[1], pitch_rate)
+        motion = TipMotion(velocity=(out, at_tip[0] * w[0], up), yaw_rate=w[0])
+        return (yaw * w[0] ** 2 + planar) / 2 + head.kinetic(motion, q[3:], w[3:], p)
 
     def potential(q: ca.SX) -> Scalar:
         first = _turn(q[1], _add((p.boom_mass * boom[0], p.boom_mass * boom[1]), elbow, outboard))
@@ -130,12 +130,12 @@ def triangles(x: Posture, p: Any) -> tuple[Triangle, Triangle]:
 
 @dataclass(frozen=True)
 class Piston:
-    """One cylinder seen from the mechanics: geometry, motion and stop force."""
+    """Piston of a cylinder: geometry at the joint, position [m], velocity [m/s] and end stop force [N]."""
 
     triangle: Triangle
     position: Scalar
     velocity: Scalar
-    stop: Scalar
+    stop_force: Scalar
 
 
 def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Piston]:
@@ -154,21 +154,21 @@ def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Pist
 
 
 def require(x: ManipulatorState, p: ManipulatorParameters) -> dict[str, Scalar]:
-    """Cylinder triangles must close over the whole stroke, and the pistons stay near their strokes."""
+    """Requirements: cylinder triangles close over the whole stroke, pistons stay within their strokes."""
     conditions: dict[str, Scalar] = {}
     boom, stick = pistons(x, p)
     for name, piston in (("boom", boom), ("stick", stick)):
-        own = CylinderMount.of(p, name)
-        shortest, longest = reach(*own.pins)
-        margin = 0.05 * own.stroke  # a piston this far beyond its stop has left the range of the stop model
+        mount = CylinderMount.of(p, name)
+        shortest, longest = reach(*mount.pins)
+        margin = 0.05 * mount.stroke  # penetration of an end stop up to which its model is valid
         angle = f"{name}_angle [rad], at the start initial_{name}_angle,"
         conditions |= {
-            f"{name}_closed_length is above the shortest reach of its pins": own.closed_length - shortest,
+            f"{name}_closed_length is above the shortest reach of its pins": mount.closed_length - shortest,
             f"{name}_closed_length + {name}_stroke is below the longest reach of its pins": longest
-            - own.closed_length
-            - own.stroke,
+            - mount.closed_length
+            - mount.stroke,
             f"{angle} keeps the {name} piston above its closed end": piston.position + margin,
-            f"{angle} keeps the {name} piston below its open end": own.stroke + margin - piston.position,
+            f"{angle} keeps the {name} piston below its open end": mount.stroke + margin - piston.position,
         }
     conditions["boom_angle keeps the pins of the boom cylinder out of line (J > 0)"] = boom.triangle.arm
     conditions["stick_angle keeps the pins of the stick cylinder out of line (J < 0)"] = -stick.triangle.arm

@@ -1,6 +1,6 @@
-"""What a variant of the manipulator is put together from: a head and a law of friction.
+"""Components of a variant of the manipulator: a processing head and a friction law.
 
-`fmus.manipulator.model` makes the subsystem of them; the arm is the same in all.
+`fmus.manipulator.model` builds the subsystem from them; the arm is the same in all variants.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CONTACTS = ("swing", "boom_joint", "stick_joint", "boom_piston", "stick_piston")
 
 @dataclass(frozen=True)
 class TipMotion:
-    """Motion of the stick end: velocity outwards, to the left and upwards [m/s]; yaw rate of the arm."""
+    """Motion of the tip: velocity outwards, to the left and upwards [m/s]; yaw rate of the arm [rad/s]."""
 
     velocity: tuple[Scalar, Scalar, Scalar]
     yaw_rate: Scalar
@@ -25,18 +25,21 @@ class TipMotion:
 
 @dataclass(frozen=True)
 class Joint:
-    """What the joint of a head does: torques on the pitch of the stick and on its own angles, heat [W].
+    """Effect of the joint between head and stick.
 
-    stored   energy in it [J]
+    on_stick   torque on the pitch of the stick [N.m]
+    on_head    torques on the angles of the head [N.m]
+    heat       dissipated power [W]
+    stored     elastic energy [J]
     """
 
     on_stick: Scalar = 0
-    own: tuple[Scalar, ...] = ()
+    on_head: tuple[Scalar, ...] = ()
     heat: Scalar = 0
     stored: Scalar = 0
 
 
-def _nothing(*_: Any) -> Scalar:
+def _zero(*_: Any) -> Scalar:
     return 0
 
 
@@ -50,21 +53,21 @@ def _no_variables(*_: Any) -> dict[str, Scalar]:
 
 @dataclass(frozen=True)
 class Head:
-    """A processing head, as what it adds to a point mass at the stick end; by default nothing.
+    """A processing head: its difference from a point mass at the tip; by default none.
 
-    angles, speeds   states that are its coordinates and their rates
-    kinetic          (tip, angles, speeds, p) -> energy [J] above that of the point mass
-    potential        (angles, p) -> energy [J] above that of the point mass
-    joint            (x, p) -> what the friction of its joint does
+    angles, speeds   states: coordinates of the head and their rates
+    kinetic          (tip, angles, speeds, p) -> kinetic energy [J] minus that of the point mass
+    potential        (angles, p) -> potential energy [J] minus that of the point mass
+    joint            (x, p) -> friction and stops of its joint
     outputs          (x, p) -> {output: value}
-    initial          (p) -> {state: value at the start}
-    require          (x, p) -> {statement: expression > 0}
+    initial          (p) -> {state: initial value}
+    require          (x, p) -> {requirement: expression > 0}
     """
 
     angles: tuple[str, ...] = ()
     speeds: tuple[str, ...] = ()
-    kinetic: Callable[[TipMotion, Any, Any, Any], Scalar] = _nothing
-    potential: Callable[[Any, Any], Scalar] = _nothing
+    kinetic: Callable[[TipMotion, Any, Any, Any], Scalar] = _zero
+    potential: Callable[[Any, Any], Scalar] = _zero
     joint: Callable[[Any, Any], Joint] = _no_joint
     outputs: Callable[[Any, Any], Mapping[str, Scalar]] = _no_variables
     initial: Callable[[Any], Mapping[str, Scalar]] = _no_variables
@@ -77,10 +80,10 @@ def _viscous(contact: str, speed: Scalar, _: Any, p: Any) -> Resistance:
 
 @dataclass(frozen=True)
 class Friction:
-    """A law of friction, the same for all CONTACTS; by default viscous.
+    """A friction law, the same for all CONTACTS; by default viscous.
 
-    resist        (contact, speed, x, p) -> its resistance
-    deflections   states that are the deflections, in the order of CONTACTS; none if the law has no memory
+    resist        (contact, speed, x, p) -> resistance of the contact
+    deflections   states: bristle deflections, in the order of CONTACTS; none for a law without states
     outputs       {contact: resistance} -> {output: value}
     """
 

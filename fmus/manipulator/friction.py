@@ -1,12 +1,13 @@
-"""Dry friction with break-away and Stribeck effect in swing gear, joints and pistons, beside the viscous one.
+"""Manipulator with dry friction: break-away and Stribeck effect in swing gear, joints and pistons.
 
     R = s0 z + s1(v) z' + b v        z' = v - s0 a(v) z / g(v)        for each contact, v its speed
 
-(LuGre; all of it in `fmus.components.friction`). The numbers do not depend on pressures or loads, unlike the
-friction of real seals and pins. The bristles start relaxed: a machine in balance stands still.
+is the LuGre model of `fmus.components.friction`, dry and viscous friction together. The initial deflections
+are zero, so a machine in balance stands still.
 
-Validity: friction independent of load; the viscous coefficients are those of `rigid`, where they stand for
-all losses, so both together are on the high side.
+Validity: friction independent of pressure and load, unlike that of real seals and pins. The viscous
+coefficients are those of `rigid`, which represent all losses, so dry and viscous friction together are too
+high.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ class FrictionParameters(
     boom_piston=(PistonContact, "boom cylinder's piston"),
     stick_piston=(PistonContact, "stick cylinder's piston"),
 ):
-    """Those of the arm, and of dry friction."""
+    """Parameters of the arm, and of dry friction."""
 
     joint_static_ratio: Scalar = Quantity(
         "1",
-        "Break-away over Coulomb friction of joints and swing gear",
+        "Break-away friction over Coulomb friction of joints and swing gear",
         minimum=0.5,
         maximum=5.0,
         tunable=True,
@@ -55,30 +56,33 @@ class FrictionParameters(
         "rad/s", "Stribeck speed of joints and swing gear", 1e-2, minimum=1e-6
     )
     joint_presliding: Scalar = Quantity(
-        "rad", "Deflection of joints and swing gear that carries the Coulomb friction", 1e-4, minimum=1e-9
+        "rad",
+        "Bristle deflection of joints and swing gear at which the force is the Coulomb friction",
+        1e-4,
+        minimum=1e-9,
     )
     piston_static_ratio: Scalar = Quantity(
-        "1", "Break-away over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True
+        "1", "Break-away friction over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True
     )
     piston_stribeck_speed: Scalar = Quantity("m/s", "Stribeck speed of pistons", 1e-2, minimum=1e-6)
     piston_presliding: Scalar = Quantity(
-        "m", "Deflection of pistons that carries the Coulomb friction", 1e-4, minimum=1e-9
+        "m", "Bristle deflection of pistons at which the force is the Coulomb friction", 1e-4, minimum=1e-9
     )
     bristle_damping_time: Scalar = Quantity(
-        "s", "Damping of the deflections over their stiffness", 1e-2, minimum=0.0
+        "s", "Damping of the bristles over their stiffness", 1e-2, minimum=0.0
     )
 
 
 class JointBristles(Group):
     """State of the friction of a joint."""
 
-    bristle: Scalar = Quantity("rad", "Elastic deflection in the friction of the {}", 1e-4)
+    bristle: Scalar = Quantity("rad", "Elastic bristle deflection of the {}", 1e-4)
 
 
 class PistonBristles(Group):
     """State of the friction of a piston."""
 
-    bristle: Scalar = Quantity("m", "Elastic deflection in the friction of the {}", 1e-4)
+    bristle: Scalar = Quantity("m", "Elastic bristle deflection of the {}", 1e-4)
 
 
 class FrictionState(
@@ -89,11 +93,11 @@ class FrictionState(
     boom_piston=(PistonBristles, "boom cylinder's piston"),
     stick_piston=(PistonBristles, "stick cylinder's piston"),
 ):
-    """Those of the arm, and the deflections."""
+    """States of the arm, and the deflections."""
 
 
 class FrictionOutputs(ManipulatorOutputs):
-    """Those of the arm, and what the friction does."""
+    """Outputs of the arm, and the friction forces."""
 
     swing_friction_torque: Scalar = Quantity("N.m", "Friction of the swing gear, against its motion", 100)
     boom_friction_torque: Scalar = Quantity("N.m", "Friction of the boom joint, against its motion", 100)
@@ -107,7 +111,7 @@ class FrictionOutputs(ManipulatorOutputs):
     stored_energy: Scalar = Quantity("J", "Elastic energy in the friction of joints and pistons")
 
 
-SHOWN = {
+FORCE_OUTPUTS = {
     "swing": "swing_friction_torque",
     "boom_joint": "boom_friction_torque",
     "stick_joint": "stick_friction_torque",
@@ -118,20 +122,20 @@ SHOWN = {
 
 def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters) -> Resistance:
     """Resistance of one contact."""
-    kind = "piston" if contact.endswith("piston") else "joint"
+    prefix = "piston" if contact.endswith("piston") else "joint"
     dry = Bristles(
         coulomb=getattr(p, f"{contact}_coulomb"),
-        static_ratio=getattr(p, f"{kind}_static_ratio"),
-        stribeck_speed=getattr(p, f"{kind}_stribeck_speed"),
-        deflection=getattr(p, f"{kind}_presliding"),
+        static_ratio=getattr(p, f"{prefix}_static_ratio"),
+        stribeck_speed=getattr(p, f"{prefix}_stribeck_speed"),
+        deflection=getattr(p, f"{prefix}_presliding"),
         damping_time=p.bristle_damping_time,
     )
     return lugre(speed, getattr(x, f"{contact}_bristle"), dry, getattr(p, f"{contact}_damping"))
 
 
 def outputs(resistances: Mapping[str, Resistance]) -> dict[str, Scalar]:
-    """Friction forces."""
-    return {SHOWN[contact]: r.force for contact, r in resistances.items()}
+    """Friction forces and torques."""
+    return {FORCE_OUTPUTS[contact]: r.force for contact, r in resistances.items()}
 
 
 BRISTLES = Friction(

@@ -1,11 +1,11 @@
-"""Manipulator: the arm, a processing head and a law of friction put together.
+"""Manipulator: equations of motion and subsystem, from the arm, a processing head and a friction law.
 
     M(q) q'' + V(q, q') + G(q) = tau                           eq. (4), q = (swing, boom, stick, head)
     tau_swing = swing_torque - R_swing                         eq. (8)
     tau_i     = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i  eqs. (5) to (7), i = boom, stick
 
-with the resistances R of the friction; the joint of the head acts on stick and boom, too. M, V and G follow
-from the energies (`fmus.manipulator.arm`, `fmus.components.mechanics`).
+with the friction forces R; the joint of the head also acts on stick and boom. M, V and G follow from the
+energies (`fmus.manipulator.arm`, `fmus.components.mechanics`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def manipulator(
     head: Head = POINT_MASS,
     friction: Friction = VISCOUS,
 ) -> Subsystem:
-    """The subsystem of one head and one law of friction; the groups declare their variables."""
+    """The subsystem with a head and a friction law; the groups declare its variables."""
     design = Design(states, outputs, head, friction)
     return Subsystem(
         name="manipulator",
@@ -62,13 +62,13 @@ def manipulator(
         values=Path(__file__).with_name("parameters.toml"),
         validity=validity,
         terminals=PORTS,
-        stiff=bool(friction.deflections),  # bristles are; end stops are, too, but seldom touched
+        stiff=bool(friction.deflections),  # bristles are stiff; end stops are as well, but seldom reached
     )
 
 
 @dataclass(frozen=True)
 class Design:
-    """One head, one law of friction, and the groups of states and outputs that they need."""
+    """A head, a friction law, and the groups of states and outputs that they need."""
 
     states: type[Any]
     outputs: type[Any]
@@ -77,13 +77,13 @@ class Design:
 
 
 def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) -> dict[str, Resistance]:
-    """The friction of each contact."""
+    """Friction of each contact."""
     speeds = (x.swing_speed, x.boom_speed, x.stick_speed, boom.velocity, stick.velocity)
     return {c: design.friction.resist(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
 
 
 def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> ca.SX:
-    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops; all but inertia and gravity."""
+    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops."""
     boom, stick = arm.pistons(x, p)
     return _forces(design, x, u, p, (boom, stick), _resistances(design, x, p, boom, stick))
 
@@ -99,13 +99,13 @@ def _forces(
     (boom, stick), joint = pistons, design.head.joint(x, p)
     tau: ca.SX = column(
         u.swing_torque - r["swing"].force,
-        boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop)
+        boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop_force)
         - r["boom_joint"].force
         + joint.on_stick,
-        stick.triangle.arm * (u.stick_force - r["stick_piston"].force + stick.stop)
+        stick.triangle.arm * (u.stick_force - r["stick_piston"].force + stick.stop_force)
         - r["stick_joint"].force
         + joint.on_stick,
-        *joint.own,
+        *joint.on_head,
     )
     return tau
 
@@ -121,24 +121,24 @@ def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     rates: dict[str, Scalar] = {n: acceleration[i] for i, n in enumerate(speeds)}
     rates |= {n: getattr(x, speed) for n, speed in zip(angles, speeds, strict=True)}
     if design.friction.deflections:
-        moving = [r[c].deflection_rate for c in CONTACTS]
-        rates |= dict(zip(design.friction.deflections, moving, strict=True))
+        deflection_rates = [r[c].deflection_rate for c in CONTACTS]
+        rates |= dict(zip(design.friction.deflections, deflection_rates, strict=True))
     return design.states(**rates)
 
 
 def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
-    """Outputs; only accelerations depend on the inputs directly, and the torques J F."""
+    """Outputs; only the accelerations and the torques J F depend directly on the inputs."""
     boom, stick = arm.pistons(x, p)
     r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
-    shown = {f.name for f in fields(design.outputs)}
-    values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in shown}
-    if "stored_energy" in shown:
+    declared = {f.name for f in fields(design.outputs)}
+    values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
+    if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
     return design.outputs(
         **values,
-        **_pistons(x, dx, boom, stick),
-        **_places(x, p),
+        **_piston_outputs(x, dx, boom, stick),
+        **_positions(x, p),
         **design.head.outputs(x, p),
         **design.friction.outputs(r),
         swing_acceleration=dx.swing_speed,
@@ -153,7 +153,7 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
 
 
 def initial(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:
-    """The pose to start from, a parameter because not every tool can set the start value of an output."""
+    """Initial pose from parameters, because not every tool can set the start value of an output."""
     return {
         "swing_angle": p.initial_swing_angle,
         "boom_angle": p.initial_boom_angle,
@@ -163,26 +163,26 @@ def initial(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, S
 
 
 def require(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:
-    """What the arm and the head need."""
+    """Requirements of arm and head."""
     return {**arm.require(x, p), **design.head.require(x, p)}
 
 
-def _pistons(x: Any, dx: Any, boom: Piston, stick: Piston) -> dict[str, Scalar]:
+def _piston_outputs(x: Any, dx: Any, boom: Piston, stick: Piston) -> dict[str, Scalar]:
     values: dict[str, Scalar] = {}
     for name, piston in (("boom", boom), ("stick", stick)):
         speed, acceleration = getattr(x, f"{name}_speed"), getattr(dx, f"{name}_speed")
         values[f"{name}_position"] = piston.position
         values[f"{name}_velocity"] = piston.velocity
         values[f"{name}_acceleration"] = (
-            piston.triangle.arm * acceleration + piston.triangle.arm_slope * speed**2
+            piston.triangle.arm * acceleration + piston.triangle.arm_derivative * speed**2
         )
-        values[f"{name}_stop_force"] = piston.stop
+        values[f"{name}_stop_force"] = piston.stop_force
     return values
 
 
-def _places(x: Any, p: Any) -> dict[str, Scalar]:
+def _positions(x: Any, p: Any) -> dict[str, Scalar]:
     elbow, tip = arm.points(x, p)
-    outwards, upwards = arm.tip_velocity(x, p)
+    radial, vertical = arm.tip_velocity(x, p)
     return {
         "elbow_radius": elbow[0],
         "elbow_height": elbow[1],
@@ -190,12 +190,12 @@ def _places(x: Any, p: Any) -> dict[str, Scalar]:
         "tip_height": tip[1],
         "tip_x": tip[0] * ca.cos(x.swing_angle),
         "tip_y": tip[0] * ca.sin(x.swing_angle),
-        "tip_radial_velocity": outwards,
-        "tip_vertical_velocity": upwards,
+        "tip_radial_velocity": radial,
+        "tip_vertical_velocity": vertical,
     }
 
 
-# the paper's manipulator: the head is a point mass at the stick end, the friction viscous (correction E4),
+# the paper's manipulator: the head is a point mass at the tip, the friction viscous (correction E4),
 # R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
 RIGID = manipulator(
     text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",

@@ -1,4 +1,8 @@
-"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in arm.py."""
+"""Variables of the manipulator: parameters, states, inputs, outputs; signs as in arm.py.
+
+The elbow is the stick pivot, the tip the end of the stick, to which the processing head is fixed. Rate ports:
+docs/rate-ports.md.
+"""
 
 from __future__ import annotations
 
@@ -7,39 +11,47 @@ from fmus.contract import Group, Quantity, Scalar
 
 
 class CylinderMount(Group):
-    """Where a cylinder is fixed, and how long it is."""
+    """Mounting points and lengths of a cylinder."""
 
     base_x: Scalar = Quantity(
-        "m", "Base pin of the {} cylinder from the {} pivot, along what it is fixed to", group="{} cylinder"
+        "m", "Base pin of the {} cylinder from the {} pivot, along the fixed link", group="{} cylinder"
     )
     base_z: Scalar = Quantity(
-        "m", "Base pin of the {} cylinder from the {} pivot, across what it is fixed to"
+        "m", "Base pin of the {} cylinder from the {} pivot, perpendicular to the fixed link"
     )
-    pin_x: Scalar = Quantity("m", "Rod pin of the {} cylinder, along the {} from its pivot")
-    pin_z: Scalar = Quantity("m", "Rod pin of the {} cylinder, across the {} from its pivot")
+    pin_x: Scalar = Quantity("m", "Rod pin of the {} cylinder from the {} pivot, along the {}")
+    pin_z: Scalar = Quantity("m", "Rod pin of the {} cylinder from the {} pivot, perpendicular to the {}")
     closed_length: Scalar = Quantity("m", "Pin-to-pin length of the closed {} cylinder", minimum=1e-3)
     stroke: Scalar = Quantity("m", "Stroke of the {} cylinder", minimum=1e-3)
 
     @property
     def pins(self) -> tuple[Point, Point]:
-        """Base pin on the fixed side and rod pin on the link, both from the joint [m]."""
+        """Base pin on the fixed link and rod pin on the moving link, relative to the joint [m]."""
         return (self.base_x, self.base_z), (self.pin_x, self.pin_z)
 
 
 class ArmLink(CylinderMount):
-    """Boom or stick with its cylinder, and their friction."""
+    """Boom or stick with its cylinder, and the friction of both."""
 
     mass: Scalar = Quantity("kg", "Mass of the {}", 1e2, minimum=1e-3, group="{}")
     inertia: Scalar = Quantity(
-        "kg.m2", "Inertia of the {} about its centre of mass, across its axis", 1e2, minimum=0.0
+        "kg.m2",
+        "Moment of inertia of the {} about the joint axis direction through its centre of mass",
+        1e2,
+        minimum=0.0,
     )
-    centre_x: Scalar = Quantity("m", "Centre of mass of the {}, along the {} from its pivot")
-    centre_z: Scalar = Quantity("m", "Centre of mass of the {}, across the {} from its pivot")
+    centre_x: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, along the {}")
+    centre_z: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, perpendicular to the {}")
     joint_damping: Scalar = Quantity(
-        "N.m.s/rad", "Viscous friction of the {} joint", 1e2, minimum=0.0, tunable=True, group="Friction"
+        "N.m.s/rad",
+        "Viscous friction coefficient of the {} joint",
+        1e2,
+        minimum=0.0,
+        tunable=True,
+        group="Friction",
     )
     piston_damping: Scalar = Quantity(
-        "N.s/m", "Viscous friction B of the {} cylinder's piston", 1e4, minimum=0.0, tunable=True
+        "N.s/m", "Viscous friction coefficient of the {} cylinder's piston", 1e4, minimum=0.0, tunable=True
     )
 
     @property
@@ -49,21 +61,28 @@ class ArmLink(CylinderMount):
 
 
 class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
-    """Constants; their numbers and sources are in parameters.toml."""
+    """Parameters; values and sources are in parameters.toml."""
 
+    # the fixed link of the boom is the column: radial and upwards instead of along the link
     boom_base_x: Scalar = Quantity(
         "m", "Base pin of the boom cylinder from the boom pivot, radial", group="Boom cylinder"
     )
     boom_base_z: Scalar = Quantity("m", "Base pin of the boom cylinder from the boom pivot, upwards")
-    gravity: Scalar = Quantity("m/s2", "Acceleration of free fall", 10.0, group="Gravity")
+    gravity: Scalar = Quantity("m/s2", "Gravitational acceleration", 10.0, group="Gravity")
     column_inertia: Scalar = Quantity(
-        "kg.m2", "Inertia of column and gear about the swing axis", 1e3, minimum=1e-3, group="Column"
+        "kg.m2",
+        "Moment of inertia of column and gear about the swing axis",
+        1e3,
+        minimum=1e-3,
+        group="Column",
     )
     boom_pivot_x: Scalar = Quantity("m", "Boom pivot on the column, radius from the swing axis")
-    boom_pivot_z: Scalar = Quantity("m", "Boom pivot on the column, height above the column's foot")
-    stick_pivot_x: Scalar = Quantity("m", "Stick pivot, along the boom from the boom pivot", group="Boom")
-    stick_pivot_z: Scalar = Quantity("m", "Stick pivot, across the boom from the boom pivot")
-    stick_length: Scalar = Quantity("m", "Length of the stick, pivot to head", minimum=1e-3, group="Stick")
+    boom_pivot_z: Scalar = Quantity("m", "Boom pivot on the column, height above the foot of the column")
+    stick_pivot_x: Scalar = Quantity("m", "Stick pivot from the boom pivot, along the boom", group="Boom")
+    stick_pivot_z: Scalar = Quantity("m", "Stick pivot from the boom pivot, perpendicular to the boom")
+    stick_length: Scalar = Quantity(
+        "m", "Length of the stick, from its pivot to the tip", minimum=1e-3, group="Stick"
+    )
     head_mass: Scalar = Quantity(
         "kg",
         "Mass of the processing head with its load",
@@ -74,7 +93,7 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     )
     swing_damping: Scalar = Quantity(
         "N.m.s/rad",
-        "Viscous friction B_sw of the swing gear",
+        "Viscous friction coefficient of the swing gear",
         1e2,
         minimum=0.0,
         tunable=True,
@@ -86,7 +105,7 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     stop_damping: Scalar = Quantity(
         "s/m", "Contact damping of the end stops (Hunt and Crossley)", minimum=0.0
     )
-    stop_rounding: Scalar = Quantity("m", "Penetration over which an end stop takes hold", 1e-3, minimum=1e-6)
+    stop_rounding: Scalar = Quantity("m", "Smoothing length of the end stop force", 1e-3, minimum=1e-6)
     initial_swing_angle: Scalar = Quantity(
         "rad", "Swing angle at the start, counter-clockwise from above", group="Start pose"
     )
@@ -99,10 +118,10 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
 class ManipulatorState(Group):
     """Joint angles and speeds."""
 
-    swing_angle: Scalar = Quantity("rad", "Swing angle")
+    swing_angle: Scalar = Quantity("rad", "Swing angle, counter-clockwise from above")
     boom_angle: Scalar = Quantity("rad", "Boom angle above the horizontal")
-    stick_angle: Scalar = Quantity("rad", "Stick angle relative to the boom")
-    swing_speed: Scalar = Quantity("rad/s", "Swing speed")
+    stick_angle: Scalar = Quantity("rad", "Stick angle relative to the boom, negative when folded")
+    swing_speed: Scalar = Quantity("rad/s", "Swing speed, counter-clockwise from above")
     boom_speed: Scalar = Quantity("rad/s", "Speed of the boom joint")
     stick_speed: Scalar = Quantity("rad/s", "Speed of the stick joint")
 
@@ -126,30 +145,37 @@ class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
 
 
 class CylinderOutputs(Group):
-    """Motion of a piston for the hydraulics, the holding force for the start, and what a user looks at."""
+    """Piston motion (to the hydraulics), holding force (for initialisation) and monitoring outputs."""
 
     position: Scalar = Quantity("m", "Piston position of the {} cylinder from its closed end")
     velocity: Scalar = Quantity("m/s", "Piston velocity of the {} cylinder", 0.1)
     acceleration: Scalar = Quantity("m/s2", "Rate port: exact time derivative of {}_velocity")
-    holding_force: Scalar = Quantity("N", "Force of the {} cylinder that balances gravity", 1e5)
-    torque: Scalar = Quantity("N.m", "Torque J F of the {} cylinder on its joint", 1e4)
+    holding_force: Scalar = Quantity("N", "Static holding force of the {} cylinder against gravity", 1e5)
+    torque: Scalar = Quantity("N.m", "Torque of the {} cylinder on its joint: moment arm times force", 1e4)
     stop_force: Scalar = Quantity(
-        *("N", "Force of the {} cylinder's end stop: not zero at the end of the stroke", 1e5), warn_above=1.0
+        "N",
+        "Force of the {} cylinder's end stops: zero except at the ends of the stroke",
+        1e5,
+        warn_above=1.0,
     )
 
 
 class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderOutputs):
-    """The state, the pistons, where the arm is, and its energies."""
+    """States, piston motion, positions, energies."""
 
     swing_acceleration: Scalar = Quantity("rad/s2", "Rate port: exact time derivative of swing_speed")
-    elbow_radius: Scalar = Quantity("m", "Stick pivot, radius from the swing axis")
-    elbow_height: Scalar = Quantity("m", "Stick pivot, height above the foot of the column")
-    tip_radius: Scalar = Quantity("m", "Stick end, radius from the swing axis")
-    tip_height: Scalar = Quantity("m", "Stick end, height above the foot of the column")
-    tip_x: Scalar = Quantity("m", "Stick end, forward at swing angle zero")
-    tip_y: Scalar = Quantity("m", "Stick end, to the left at swing angle zero")
-    tip_radial_velocity: Scalar = Quantity("m/s", "Velocity of the stick end away from the swing axis")
-    tip_vertical_velocity: Scalar = Quantity("m/s", "Velocity of the stick end upwards")
+    elbow_radius: Scalar = Quantity("m", "Elbow (stick pivot), radius from the swing axis")
+    elbow_height: Scalar = Quantity("m", "Elbow (stick pivot), height above the foot of the column")
+    tip_radius: Scalar = Quantity("m", "Tip, radius from the swing axis")
+    tip_height: Scalar = Quantity("m", "Tip, height above the foot of the column")
+    tip_x: Scalar = Quantity("m", "Tip, forward at swing angle zero")
+    tip_y: Scalar = Quantity("m", "Tip, to the left at swing angle zero")
+    tip_radial_velocity: Scalar = Quantity("m/s", "Velocity of the tip away from the swing axis")
+    tip_vertical_velocity: Scalar = Quantity("m/s", "Velocity of the tip upwards")
     kinetic_energy: Scalar = Quantity("J", "Kinetic energy", 1e3)
-    potential_energy: Scalar = Quantity("J", "Potential energy of gravity, zero at the column's foot", 1e4)
-    dissipated_power: Scalar = Quantity("W", "Heat of joint and piston friction", 1e3)
+    potential_energy: Scalar = Quantity(
+        "J", "Potential energy of gravity, zero at the foot of the column", 1e4
+    )
+    dissipated_power: Scalar = Quantity(
+        "W", "Power dissipated by friction of joints and pistons, without the cylinders' end stops", 1e3
+    )

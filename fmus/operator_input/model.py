@@ -158,7 +158,7 @@ def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
     return OperatorOutputs(**shown)
 
 
-def corner(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
+def next_event(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
     """Seconds to the next corner of a stroke: a solver at rest would step over a whole one."""
     found: Scalar = math.inf
     for which in AXES:
@@ -176,7 +176,7 @@ OPERATOR = Subsystem(
     outputs=OperatorOutputs,
     dynamics=dynamics,
     observe=observe,
-    corner=corner,
+    next_event=next_event,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=tuple(ports.lever(axis) for axis in AXES),
     stiff=False,

@@ -11,8 +11,8 @@ import pytest
 
 from orchestrator import Coupling, Problem, Trace, load, run
 from orchestrator.realtime import stepping
-from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.realtime.stepping import FrameStepper
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
 SHOWN = (

@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 from orchestrator import Problem, Trace
 from orchestrator.engine.scenario import ScenarioTable
 from orchestrator.realtime import shared_memory
-from orchestrator.realtime.stepping import CommandWatchdog, Ramp, RateLimiter, RestDelay
 from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach
+from orchestrator.realtime.stepping import CommandWatchdog, Ramp, RateLimiter, RestDelay
 
 positive = st.floats(1e-6, 1e6)
 anything = st.floats(allow_nan=True, allow_infinity=True)

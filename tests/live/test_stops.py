@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.realtime.setup import Array
+from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
 from orchestrator.view.driving.sticks import CraneFunctions, commands
 

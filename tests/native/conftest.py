@@ -107,7 +107,7 @@ WILD = Subsystem(
     values=Path(__file__).parent / "none" / "parameters.toml",
     initial=lambda _, u, p: {"settled": p.gain / u.target},
     require=lambda x, *_: {"the level is below 1000": 1000 - x.level},
-    corner=lambda x, u, _: ca.exp(x.position * u.target) / u.speed,
+    next_event=lambda x, u, _: ca.exp(x.position * u.target) / u.speed,
 )
 
 

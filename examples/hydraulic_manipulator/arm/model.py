@@ -109,7 +109,7 @@ def observe(x: ArmState, u: ArmInputs, p: ArmParameters) -> ArmOutputs:
         **vars(x),
         s1=triangle.length,
         s1_dot=velocity,
-        s1_ddot=triangle.arm * dx.theta1_dot + triangle.arm_slope * x.theta1_dot**2,
+        s1_ddot=triangle.arm * dx.theta1_dot + triangle.arm_derivative * x.theta1_dot**2,
         holding_force=motion.gravity[0] / triangle.arm,
         f_h=u.force - p.friction * velocity,
         kinetic_energy=motion.kinetic,

@@ -78,7 +78,7 @@ def reduce_model(sub: Subsystem, outputs: Sequence[str], estimated: Sequence[str
             calculated=(),
             require=column(*(sym.require[i] for i in requirements)),
             statements=tuple(sym.statements[i] for i in requirements),
-            corner=ca.SX.inf(),  # no time events: the step-size control alone resolves jumps of a rate
+            next_event=ca.SX.inf(),  # no time events: the step-size control alone resolves jumps of a rate
         ),
         q=q,
         start=start,
