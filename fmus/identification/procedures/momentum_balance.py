@@ -1,19 +1,19 @@
-"""The machine's equation of motion as measured signals see it, filtered so that no acceleration is formed.
+"""Momentum balance: the machine's equation of motion, filtered so that no acceleration is needed.
 
-Paper eq. (4) by the generalised momenta h = M(q) q':
+Paper eq. (4) in terms of the generalised momenta h = M(q) q':
 
     dh/dt = f        f = tau + dT/dq - G        dT/dq = dM/dt q' - V
 
-with M, V, G and tau of `fmus.manipulator` and the hydraulic torque and forces of `fmus.swing` (motor ports by
-line resistance and leakage) and `fmus.boom_stick`, of measured pressures. Nothing is written twice.
-Multiplied by a smooth bump phi of compact support and integrated by parts (Shinbrot 1957, modulating
-functions):
+M, V, G and tau are those of `fmus.manipulator`. The torque and the forces of the hydraulics are those of
+`fmus.swing` (motor ports by line resistance and leakage) and `fmus.boom_stick`, at measured pressures.
+The equation is multiplied by a smooth bump phi of compact support and integrated by parts (Shinbrot 1957,
+modulating functions):
 
     int phi'(t - s) h(s) ds = int phi(t - s) f(s) ds        at every t, e = phi * f - phi' * h
 
-the same filter on both sides. h and f are functions of angles, speeds and pressures that one and the same
-Savitzky-Golay filter has smoothed before, the speeds being its derivative. All of it is linear in the
-sensors' noise, so a noise of the equation goes back to a noise of each sample by the transposed filters.
+Both sides have the same filter. h and f are functions of angles, speeds and pressures, which one
+Savitzky-Golay filter smooths first; the speeds are its derivative. All these operations are linear to first
+order in the noise of the sensors, so the transposed filters give the sensitivity to each sample.
 """
 
 from __future__ import annotations
@@ -25,11 +25,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic, symbols
-from fmus.identification.procedures.experiment_data import interpolated, noise_sd, tank_pressure
+from fmus.identification.procedures.experiment_data import (
+    interpolated,
+    noise_sd,
+    parameter_value,
+    tank_pressure,
+)
 from fmus.identification.procedures.weak_form import modulating_function
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
@@ -41,23 +45,22 @@ from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Mask, Recording
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-SMOOTHING = 0.06  # s, length of the polynomials: flat up to 15 Hz, far above the modes of the arm
-ORDER = 4
+SMOOTHING = 0.06  # s, length of the smoothing filter: flat up to 15 Hz, far above the modes of the arm
+ORDER = 4  # degree of its polynomials
 WINDOW = 0.3  # s, length of the bump
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Kernels, each of odd length, in the order of convolution.
+    """Kernels of odd length, in the order of convolution.
 
-    step           between two smoothed samples [s]: of those of the clock, each `every`-th is kept
-    smooth, rate   Savitzky-Golay value and derivative, over the clock
-    bump, slope    phi dt, of sum one, and phi' dt, of first moment one, over the smoothed samples
+    step           time between two smoothed samples [s]
+    every          samples of the recording per smoothed sample
+    smooth, rate   Savitzky-Golay value and derivative, over the samples of the recording
+    bump, slope    phi dt, whose sum is 1, and phi' dt, whose first moment is 1, over the smoothed samples
     """
 
     step: float
@@ -69,56 +72,58 @@ class Filters:
 
     @property
     def loss(self) -> int:
-        """SmoothedRecording of the clock without a result at each end."""
+        """Number of samples without a result at each end of the recording."""
         return self.smooth.size // 2 + self.bump.size // 2 * self.every
 
-    def gain(self, outer: Array) -> float:
-        """Standard deviation of a speed, filtered by `outer`, over that of one sample of the angle [1/s]."""
-        return float(np.linalg.norm(np.convolve(self.rate, stuffed(outer, self.every))))
+    def gain(self, kernel: Array) -> float:
+        """Standard deviation of a speed filtered by `kernel`, over that of a sample of the angle [1/s]."""
+        return float(np.linalg.norm(np.convolve(self.rate, upsampled(kernel, self.every))))
 
-    def smoothed(self, rows: Array) -> Array:
-        """Values of signals (k, n), where the kernel lies within them."""
-        return apply(self.smooth, rows)[:, :: self.every]
+    def values(self, rows: Array) -> Array:
+        """Smoothed values of signals (k, n), except at the ends."""
+        return convolve(self.smooth, rows)[:, :: self.every]
 
-    def slopes(self, rows: Array) -> Array:
-        """Their derivatives."""
-        return apply(self.rate, rows)[:, :: self.every]
+    def rates(self, rows: Array) -> Array:
+        """Smoothed time derivatives of signals (k, n), except at the ends."""
+        return convolve(self.rate, rows)[:, :: self.every]
 
-    def unsmoothed(self, values: Array, slopes: Array | None = None) -> Array:
-        """The transpose of both together: gradients by smoothed values to gradients by samples."""
-        back = transposed(self.smooth, stuffed(values, self.every))
-        return back if slopes is None else back + transposed(self.rate, stuffed(slopes, self.every))
+    def transposed(self, by_value: Array, by_rate: Array | None = None) -> Array:
+        """Gradient with respect to the samples from those with respect to smoothed values and rates."""
+        gradient = transposed_convolve(self.smooth, upsampled(by_value, self.every))
+        if by_rate is None:
+            return gradient
+        return gradient + transposed_convolve(self.rate, upsampled(by_rate, self.every))
 
 
 def filters(rate: float, window: float = WINDOW, every: int = 1) -> Filters:
-    """The kernels for `rate` samples per second; lengths [s], or what a slow clock allows."""
-    inner = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+    """The kernels for a sampling rate [Hz]; the window [s] is longer if the rate requires it."""
+    savitzky_golay = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
     step, half = every / rate, max(round(window * rate / every / 2), 2)
     bump, slope = modulating_function(half + 1)
-    smooth, slopes = (inner.weights[order][::-1] for order in (0, 1))
-    return Filters(step, every, smooth, slopes, bump / bump.sum(), -slope / (bump.sum() * step))
+    value, derivative = (savitzky_golay.weights[order][::-1] for order in (0, 1))
+    return Filters(step, every, value, derivative, bump / bump.sum(), -slope / (bump.sum() * step))
 
 
-def apply(kernel: Array, rows: Array) -> Array:
-    """Each row (k, n) through a filter, only where the kernel lies within it."""
+def convolve(kernel: Array, rows: Array) -> Array:
+    """Each row (k, n) convolved with a kernel, except at the ends."""
     return np.array([np.convolve(row, kernel, "valid") for row in rows])
 
 
-def transposed(kernel: Array, rows: Array) -> Array:
-    """The transpose of `apply`."""
+def transposed_convolve(kernel: Array, rows: Array) -> Array:
+    """The transpose of `convolve`."""
     return np.array([np.convolve(row, kernel[::-1], "full") for row in rows])
 
 
-def stuffed(rows: Array, every: int) -> Array:
-    """With zeros between the samples, the transpose of keeping each `every`-th of (n - 1) every + 1."""
+def upsampled(rows: Array, every: int) -> Array:
+    """Rows with zeros between the samples: the transpose of keeping each `every`-th sample."""
     full = np.zeros((*rows.shape[:-1], (rows.shape[-1] - 1) * every + 1))
     full[..., ::every] = rows
     return full
 
 
-def covered(bad: Mask, width: int) -> Mask:
-    """True where a kernel of `width` samples covers no bad sample, shape (n - width + 1,)."""
-    return np.convolve(bad, np.ones(width), "valid") < 0.5
+def all_good(good: Mask, width: int) -> Mask:
+    """Whether all samples under a kernel of `width` samples are good, shape (n - width + 1,)."""
+    return np.convolve(~good, np.ones(width), "valid") < 0.5
 
 
 JOINTS = ("swing", "boom", "stick")
@@ -139,23 +144,23 @@ PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.p
 class EquationOfMotion:
     """Functions of (q, q', pressures, tank pressure, parameters), each column one sample.
 
-    balance    -> h, f, each (3, n)
-    slopes     -> dh/dtheta, df/dtheta, each (3 m, n), column by column
-    gradients  -> entries of d(f, h)/d(q, q', pressures, parameters) that are not zero, (entries, n)
-    entries    their rows, 0 to 5, and columns
-    sway       -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
-    bend       -> d2f/dq_k'^2, (3 * 3, n), the speed k slowest
-    pistons    (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
-    printed    (q, q', q'', ...) -> f - dh/dt, df_i/dq_i', x_i'/q_i', each (3, n); the first as (13) prints it
+    balance          -> h, f, each (3, n)
+    jacobians        -> dh/dtheta, df/dtheta, each (3 m, n), column by column
+    gradients        -> nonzero entries of d(f, h)/d(q, q', pressures, parameters), (entries, n)
+    entries          row (0 to 5) and column of each of these entries
+    speed_jacobian   -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
+    speed_hessian    -> d2f/dq_k'^2, (3 * 3, n), the speed k slowest
+    pistons          (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
+    printed          (q, q', q'', ...) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
     """
 
     theta: tuple[str, ...]
     balance: ca.Function
-    slopes: ca.Function
+    jacobians: ca.Function
     gradients: ca.Function
     entries: tuple[tuple[int, int], ...]
-    sway: ca.Function
-    bend: ca.Function
+    speed_jacobian: ca.Function
+    speed_hessian: ca.Function
     pistons: ca.Function
     printed: ca.Function
 
@@ -170,86 +175,89 @@ class _Symbols:
     momentum: ca.SX
     force: ca.SX
     position: ca.SX
-    lever: ca.SX
+    moment_arm: ca.SX
 
 
 @lru_cache(maxsize=1)
-def _equations() -> _Symbols:
+def _symbolic_equations() -> _Symbols:
     q, w = ca.SX.sym("q", 3), ca.SX.sym("w", 3)
     pressures, tank = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("tank")
     p = ca.SX.sym("p", len(PARAMETERS))
-    x, own, u = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters), symbols(ManipulatorInputs)
+    x, own_p, u = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters), symbols(ManipulatorInputs)
     measured = dict(zip(ALL_PRESSURES, ca.vertsplit(pressures), strict=True)) | {"swing.swing_speed": w[0]}
     outputs = ((SWING, "swing_torque"), (BOOM_STICK, "boom_force"), (BOOM_STICK, "stick_force"))
-    hydraulics = [_output(sub, name, measured, tank, p) for sub, name in outputs]
-    motion, rods = arm.mechanics(x, own, POINT_MASS), arm.pistons(x, own)
-    terms = [motion.mass, motion.coriolis, motion.gravity, forces(_LUMPED, x, u, own)]
+    hydraulics = [_output_at(sub, name, measured, tank, p) for sub, name in outputs]
+    mechanics, rods = arm.mechanics(x, own_p, POINT_MASS), arm.pistons(x, own_p)
+    terms = [mechanics.mass, mechanics.coriolis, mechanics.gravity, forces(_LUMPED, x, u, own_p)]
     terms += [ca.vertcat(*(r.position for r in rods)), ca.vertcat(*(r.triangle.arm for r in rods))]
-    coordinates = [getattr(x, f"{j}_{kind}") for kind in ("angle", "speed") for j in JOINTS]
+    coordinates = [getattr(x, f"{j}_{order}") for order in ("angle", "speed") for j in JOINTS]
     applied = [u.swing_torque, u.boom_force, u.stick_force]
-    old = ca.vertcat(*coordinates, *applied, *vars(own).values())
-    new = ca.vertcat(q, w, *hydraulics, *_own(MANIPULATOR, p))
-    mass, coriolis, gravity, tau, position, lever = ca.substitute(terms, [old], [new])
+    old = ca.vertcat(*coordinates, *applied, *vars(own_p).values())
+    new = ca.vertcat(q, w, *hydraulics, *_parameters_of(MANIPULATOR, p))
+    mass, coriolis, gravity, tau, position, moment_arm = ca.substitute(terms, [old], [new])
     momentum = mass @ w
     force = tau + ca.jtimes(momentum, q, w) - coriolis - gravity
-    return _Symbols(q, w, pressures, tank, p, momentum, force, position, lever)
+    return _Symbols(q, w, pressures, tank, p, momentum, force, position, moment_arm)
 
 
-def _own(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
-    """The part's own parameters among those of the machine."""
+def _parameters_of(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
+    """The parameters of a subsystem among those of the machine."""
     return [p[PARAMETERS.index(f"{sub.name}.{n}")] for n in quantities(sub.parameters)]
 
 
-def _output(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX, p: ca.SX) -> ca.SX:
-    """One output of a drive at measured pressures; it must not depend on what is not measured."""
-    model, known = symbolic(sub), measured | {f"{sub.name}.tank_pressure": tank}
+def _output_at(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX, p: ca.SX) -> ca.SX:
+    """An output of a drive at measured pressures; it must not depend on other states and inputs."""
+    model, values = symbolic(sub), measured | {f"{sub.name}.tank_pressure": tank}
     declared = [
         (f"{sub.name}.{n}", s)
         for group, column in ((sub.states, model.x), (sub.inputs, model.u))
         for n, s in zip(quantities(group), ca.vertsplit(column), strict=True)
     ]
-    old = [s for n, s in declared if n in known]
-    new = [known[n] for n, _ in declared if n in known]
-    wanted = model.y[list(quantities(sub.outputs)).index(name)]
-    return ca.substitute(wanted, ca.vertcat(*old, model.p), ca.vertcat(*new, *_own(sub, p)))
+    old = [s for n, s in declared if n in values]
+    new = [values[n] for n, _ in declared if n in values]
+    output = model.y[list(quantities(sub.outputs)).index(name)]
+    return ca.substitute(output, ca.vertcat(*old, model.p), ca.vertcat(*new, *_parameters_of(sub, p)))
 
 
 @lru_cache(maxsize=8)
-def motion(theta: tuple[str, ...]) -> EquationOfMotion:
-    """The functions for these parameters."""
-    e = _equations()
+def equation_of_motion(theta: tuple[str, ...]) -> EquationOfMotion:
+    """The functions, with derivatives with respect to the parameters theta."""
+    e = _symbolic_equations()
     unknown = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
-    known = [e.q, e.w, e.pressures, e.tank, e.p]
+    arguments = [e.q, e.w, e.pressures, e.tank, e.p]
     acceleration = ca.SX.sym("a", 3)
-    slopes = [ca.vec(ca.jacobian(t, unknown)) for t in (e.momentum, e.force)]
-    full = ca.jacobian(ca.vertcat(e.force, e.momentum), ca.vertcat(e.q, e.w, e.pressures, e.p))
-    entries = tuple(zip(full.sparsity().row(), full.sparsity().get_col(), strict=True))
-    own, levers = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.lever)
-    stacked = ca.vertcat(e.force, slopes[1], e.momentum, slopes[0])
-    bend = [ca.jacobian(ca.jacobian(e.force, speed), speed) for speed in ca.vertsplit(e.w)]
+    jacobians = [ca.vec(ca.jacobian(t, unknown)) for t in (e.momentum, e.force)]
+    gradients = ca.jacobian(ca.vertcat(e.force, e.momentum), ca.vertcat(e.q, e.w, e.pressures, e.p))
+    entries = tuple(zip(gradients.sparsity().row(), gradients.sparsity().get_col(), strict=True))
+    damping, speed_ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
+    stacked = ca.vertcat(e.force, jacobians[1], e.momentum, jacobians[0])
+    hessian = [ca.jacobian(ca.jacobian(e.force, speed), speed) for speed in ca.vertsplit(e.w)]
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
+    printed = [e.force - rate, damping, speed_ratio]
     return EquationOfMotion(
         theta,
-        ca.Function("balance", known, [e.momentum, e.force]),
-        ca.Function("slopes", known, slopes),
-        ca.Function("gradients", known, [full.nz[:]]),
+        ca.Function("balance", arguments, [e.momentum, e.force]),
+        ca.Function("jacobians", arguments, jacobians),
+        ca.Function("gradients", arguments, [gradients.nz[:]]),
         entries,
-        ca.Function("sway", known, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
-        ca.Function("bend", known, [ca.densify(ca.vertcat(*bend))]),
-        ca.Function("pistons", [e.q, e.p], [e.position, e.lever]),
-        ca.Function("printed", [e.q, e.w, acceleration, *known[2:]], [e.force - rate, own, levers]),
+        ca.Function("speed_jacobian", arguments, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
+        ca.Function("speed_hessian", arguments, [ca.densify(ca.vertcat(*hessian))]),
+        ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm]),
+        ca.Function("printed", [e.q, e.w, acceleration, *arguments[2:]], printed),
     )
 
 
-STOP_MARGIN = 2e-3  # m from the ends of a stroke, beyond which the stops are said to touch
+STOP_MARGIN = 2e-3  # m from the ends of a stroke within which the end stops may act
 
 
 @dataclass(frozen=True)
 class SmoothedRecording:
-    """One recording, smoothed: arrays (rows, n); `good` (n - bump + 1,) where the filtered equation holds.
+    """A recording, smoothed for the momentum balance; signals have shape (rows, n).
 
-    angle_noise, pressure_noise   standard deviation of one sample of each sensor
-    touched                       samples left out since a piston was at the end of its stroke
+    tank                          tank pressure [Pa]
+    good                          whether the filtered equation is valid, shape (n - bump + 1,)
+    angle_noise, pressure_noise   standard deviation of a sample of each sensor
+    at_stroke_end                 number of samples left out because a piston was at the end of its stroke
     """
 
     time: Array
@@ -261,27 +269,27 @@ class SmoothedRecording:
     good: Mask
     angle_noise: Array
     pressure_noise: Array
-    touched: int
+    at_stroke_end: int
 
     @property
-    def known(self) -> tuple[Array, Array, Array, float]:
-        """The first arguments of the functions of `motion`."""
+    def arguments(self) -> tuple[Array, Array, Array, float]:
+        """Arguments of the functions of `EquationOfMotion`, except the parameters."""
         return self.q, self.w, self.pressures, self.tank
 
     def filtered(self, force: Array, momentum: Array) -> Array:
-        """phi * f - phi' * h for rows (k, n), zero where it does not hold."""
-        e: Array = apply(self.filters.bump, force) - apply(self.filters.slope, momentum)
+        """phi * f - phi' * h for rows (k, n); zero if the equation is not valid."""
+        e: Array = convolve(self.filters.bump, force) - convolve(self.filters.slope, momentum)
         return e * self.good
 
     @property
-    def middle(self) -> slice:
-        """The smoothed samples at which the filtered equation stands."""
+    def centres(self) -> slice:
+        """Smoothed samples at the centres of the bumps, one per value of the filtered equation."""
         half = self.filters.bump.size // 2
         return slice(half, self.q.shape[1] - half)
 
 
 def angles(recording: Recording) -> Array:
-    """The joints' angles without gaps, shape (3, n)."""
+    """The joint angles without gaps, shape (3, n)."""
     return np.array([interpolated(recording[name]) for name in ANGLES])
 
 
@@ -291,75 +299,76 @@ def pressures(recording: Recording, needed: Collection[str]) -> Array:
     return np.array([interpolated(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
 
 
-def samples(
+def smoothed_recording(
     recording: Recording,
     joints: Sequence[str],
     p: Array,
     window: float = WINDOW,
     every: int = 1,
 ) -> SmoothedRecording:
-    """A recording made ready for the balance of these joints; the rest as in `filters`."""
+    """A recording, smoothed for the balance of these joints; window and every as in `filters`."""
     kernels = filters(uniform_rate(recording), window, every)
     needed = [n for j in joints for n in PRESSURES[j]]
     if recording.time.size < 2 * kernels.loss + 10:
         raise Problem(
-            f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more: "
-            "the filters take them"
+            f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more "
+            "for the filters"
         )
-    q, w = (f(angles(recording)) for f in (kernels.smoothed, kernels.slopes))
-    smooth = kernels.smoothed(pressures(recording, needed))
-    bad = ~good_all(recording, (*ANGLES, *needed))
-    position: Array = np.array(motion(()).pistons(q, p)[0].full())
+    raw_angles = angles(recording)
+    q, w = kernels.values(raw_angles), kernels.rates(raw_angles)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    ends: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    unusable = ~covered(bad, kernels.smooth.size)[::every]
-    half = kernels.smooth.size // 2
-    good = covered(unusable | ends, kernels.bump.size)
+    position: Array = np.array(equation_of_motion(()).pistons(q, p)[0].full())
+    at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
+    smoothed_good = all_good(good_all(recording, (*ANGLES, *needed)), kernels.smooth.size)[::every]
+    good = all_good(smoothed_good & ~at_end, kernels.bump.size)
     if not good.any():
         raise Problem(
             f"{recording.source}: expected {2 * kernels.loss * kernels.step / every:.2g} s without a gap or "
-            f"clipped sample in {', '.join((*ANGLES, *needed))}, found none"
+            f"clipped sample in {', '.join((*ANGLES, *needed))}, got no such stretch"
         )
+    half = kernels.smooth.size // 2
     return SmoothedRecording(
         time=recording.time[half : recording.time.size - half : every],
         q=q,
         w=w,
-        pressures=smooth,
+        pressures=kernels.values(pressures(recording, needed)),
         tank=tank_pressure(recording),
         filters=kernels,
         good=good,
         angle_noise=np.array([noise_sd(recording, n) for n in ANGLES]),
         pressure_noise=np.array([noise_sd(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
-        touched=int(ends.sum()),
+        at_stroke_end=int(at_end.sum()),
     )
 
 
-def numbers(known: Mapping[str, Number]) -> Array:
+def parameter_vector(parameters: Mapping[str, Number]) -> Array:
     """The machine's parameters in the order of `PARAMETERS`."""
-    missing = [n for n in PARAMETERS if n not in known]
-    if missing:
-        raise Problem(f"known parameters: {missing[0]} is missing, expected all of the lumped machine")
-    return np.array([known[n].value for n in PARAMETERS])
+    return np.array([parameter_value(parameters, name) for name in PARAMETERS])
 
 
 @dataclass(frozen=True)
 class MomentumEquation:
-    """e (rows, t) [N.m] at some parameters, E = de/dtheta (m, rows, t); zero where it does not hold."""
+    """Residual e (rows, t) [N.m] at some parameters and its Jacobian de/dtheta (m, rows, t).
 
-    error: Array
-    slope: Array
+    Both are zero if the equation is not valid.
+    """
 
-    def moved(self, step: Array) -> MomentumEquation:
-        """The same at parameters `step` further; linear in them."""
-        return MomentumEquation(self.error + np.einsum("mrt,m->rt", self.slope, step), self.slope)
+    residual: Array
+    jacobian: Array
+
+    def shifted(self, step: Array) -> MomentumEquation:
+        """The equation at the parameters plus `step`; it is linear in them."""
+        return MomentumEquation(self.residual + np.einsum("mrt,m->rt", self.jacobian, step), self.jacobian)
 
 
-def equation(s: SmoothedRecording, rows: Sequence[int], theta: tuple[str, ...], p: Array) -> MomentumEquation:
-    """The balance of the joints `rows` at the parameters p."""
-    f, m, own = motion(theta), len(theta), list(rows)
-    momentum, force = (x.full()[own] for x in f.balance(*s.known, p))
-    error = s.filtered(force, momentum)
+def momentum_equation(
+    s: SmoothedRecording, rows: Sequence[int], theta: tuple[str, ...], p: Array
+) -> MomentumEquation:
+    """The filtered balance of the joints with indices `rows` at the parameters p."""
+    f, m, joints = equation_of_motion(theta), len(theta), list(rows)
+    momentum, force = (x.full()[joints] for x in f.balance(*s.arguments, p))
+    residual = s.filtered(force, momentum)
     # (3 m, n) column by column
-    by_momentum, by_force = (x.full().reshape(m, 3, -1)[:, own] for x in f.slopes(*s.known, p))
-    slope = [s.filtered(a, b) for a, b in zip(by_force, by_momentum, strict=True)]
-    return MomentumEquation(error, np.array(slope).reshape(m, *error.shape))
+    by_momentum, by_force = (x.full().reshape(m, 3, -1)[:, joints] for x in f.jacobians(*s.arguments, p))
+    jacobian = [s.filtered(df, dh) for df, dh in zip(by_force, by_momentum, strict=True)]
+    return MomentumEquation(residual, np.array(jacobian).reshape(m, *residual.shape))

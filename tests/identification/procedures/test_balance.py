@@ -11,12 +11,18 @@ from hypothesis import strategies as st
 from identification.procedures.lumped_machine import KNOWN, recording
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.procedures.momentum_balance import PARAMETERS, filters, motion, numbers, samples
+from fmus.identification.procedures.momentum_balance import (
+    PARAMETERS,
+    equation_of_motion,
+    filters,
+    parameter_vector,
+    smoothed_recording,
+)
 from fmus.identification.procedures.momentum_fit import solve
 from fmus.manipulator import MANIPULATOR
 from orchestrator.data.recording import Sensor
 
-P = numbers(KNOWN)
+P = parameter_vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal
 
 
@@ -47,7 +53,7 @@ def test_the_balance_is_the_machine_s_equation_of_motion():
         u = dict.fromkeys(quantities(MANIPULATOR.inputs), 0.0)
         u |= {"swing_torque": torque, "boom_force": boom, "stick_force": stick}
         dx, _ = model([*q, *w], list(u.values()), own)
-        left = motion(()).printed(q, w, dx.full()[3:, 0], pressures, 0.0, P)[0].full()
+        left = equation_of_motion(()).printed(q, w, dx.full()[3:, 0], pressures, 0.0, P)[0].full()
         # rounding of torques up to 1e5 N.m, times the condition of M, below 1e3
         assert np.abs(left).max() < 1e-6
 
@@ -70,15 +76,15 @@ def test_the_way_back_is_the_transpose(seed, every):
     random, kernels = np.random.default_rng(seed), filters(200.0, every=every)
     n = 60 * every + kernels.smooth.size
     raw = random.standard_normal((2, n))
-    value, slope = kernels.smoothed(raw), kernels.slopes(raw)
+    value, slope = kernels.values(raw), kernels.rates(raw)
     a, b = random.standard_normal((2, *value.shape))
-    back = kernels.unsmoothed(a, b)
+    back = kernels.transposed(a, b)
     forward = np.sum(a * value) + np.sum(b * slope)
     # exact identity: rounding of slopes up to 1e2
     assert np.sum(back * raw[:, : back.shape[1]]) == pytest.approx(forward, abs=1e-9)
 
 
-def moved(record, name, by):
+def shifted(record, name, by):
     """The recording with something added to one signal."""
     return replace(record, signals={**record.signals, name: record[name] + by})
 
@@ -88,7 +94,7 @@ DAMPING = {"boom": "manipulator.boom_piston_damping", "stick": "manipulator.stic
 
 def found(record, joint, p=P):
     """B of a piston."""
-    return solve([samples(record, [joint], p)], [joint], (DAMPING[joint],), p)
+    return solve([smoothed_recording(record, [joint], p)], [joint], (DAMPING[joint],), p)
 
 
 # the joint's own encoder: attenuation; the swing's: centrifugal torque of its noise squared
@@ -100,12 +106,12 @@ def test_mean_effect_of_an_encoder_s_noise_is_as_said(joint, noisy, pairs):
     told = replace(
         perfect, sensors={n: Sensor("coarse", sd if n == name else 1e-12) for n in perfect.signals}
     )
-    random, said, start = np.random.default_rng(3), found(told, joint).mean_effect[0], found(told, joint)
+    random, said, start = np.random.default_rng(3), found(told, joint).bias[0], found(told, joint)
     even = []
     for _ in range(pairs):
         noise = sd * random.standard_normal(told.time.size)
-        ends = [found(moved(told, name, sign * noise), joint) for sign in (1, -1)]
-        plain = [(e.values + e.mean_effect)[0] for e in (*ends, start)]
+        ends = [found(shifted(told, name, sign * noise), joint) for sign in (1, -1)]
+        plain = [(e.values + e.bias)[0] for e in (*ends, start)]
         even.append((plain[0] + plain[1]) / 2 - plain[2])
     error = np.std(even, ddof=1) / np.sqrt(pairs)
     # four standard errors: 1 in 1e4 by chance, and the seed is fixed; terms of the angle's noise: 5 %

@@ -10,13 +10,13 @@ import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
 
 from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
-from fmus.identification.procedures.momentum_balance import numbers, samples
+from fmus.identification.procedures.momentum_balance import parameter_vector, smoothed_recording
 from fmus.identification.procedures.momentum_fit import solve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(CONTACTS)
-P = numbers(KNOWN)
+P = parameter_vector(KNOWN)
 
 
 def truth(joint):
@@ -27,7 +27,7 @@ def truth(joint):
 def found(record):
     """B, its standard deviation."""
     joint = record.text_condition("joint")
-    solution = solve([samples(record, [joint], P)], [joint], (CONTACTS[joint].theta,), P)
+    solution = solve([smoothed_recording(record, [joint], P)], [joint], (CONTACTS[joint].theta,), P)
     return solution.values[0], solution.sd[0]
 
 
@@ -65,7 +65,7 @@ def test_the_finding_has_all_joints_with_figure_and_remarks():
         assert e.low < e.value < e.high
     assert finding.figure == 9
     assert len(finding.panels) == 9
-    assert not any("dry friction" in text or "lacks" in text for text in finding.remarks)
+    assert not any("dry friction" in text or "incomplete" in text for text in finding.remarks)
 
 
 def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected():
@@ -106,14 +106,14 @@ def test_dry_friction_is_told_and_taken_into_b():
     friction = next(e for e in finding.others if e.name.startswith("dry friction"))
     assert friction.value == pytest.approx(dry, rel=0.1)  # where the sign changes it is rounded
     assert any("dry friction" in text for text in finding.remarks)
-    assert any("lacks something" in text for text in finding.remarks)
+    assert any("model is incomplete" in text for text in finding.remarks)
 
 
 def test_a_force_that_pushes_is_not_called_friction():
     """The same force along the motion: no negative friction among the numbers, a remark instead."""
     finding = with_dry(-1500.0)
     assert not any(e.name.startswith("dry friction") for e in finding.others)
-    assert any("no law of friction" in text for text in finding.remarks)
+    assert any("negative, which is impossible" in text for text in finding.remarks)
 
 
 def test_doubt_about_a_known_parameter_widens_the_interval():
@@ -150,7 +150,7 @@ def test_a_recording_in_which_the_joint_stands_is_left_out_and_said():
     pressures = {n: x + 1e4 * random.standard_normal(x.size) for n, x in still.items() if "pressure" in n}
     lazy = replace(record, source=Path("lazy.csv"), signals=still | pressures)
     finding = identify([record, lazy], KNOWN)
-    assert any("in lazy.csv the joint stands" in text for text in finding.remarks)
+    assert any("in lazy.csv the joint is at rest" in text for text in finding.remarks)
     assert finding.estimates[0].value == identify([record], KNOWN).estimates[0].value
 
 
@@ -195,5 +195,5 @@ def test_a_missing_signal_and_a_motion_that_tells_nothing_are_refused():
     with pytest.raises(Problem, match=r"damping_boom\.csv: signal boom_stick\.boom_rod_pressure is missing"):
         identify([replace(record, signals=without)], KNOWN)
     still = {n: np.full_like(x, x[0]) for n, x in record.signals.items()}
-    with pytest.raises(Problem, match="the boom stands"):
+    with pytest.raises(Problem, match=r"manipulator\.boom_angle: expected a motion"):
         identify([replace(record, signals=still, sensors={"manipulator.boom_angle": ENCODER})], KNOWN)

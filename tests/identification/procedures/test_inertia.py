@@ -9,10 +9,10 @@ import pytest
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, recording
 
 from fmus.identification.procedures.inertia import FREE, STANDARD, grouping, identify, regressor, standard
-from fmus.identification.procedures.momentum_balance import PARAMETERS, numbers
+from fmus.identification.procedures.momentum_balance import PARAMETERS, parameter_vector
 from orchestrator.base.errors import Problem
 
-P = numbers(KNOWN)
+P = parameter_vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}
 WHOLE = ("swing", "boom", "stick")
 
@@ -123,11 +123,11 @@ def test_what_the_motion_does_not_tell_stays_and_is_named():
     assert "head_mass" in names
     assert "stick_inertia" not in names
     for name in set(FREE) - names:
-        assert any(text.startswith(f"{name}: this motion does not tell it") for text in finding.remarks)
+        assert any(text.startswith(f"{name}: this motion does not determine it") for text in finding.remarks)
 
 
 def test_without_a_recording_that_moves_it_is_refused():
     """One line, with what there is."""
     bench = replace(recording("boom"), procedure="valve")
-    with pytest.raises(Problem, match="to train with, found valve"):
+    with pytest.raises(Problem, match="to train with, got valve"):
         identify([bench], KNOWN)
