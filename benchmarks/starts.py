@@ -27,7 +27,7 @@ from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.refine import Refined, compiled, refine
+from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.identification.refinement.simulation import BlackBox, SimulationFailed
 from fmus.rig.experiments import experiment
 from fmus.rig.recordings import write
@@ -53,7 +53,7 @@ class Played:
         self, folder: Path, given: EstimationProblem, inputs: tuple[str, ...], u: np.ndarray
     ) -> None:
         run = given.training[0]
-        pose = {f"initial_{j}_angle": float(np.mean(run.guess[f"{j}_angle"][:100])) for j in JOINTS}
+        pose = {f"initial_{j}_angle": float(np.mean(run.measured_states[f"{j}_angle"][:100])) for j in JOINTS}
         names = (inputs, (*given.names, *pose), given.outputs)
         self.pose, self.fmu, self.count = np.array(list(pose.values())), Fmu(folder, names, run.time, u), 0
 
@@ -84,7 +84,7 @@ def main() -> None:
         starts = [given.initial() + AWAY * random.standard_normal(len(FREE)) for _ in range(chosen.starts)]
         print(f"{len(FREE)} parameters, {len(given.outputs)} outputs, {chosen.seconds:g} s at 200 Hz\n")
         print(f"{'start':>5}  {'route':<12}{'iterations':>11}{'time':>9}{'residual':>10}  end")
-        found: dict[str, list[tuple[Refined | None, float]]] = {route: [] for route in routes}
+        found: dict[str, list[tuple[RefinementResult | None, float]]] = {route: [] for route in routes}
         for k, z in enumerate(starts):
             for route, (simulator, threads) in routes.items():
                 begun = time.perf_counter()
@@ -96,13 +96,13 @@ def main() -> None:
             print(f"{route}: {_sum(ends)}")
 
 
-def _row(one: Refined | None, spent: float) -> str:
+def _row(one: RefinementResult | None, spent: float) -> str:
     if one is None:
         return f"{'':>11}{spent:>8.1f}s{'':>10}  cannot be simulated from there"
     return f"{len(one.history):>11}{spent:>8.1f}s{one.history[-1].residual:>10.4g}  {one.reason}"
 
 
-def _sum(ends: list[tuple[Refined | None, float]]) -> str:
+def _sum(ends: list[tuple[RefinementResult | None, float]]) -> str:
     """How many reached the best end of the route, how long that took, how far that end is from the truth."""
     known = [(one, spent) for one, spent in ends if one is not None]
     if not known:
@@ -115,7 +115,9 @@ def _sum(ends: list[tuple[Refined | None, float]]) -> str:
     return f"{told}; truth within 1.96 standard deviations in {np.sum(off < 1.96)} of {off.size} parameters"
 
 
-def _search(given: EstimationProblem, simulator: object, threads: int, z: np.ndarray) -> Refined | None:
+def _search(
+    given: EstimationProblem, simulator: object, threads: int, z: np.ndarray
+) -> RefinementResult | None:
     try:
         return refine(given, simulator, threads=threads, start=z)
     except Problem:

@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
-from fmus.identification.refinement.data import RecordingMap
+from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
@@ -149,7 +149,7 @@ def problem(
         signals=names_of_signals,
         smooth=SMOOTH,
         rest=[n for n in quantities(HARVESTER.states) if n.endswith(moving)],
-        numbers=fixed,
+        values=fixed,
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(

@@ -24,8 +24,8 @@ from fmus.identification.procedures import (
     valve,
 )
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
-from fmus.identification.refinement.multistart import SPREAD, Starts, from_random_starts
-from fmus.identification.refinement.refine import Refined, advice, refine
+from fmus.identification.refinement.multistart import SPREAD, MultistartResult, multistart
+from fmus.identification.refinement.refine import RefinementResult, advice, refine
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -73,8 +73,8 @@ class Identified:
     known: dict[str, Number]
     findings: list[ProcedureResult] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
-    refined: Refined | None = None
-    starts: Starts | None = None
+    refined: RefinementResult | None = None
+    starts: MultistartResult | None = None
     interrupted: bool = False
 
     @property
@@ -184,7 +184,7 @@ def _run_joint(result: Identified, names: Sequence[str], starts: int, report: Re
 
 def refine_together(
     recordings: Sequence[Recording], known: Numbers, names: Sequence[str], report: Report
-) -> Refined:
+) -> RefinementResult:
     """All parameters against all recordings of the machine."""
     task = machine.problem(recordings, known, names)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in task.training)
@@ -194,7 +194,7 @@ def refine_together(
     report("  predictions over half a second first, then whole recordings, then their weights")
     refined = refine(
         task,
-        progress=lambda p: report(f"  iteration {p.iteration}: {p.predicted:.2g} standard deviations to go"),
+        progress=lambda p: report(f"  iteration {p.iteration}: {p.remaining:.2g} standard deviations to go"),
     )
     size = refined.history[-1].residual if refined.history else float("nan")
     report(f"  {refined.reason}; residuals are {size:.3g} times what the sensors explain")
@@ -203,11 +203,11 @@ def refine_together(
     return refined
 
 
-def refine_from_other_starts(refined: Refined, count: int, report: Report) -> Starts:
+def refine_from_other_starts(refined: RefinementResult, count: int, report: Report) -> MultistartResult:
     """The same search from random starts."""
-    result = from_random_starts(refined, count=count)
+    result = multistart(refined, count=count)
     if result.starts:
-        reached = round(result.share * len(result.starts))
+        reached = round(result.fraction * len(result.starts))
         report(
             f"random starts, up to {100 * SPREAD:.0f} % away or twice the standard deviation known before: "
             f"{reached} of {len(result.starts)} lead to the same result, on every fourth sample"

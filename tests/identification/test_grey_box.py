@@ -159,7 +159,7 @@ def test_a_model_that_does_not_fit_says_so(folder, told):
             "line 1: expected numbers, got names: give those of the columns, such as 'Stellsignal', "
             "not their places",
         ),
-        ("still.txt", "0 1\n0 2\n0 3\n", "command is 0 throughout or a gap, expected one that moves"),
+        ("still.txt", "0 1\n0 2\n0 3\n", "command: expected a varying signal, got only zeros and gaps"),
     ],
 )
 def test_bad_file_is_told_in_one_line(folder, name, content, expected):
@@ -199,8 +199,8 @@ def test_unitless_mistakes():
     def rates(x, u, _):
         return {"x": u.u - x.x}
 
-    with pytest.raises(Problem, match="lag: time starts from -2, expected more than 0"):
+    with pytest.raises(Problem, match="lag: time: expected an initial value above 0, got -2"):
         dimensionless("lag", {"time": -2.0}, ["u"], ["x"], rates)
     model = dimensionless("lag", {"time": 2.0}, ["u"], ["x", "z"], rates)
-    with pytest.raises(Problem, match="lag: rates of x, expected those of x, z"):
+    with pytest.raises(Problem, match="lag: rates: expected x, z, got x"):
         symbolic(model)

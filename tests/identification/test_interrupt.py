@@ -14,8 +14,8 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.refinement.multistart import Starts
-from fmus.identification.refinement.refine import Refined
+from fmus.identification.refinement.multistart import MultistartResult
+from fmus.identification.refinement.refine import RefinementResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 
@@ -86,11 +86,11 @@ def test_an_interrupted_search_is_not_begun_again(quick):
 
 def test_interrupted_starts_keep_the_result(quick):
     """The refinement was done; the starts that were compared are told."""
-    refined = Refined.__new__(Refined)
+    refined = RefinementResult.__new__(RefinementResult)
     object.__setattr__(refined, "reason", "converged")
-    quick.setattr(Refined, "estimates", lambda *_, **__: (AREA,))
+    quick.setattr(RefinementResult, "estimates", lambda *_, **__: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
-    quick.setattr(pipeline, "from_random_starts", lambda *_, **__: Starts((), 0.0, {}, interrupted=True))
+    quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), 0.0, {}, interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.refined is refined

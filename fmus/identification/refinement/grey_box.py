@@ -1,6 +1,6 @@
-"""A dimensionless model for recordings without units: names and equations are all that it takes.
+"""Grey-box identification from recordings without units: a dimensionless model of names and equations.
 
-Time is counted in samples, signals in magnitudes that the data have, so that all numbers are near 1.
+Time is in samples, and signals are relative to their peaks, so that all values are near 1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.contract import Quantity, Scalar, Subsystem, quantities
 from fmus.identification.recordings.reading import add
-from fmus.identification.refinement.data import RecordingMap
+from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -29,31 +29,31 @@ def dimensionless(
     inputs: Sequence[str],
     states: Sequence[str],
     rates: Rates,
-    begin: Mapping[str, str] | None = None,
+    initial: Mapping[str, str] | None = None,
 ) -> Subsystem:
     """A subsystem whose outputs are its states.
 
-    parameters   value to start from by name; all are positive and stay so
+    parameters   initial values by name; all are positive and stay positive
     rates        (x, u, p) -> {state: its time derivative}
-    begin        state -> input whose first value it has at the start; zero for the others
+    initial      state -> input whose first value is its initial value; zero for the others
     """
-    bad = [n for n, value in parameters.items() if not value > 0]
-    if bad:
-        raise Problem(f"{name}: {bad[0]} starts from {parameters[bad[0]]:g}, expected more than 0")
-    numbers = {n: Number(float(value), "1", "assumed", "to start from") for n, value in parameters.items()}
+    for parameter, value in parameters.items():
+        if not value > 0:
+            raise Problem(f"{name}: {parameter}: expected an initial value above 0, got {value:g}")
+    numbers = {n: Number(float(value), "1", "assumed", "initial value") for n, value in parameters.items()}
     state, output = _group("States", states), _group("Outputs", states)
 
     def dynamics(x: Any, u: Any, p: Any) -> Any:
         dx = rates(x, u, p)
         if set(dx) != set(states):
-            raise Problem(f"{name}: rates of {', '.join(dx)}, expected those of {', '.join(states)}")
+            raise Problem(f"{name}: rates: expected {', '.join(states)}, got {', '.join(dx)}")
         return state(**dx)
 
     def observe(x: Any, *_: Any) -> Any:
         return output(**{n: getattr(x, n) for n in states})
 
-    def initial(_: Any, u: Any, __: Any) -> dict[str, Scalar]:
-        return {n: getattr(u, source) for n, source in (begin or {}).items()}
+    def initial_states(_: Any, u: Any, __: Any) -> dict[str, Scalar]:
+        return {n: getattr(u, source) for n, source in (initial or {}).items()}
 
     return Subsystem(
         name=name,
@@ -64,23 +64,23 @@ def dimensionless(
         outputs=output,
         dynamics=dynamics,
         observe=observe,
-        initial=initial,
+        initial=initial_states,
         values=Path(name),
         numbers={"parameters": numbers, "start": {}},
     )
 
 
 def normalised(recording: Recording) -> tuple[Recording, dict[str, float]]:
-    """The recording with each signal over its peak, and those peaks.
+    """The recording with each signal divided by its peak, and the peaks.
 
-    The peak of a signal that goes against the first one counts negative: plus then drives to plus.
+    The peak of a signal that is opposed to the first one is negative, so that all signals have one direction.
     """
     peaks: dict[str, float] = {}
     first = next(iter(recording.signals))
     for name, signal in recording.signals.items():
         peak = float(np.nanmax(np.abs(signal))) if np.isfinite(signal).any() else 0.0
         if not peak > 0:
-            raise Problem(f"{recording.source}: {name} is 0 throughout or a gap, expected one that moves")
+            raise Problem(f"{recording.source}: {name}: expected a varying signal, got only zeros and gaps")
         peaks[name] = peak if np.nansum(recording[first] * signal) >= 0 else -peak
     for name, peak in peaks.items():
         recording = add(recording, name, recording[name] / peak, "1")
@@ -90,18 +90,18 @@ def normalised(recording: Recording) -> tuple[Recording, dict[str, float]]:
 def all_free(
     model: Subsystem, training: Recording, *held_out: Recording, sd: float = 0.05
 ) -> EstimationProblem:
-    """All parameters of a model, fitted to all its outputs that the recording has.
+    """A problem with all parameters of a model free and all recorded outputs to fit.
 
-    sd   standard deviation of the outputs, to begin with: intervals come from what is left after the fit
+    sd   assumed standard deviation of the outputs; the residuals of the fit determine the intervals
     """
     outputs = [n for n in quantities(model.outputs) if n in training.signals]
     mapping = RecordingMap(model, outputs, sd=dict.fromkeys(outputs, sd))
     free = free_parameters(model, list(quantities(model.parameters)))
-    unseen = tuple(mapping.run(recording) for recording in held_out)
-    return EstimationProblem(model, tuple(outputs), free, (mapping.run(training),), unseen)
+    held_out_runs = tuple(mapping.run(recording) for recording in held_out)
+    return EstimationProblem(model, tuple(outputs), free, (mapping.run(training),), held_out_runs)
 
 
 def _group(title: str, names: Sequence[str] | Mapping[str, float], minimum: float | None = None) -> type[Any]:
-    """A group of variables of magnitude 1 without units."""
+    """A group of dimensionless variables with nominal value 1."""
     quantity = [(n, Annotated[Scalar, Quantity("1", n, minimum=minimum)]) for n in names]
     return make_dataclass(title, quantity, frozen=True)

@@ -1,4 +1,4 @@
-"""Does the result depend on where the search began? The same search from random starts, on fewer samples."""
+"""Multistart: the same search from random initial parameters, on fewer samples."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
-from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
-from fmus.identification.refinement.refine import Refined, compiled, refine
+from fmus.identification.refinement.measured_runs import MeasuredRun
+from fmus.identification.refinement.problem import EstimationProblem
+from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
 
-SPREAD = 0.25  # of z: half width of the range of a start, unless two standard deviations of a prior are more
-EVERY, ITERATIONS = 4, 25  # samples, of which one is taken; iterations of a search
+SPREAD = 0.25  # half width of the range of initial z; a prior with a larger 2 sd replaces it
+EVERY = 4  # one of so many samples is used
+ITERATIONS = 25  # of a search
 _SAME = 1.0  # standard deviations within which two results are the same
 
 
@@ -23,102 +25,100 @@ _SAME = 1.0  # standard deviations within which two results are the same
 class RandomStart:
     """One search from a random start.
 
-    begun, ended   parameters by name; nothing ended if the model could not be simulated from there
-    apart          largest distance from the reference, in standard deviations of the coarse problem
+    initial, estimated   parameters by name; nothing is estimated if the model cannot be simulated from there
+    distance             largest distance from the reference, in standard deviations of the coarse problem
     """
 
-    begun: dict[str, float]
-    ended: dict[str, float]
-    apart: float
+    initial: dict[str, float]
+    estimated: dict[str, float]
+    distance: float
     residual: float
     iterations: int
 
 
 @dataclass(frozen=True)
-class Starts:
-    """All of them.
+class MultistartResult:
+    """The searches from all random starts.
 
-    share         of the starts that led to the reference
-    spread        per parameter: standard deviation over these starts' results, relative to the value
-    interrupted   were there to be more?
+    fraction      fraction of the starts that led to the reference
+    spread        per parameter: standard deviation over the results of these starts, relative to the value
+    interrupted   whether an interrupt ended the searches early
     """
 
     starts: tuple[RandomStart, ...]
-    share: float
+    fraction: float
     spread: dict[str, float]
     interrupted: bool = False
 
 
-def from_random_starts(refined: Refined, count: int = 8, spread: float = SPREAD) -> Starts:
-    """Search again from `count` starts, within `spread` about the value or in a wider prior.
+def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD) -> MultistartResult:
+    """Search again from `count` starts, within `spread` of the initial value or in a wider prior.
 
-    The data are thinned to every fourth sample; the reference is the result on the same data, begun at the
-    optimum.
+    Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
     """
-    problem = thinned(refined.problem, EVERY)
+    problem = subsampled(refined.problem, EVERY)
     simulator = compiled(problem)
-    options = Options(iterations=ITERATIONS, model_error=any(refined.floor.values()))
+    options = Options(iterations=ITERATIONS, model_error=any(refined.model_error.values()))
     rng = np.random.default_rng(0)
     starts: list[RandomStart] = []
-    ends: list[Array] = []
+    same: list[Array] = []
     interrupted = False
 
-    def search(z: Array) -> Refined:
-        one = refine(problem, simulator, options=options, start=z)
-        if one.reason == INTERRUPTED:  # which ends all of them, not this one
+    def search(z: Array) -> RefinementResult:
+        result = refine(problem, simulator, options=options, start=z)
+        if result.reason == INTERRUPTED:  # ends all searches
             raise KeyboardInterrupt
-        return one
+        return result
 
     try:
-        best = search(refined.z)
-        sd = best.statistics.sd(best.robust)
+        reference = search(refined.z)
+        sd = reference.statistics.sd(reference.robust)
         for _ in range(count):
             z = random_start(problem, rng, spread)
             try:
-                one = search(z)
+                result = search(z)
             except Problem:  # the model cannot be simulated from there
                 start = RandomStart(problem.by_name(z), {}, float("inf"), float("nan"), 0)
             else:
-                apart = float(np.max(np.abs(one.z - best.z) / sd))
-                size, steps = one.history[-1].residual, len(one.history)
-                start = RandomStart(problem.by_name(z), one.values, apart, size, steps)
-                if apart < _SAME:
-                    ends.append(one.z)
+                distance = float(np.max(np.abs(result.z - reference.z) / sd))
+                residual, iterations = result.history[-1].residual, len(result.history)
+                start = RandomStart(problem.by_name(z), result.values, distance, residual, iterations)
+                if distance < _SAME:
+                    same.append(result.z)
             starts.append(start)
     except KeyboardInterrupt:
         interrupted = True
-    middle, slopes = refined.problem.values_of(refined.z), refined.problem.slopes(refined.z)
-    deviation = np.std(ends, axis=0) if ends else np.full(len(middle), np.nan)
-    relative = np.abs(deviation * slopes) / np.where(middle == 0, np.nan, np.abs(middle))
+    values, derivatives = refined.problem.values_of(refined.z), refined.problem.derivatives(refined.z)
+    deviation = np.std(same, axis=0) if same else np.full(len(values), np.nan)
+    relative = np.abs(deviation * derivatives) / np.where(values == 0, np.nan, np.abs(values))
     spreads = dict(zip(problem.names, relative.tolist(), strict=True))
-    return Starts(tuple(starts), len(ends) / max(1, len(starts)), spreads, interrupted)
+    return MultistartResult(tuple(starts), len(same) / max(1, len(starts)), spreads, interrupted)
 
 
 def random_start(problem: EstimationProblem, rng: np.random.Generator, spread: float) -> Array:
-    """z drawn evenly from a range about the value, or from a prior that reaches farther, inside the bounds.
+    """Random z within `spread` of the initial value, or from a prior that is wider, inside the bounds.
 
-    A narrow prior pulls the search back all the same; starts as narrow would say nothing about the search.
+    A narrow prior attracts the search from any start; starts drawn from it would not test the search.
     """
     sd = np.array([f.z_sd for f in problem.free])
-    drawn = problem.initial() + np.where(
+    z = problem.initial() + np.where(
         np.isfinite(sd) & (2 * sd > spread),
         np.clip(rng.standard_normal(len(sd)), -2, 2) * np.where(np.isfinite(sd), sd, 0),
         rng.uniform(-spread, spread, len(sd)),
     )
-    return np.asarray(np.clip(drawn, *problem.bounds()))
+    return np.asarray(np.clip(z, *problem.bounds()))
 
 
-def thinned(problem: EstimationProblem, every: int) -> EstimationProblem:
-    """The same problem on every so many samples."""
+def subsampled(problem: EstimationProblem, every: int) -> EstimationProblem:
+    """The same problem with one of `every` samples."""
 
-    def run(one: MeasuredRun) -> MeasuredRun:
-        keep = slice(None, None, every)
+    def subsample(run: MeasuredRun) -> MeasuredRun:
         return replace(
-            one,
-            **{name: getattr(one, name)[keep] for name in ("time", "measured", "weight", "compared")},
-            inputs={name: u[keep] for name, u in one.inputs.items()},
+            run,
+            **{name: getattr(run, name)[::every] for name in ("time", "measured", "weight", "compared")},
+            inputs={name: u[::every] for name, u in run.inputs.items()},
             input_noise={},
-            guess={name: x[keep] for name, x in one.guess.items()},
+            measured_states={name: x[::every] for name, x in run.measured_states.items()},
         )
 
-    return replace(problem, training=tuple(map(run, problem.training)), held_out=())
+    return replace(problem, training=tuple(map(subsample, problem.training)), held_out=())

@@ -1,16 +1,18 @@
-"""An estimation problem: a subsystem, its free parameters with priors and bounds, the runs to explain."""
+"""An estimation problem: a subsystem, its free parameters with priors and bounds, and measured runs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, quantities
-from fmus.parameters import Values, values
+from fmus.identification.refinement.measured_runs import MeasuredRun
+from fmus.parameters import Values
+from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
 
 Array = NDArray[np.float64]
@@ -18,12 +20,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One free parameter, searched as z.
+    """A parameter to be estimated; z is the variable of the search.
 
-        value = exp(z)      if it cannot be negative and is not zero (`log`): z counts relative changes
-        value = scale z     else
+        value = exp(z)      if the parameter is positive (`log`): a change of z is a relative change
+        value = scale z     otherwise
 
-    sd         prior standard deviation of the value around `value`, None without a prior
+    value      initial value, mean of the prior
+    sd         prior standard deviation of the value, None without a prior
     low, high  bounds of the value
     """
 
@@ -37,7 +40,7 @@ class FreeParameter:
     scale: float = 1.0
 
     def z_of(self, value: float) -> float:
-        """z of a value; minus infinity for zero on a logarithmic scale."""
+        """z of a value; minus infinity for zero if z is logarithmic."""
         if not self.log:
             return value / self.scale
         return math.log(value) if value > 0 else -math.inf
@@ -46,46 +49,22 @@ class FreeParameter:
         """The value of z."""
         return math.exp(z) if self.log else self.scale * z
 
-    def slope(self, z: float) -> float:
+    def derivative(self, z: float) -> float:
         """d value / dz."""
         return math.exp(z) if self.log else self.scale
 
     @property
     def z_sd(self) -> float:
         """Prior standard deviation of z, infinite without a prior."""
-        return math.inf if self.sd is None else self.sd / self.slope(self.z_of(self.value))
-
-
-@dataclass(frozen=True)
-class MeasuredRun:
-    """One recording by the model's names.
-
-    time           shape (n,) [s]
-    inputs         input -> shape (n,), linear between the samples
-    measured       shape (n, ny); NaN allowed where the weight is zero
-    weight         shape (n, ny): 1 / standard deviation of a sample, 0 for one that does not count
-    compared       shape (n, ny), true where a sample takes part in the fit that is reported
-    scale          range of each whole output, by which the NRMSE divides
-    guess          state -> its trajectory (n,) as far as it is measured, to start from
-    rest           states that start at rest: zero, and that is known well
-    input_noise    measured input -> standard deviation of a sample, samples over which it was smoothed
-    """
-
-    name: str
-    time: Array
-    inputs: Mapping[str, Array]
-    measured: Array
-    weight: Array
-    compared: NDArray[np.bool_]
-    scale: Array
-    guess: Mapping[str, Array] = field(default_factory=dict)
-    rest: tuple[str, ...] = ()
-    input_noise: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+        return math.inf if self.sd is None else self.sd / self.derivative(self.z_of(self.value))
 
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """A subsystem, its free parameters, the runs to fit and the runs held out; `fixed` are its numbers."""
+    """A subsystem, its free parameters, the runs to fit and the runs held out.
+
+    fixed   values of the other parameters, inputs and states; None: those of the subsystem's file
+    """
 
     sub: Subsystem
     outputs: tuple[str, ...]
@@ -100,11 +79,11 @@ class EstimationProblem:
         return tuple(f.name for f in self.free)
 
     def initial(self) -> Array:
-        """z to start from, shape (np,)."""
+        """z of the initial values, shape (np,)."""
         return np.array([f.z_of(f.value) for f in self.free])
 
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest z, each of shape (np,)."""
+        """Lower and upper bounds of z, each of shape (np,)."""
         return (
             np.array([f.z_of(f.low) if math.isfinite(f.low) else -math.inf for f in self.free]),
             np.array([f.z_of(f.high) if math.isfinite(f.high) else math.inf for f in self.free]),
@@ -114,9 +93,9 @@ class EstimationProblem:
         """Parameter values of z, shape (np,)."""
         return np.array([f.value_of(float(v)) for f, v in zip(self.free, z, strict=True)])
 
-    def slopes(self, z: Array) -> Array:
+    def derivatives(self, z: Array) -> Array:
         """d value / dz, shape (np,)."""
-        return np.array([f.slope(float(v)) for f, v in zip(self.free, z, strict=True)])
+        return np.array([f.derivative(float(v)) for f, v in zip(self.free, z, strict=True)])
 
     def by_name(self, z: Array) -> dict[str, float]:
         """Parameter values of z by name."""
@@ -127,27 +106,25 @@ def free_parameters(
     sub: Subsystem,
     names: Sequence[str],
     priors: Mapping[str, tuple[float, float | None]] | None = None,
-    numbers: Values | None = None,
+    values: Values | None = None,
 ) -> tuple[FreeParameter, ...]:
     """Free parameters with the bounds that the subsystem declares.
 
-    priors   value and its standard deviation, None for a mere value to start from
-    numbers  values where there is no prior, by default those of the subsystem's file
+    priors   initial value and prior standard deviation, None for an initial value without a prior
+    values   initial values of the others, by default those of the subsystem's file
     """
-    declared, given, priors = quantities(sub.parameters), (numbers or values(sub)).p, priors or {}
+    declared, initial, priors = quantities(sub.parameters), (values or default_values(sub)).p, priors or {}
     unknown = [n for n in (*names, *priors) if n not in declared]
     if unknown:
-        raise Problem(f"{sub.name}: {unknown[0]} is to be refined, expected a parameter of it")
+        raise Problem(f"{sub.name}: {unknown[0]} is not a parameter; expected one of {', '.join(declared)}")
     free = []
     for name in names:
         q = declared[name]
-        value, sd = priors.get(name, (given[name], None))
+        value, sd = priors.get(name, (initial[name], None))
         low = -math.inf if q.minimum is None else q.minimum
         high = math.inf if q.maximum is None else q.maximum
         if not low <= value <= high or (sd is not None and not sd > 0):
-            raise Problem(
-                f"{sub.name}: {name} starts from {value:g} {q.unit} with sd {sd}, "
-                f"expected {low:g} to {high:g} and a positive sd"
-            )
+            expected = f"an initial value from {low:g} to {high:g} {q.unit} and a positive standard deviation"
+            raise Problem(f"{sub.name}: {name}: expected {expected}, got {value:g} and {sd}")
         free.append(FreeParameter(name, value, q.unit, sd, low, high, low >= 0 and value > 0, q.nominal))
     return tuple(free)

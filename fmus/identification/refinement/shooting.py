@@ -1,16 +1,16 @@
-"""Multiple shooting: segments of all runs at one iterate, and the small least-squares problem in them.
+"""Multiple shooting: the segments of all runs at one iterate, and the condensed least-squares problem.
 
-Each segment i of a run, with start state s_i and parameters z, is linearised to
+Each segment i of a run, with initial state s_i and parameters z, is linearised to
 
     residuals    r_i + J_i (ds_i, dz)          QR: only R_i (ds_i, dz) + Q_i' r_i matters
     continuity   d_i + X_i ds_i + P_i dz - ds_(i+1) = 0
 
 The recursion writes every ds_i as a function of (ds_0, dz) [condensing: Bock and Plitt 1984]; a second QR per
-run eliminates ds_0. What is left has as many rows and columns as there are parameters.
-States are counted in their nominal values throughout.
+run eliminates ds_0. The condensed problem has as many rows and columns as there are parameters.
+States are scaled by their nominal values throughout.
 
-QR is done in small blocks, which stay in one thread of the linear algebra library: segments have threads of
-their own already, and the two would wait for each other.
+QR works on small blocks (tall-skinny QR), for which the linear algebra library starts no threads. Segments
+already run in threads, and the two kinds of threads would block each other.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.refinement.data import first_states
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
 from fmus.identification.refinement.weights import Loss, Scales
 
 Array = NDArray[np.float64]
-Job = TypeVar("Job")
+Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-_TIMES = 3  # rows of a block over columns: each level of the tree has a third of the rows of that before
+_HEIGHT = 3  # rows of a block per column: each level of the tree has a third of the rows of the level before
 
 
-def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) -> list[Result]:
-    """Results in the order of the places; an interrupt does not wait for what has not begun."""
-    if threads == 1 or len(places) == 1:
-        return [job(place) for place in places]
+def parallel(function: Callable[[Task], Result], tasks: Sequence[Task], threads: int) -> list[Result]:
+    """Results in the order of the tasks; an interrupt cancels the tasks that have not begun."""
+    if threads == 1 or len(tasks) == 1:
+        return [function(task) for task in tasks]
     pool = ThreadPoolExecutor(threads)
     try:
-        return list(pool.map(job, places))
+        return list(pool.map(function, tasks))
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -49,7 +48,7 @@ def parallel(job: Callable[[Job], Result], places: Sequence[Job], threads: int) 
 def _blocks(rows: Array) -> Array:
     """The rows in blocks of equal height, padded with zeros, shape (blocks, height, columns)."""
     columns = rows.shape[1]
-    height = max(1, _TIMES * columns)
+    height = max(1, _HEIGHT * columns)
     blocks = max(1, -(-len(rows) // height))
     padded = np.zeros((blocks * (len(rows) if blocks == 1 else height), columns))
     padded[: len(rows)] = rows
@@ -57,7 +56,7 @@ def _blocks(rows: Array) -> Array:
 
 
 def triangular(rows: Array) -> Array:
-    """R alone: the same least-squares problem in as few rows as possible."""
+    """R of the QR factorisation: the same least-squares problem in as few rows as possible."""
     while True:
         blocks = _blocks(rows)
         rows = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, rows.shape[1])
@@ -66,8 +65,8 @@ def triangular(rows: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Factors:
-    """Q as a tree of block factors, each of shape (blocks, rows, k), and R, shape (k, columns)."""
+class TreeQR:
+    """QR factors: Q as a tree of block factors, each (blocks, rows, k), and R, shape (k, columns)."""
 
     levels: tuple[Array, ...]
     r: Array
@@ -81,7 +80,7 @@ class Factors:
         return vector
 
 
-def factors(rows: Array) -> Factors:
+def tree_qr(rows: Array) -> TreeQR:
     """QR factors of `rows`, shape (m, columns)."""
     levels: list[Array] = []
     while True:
@@ -89,27 +88,27 @@ def factors(rows: Array) -> Factors:
         levels.append(q)
         rows = r.reshape(-1, rows.shape[1])
         if len(q) == 1:
-            return Factors(tuple(levels), rows)
+            return TreeQR(tuple(levels), rows)
 
 
 @dataclass(frozen=True)
 class LinearSegment:
     """One linearised segment.
 
-    factors    of the weighted Jacobian, shape (m, nx + np)
-    x_x, x_p   end state with respect to start state and parameters
+    factors    QR factors of the weighted Jacobian, shape (m, nx + np)
+    x_x, x_p   sensitivities of the final state to initial state and parameters
     """
 
-    factors: Factors
+    factors: TreeQR
     x_x: Array
     x_p: Array
 
     def detached(self) -> LinearSegment:
-        """The same segment, after which the next one starts from somewhere else."""
+        """The same segment without influence on the next one."""
         return LinearSegment(self.factors, 0 * self.x_x, 0 * self.x_p)
 
     def condensed(self, recursion: Array, projected: Array) -> Array:
-        """Its rows [start | parameters | residual] of the condensed problem."""
+        """Its rows [initial state | parameters | residual] of the condensed problem."""
         nx = recursion.shape[0]
         rows: Array = self.factors.r[:, :nx] @ recursion
         rows[:, nx:-1] += self.factors.r[:, nx:]
@@ -118,9 +117,11 @@ class LinearSegment:
 
 
 @dataclass(frozen=True)
-class Condensed:
-    """One run condensed: rows [start | parameters | residual] in upper triangular form.
+class CondensedRun:
+    """One run condensed to the upper triangular form of rows [initial state | parameters | residual].
 
+    top         the rows that determine the initial state of the run, shape (nx, nx + np + 1)
+    bottom      rows [parameters | residual] that remain
     recursion   per segment, shape (nx, nx + np + 1): ds_i = recursion (ds_0, dz, 1)
     """
 
@@ -129,22 +130,22 @@ class Condensed:
     recursion: tuple[Array, ...]
 
     def states(self, dz: Array) -> list[Array]:
-        """All ds_i of a step in the parameters."""
+        """ds_i of all segments for a step dz of the parameters."""
         nx = len(self.top)
         right = self.top[:, nx:-1] @ dz + self.top[:, -1]
-        start = -np.linalg.solve(self.top[:, :nx], right) if nx else right
-        full = np.concatenate([start, dz, [1.0]])
+        ds_0 = -np.linalg.solve(self.top[:, :nx], right) if nx else right
+        full = np.concatenate([ds_0, dz, [1.0]])
         return [rows @ full for rows in self.recursion]
 
 
 def condense(
     segments: Sequence[LinearSegment], defects: Sequence[Array], projected: Sequence[Array], prior: Array
-) -> Condensed:
+) -> CondensedRun:
     """Condense one run.
 
     defects     d_i, one fewer than segments
     projected   Q_i' r_i
-    prior       rows [start | parameters | residual] of what is known about the start state
+    prior       rows [initial state | parameters | residual] of the prior of the initial state
     """
     nx = segments[0].x_x.shape[0]
     rows: Array = np.hstack([np.eye(nx), np.zeros((nx, prior.shape[1] - nx))])
@@ -156,12 +157,12 @@ def condense(
         recursion.append(rows)
     blocks = [s.condensed(rows, c) for s, rows, c in zip(segments, recursion, projected, strict=True)]
     triangle = triangular(np.vstack([prior, *blocks]))
-    return Condensed(triangle[:nx], triangle[nx:, nx:], tuple(recursion))
+    return CondensedRun(triangle[:nx], triangle[nx:, nx:], tuple(recursion))
 
 
 @dataclass(frozen=True)
 class Iterate:
-    """Unknowns: z of the parameters, and per run the start states (segments, nx) in nominal values."""
+    """Unknowns: z of the parameters, and per run the initial states (segments, nx) in nominal values."""
 
     z: Array
     starts: tuple[Array, ...]
@@ -169,13 +170,13 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Segment:
-    """What one segment contributes.
+    """Residuals and linearisation of one segment.
 
     residual   in standard deviations of the sensor, shape (m,)
-    column     output of each, shape (m,)
-    factor     for the model's own error and of the robust loss, shape (m,)
-    end        end state in nominal values
-    linear     the linearisation; none if it was not asked for
+    column     index of the output of each residual, shape (m,)
+    factor     square root of the weight by model error and robust loss, shape (m,)
+    end        final state in nominal values
+    linear     the linearisation, None if no sensitivities were computed
     """
 
     residual: Array
@@ -185,13 +186,13 @@ class Segment:
     linear: LinearSegment | None
 
     def projected(self, other: Segment) -> Array:
-        """Q' r of this segment's linearisation, with the residuals of `other`."""
+        """Q' r: Q of this segment's linearisation, r the residuals of `other` with this segment's weights."""
         assert self.linear is not None
         return self.linear.factors.project(self.factor * other.residual)
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class Evaluation:
     """The segments of each run at an iterate."""
 
     problem: EstimationProblem
@@ -200,14 +201,14 @@ class Evaluated:
 
     @property
     def defects(self) -> list[list[Array]]:
-        """Gaps: end of each segment minus start of the next, in nominal values."""
+        """Continuity defects in nominal values: final state of a segment minus initial state of the next."""
         return [
             [segment.end - start for segment, start in zip(segments[:-1], starts[1:], strict=True)]
             for segments, starts in zip(self.runs, self.iterate.starts, strict=True)
         ]
 
-    def gap(self) -> float:
-        """Largest of them."""
+    def largest_defect(self) -> float:
+        """Largest magnitude of a continuity defect."""
         return max((float(np.abs(d).max(initial=0.0)) for run in self.defects for d in run), default=0.0)
 
     def residuals(self) -> list[Array]:
@@ -219,11 +220,11 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class Shooting:
-    """How a problem is cut into segments and evaluated.
+    """A problem cut into segments.
 
     inputs     per run, shape (n, nu)
-    edges      per run the indices of the samples at which segments begin, and the last one
-    detached   segments start from what is measured and need not meet: prediction over their length
+    edges      per run the indices of the samples at which segments begin, and of the last sample
+    detached   segments begin at measured states and need not be continuous: prediction over their length
     """
 
     problem: EstimationProblem
@@ -234,64 +235,62 @@ class Shooting:
     loss: Loss
     detached: bool = False
 
-    def measured(self, z: Array) -> Iterate:
-        """Start states from the measurements, those that are not measured by simulation."""
+    def measured_iterate(self, z: Array) -> Iterate:
+        """The iterate with measured initial states; states that are not measured are simulated."""
         p, nominal = self.problem.values_of(z), self.simulator.nominal
 
         def states(k: int) -> Array:
             run = self.problem.training[k]
-            return first_states(run, self.simulator, p, self.inputs[k], self.edges[k]) / nominal
+            return run.segment_states(self.simulator, p, self.inputs[k], self.edges[k]) / nominal
 
         return Iterate(z, tuple(parallel(states, range(len(self.edges)), self.threads)))
 
-    def moved(
-        self, iterate: Iterate, dz: Array, changes: Sequence[Sequence[Array]], length: float
-    ) -> Iterate:
-        """The iterate a fraction `length` of a step away."""
+    def stepped(self, iterate: Iterate, dz: Array, ds: Sequence[Sequence[Array]], fraction: float) -> Iterate:
+        """The iterate after a fraction of the step (dz, ds)."""
         if self.detached:
-            return self.measured(iterate.z + length * dz)
+            return self.measured_iterate(iterate.z + fraction * dz)
         starts = [
-            s + length * np.array(ds).reshape(s.shape) for s, ds in zip(iterate.starts, changes, strict=True)
+            s + fraction * np.array(d).reshape(s.shape) for s, d in zip(iterate.starts, ds, strict=True)
         ]
-        return Iterate(iterate.z + length * dz, tuple(starts))
+        return Iterate(iterate.z + fraction * dz, tuple(starts))
 
-    def evaluate(self, iterate: Iterate, scales: Scales, sensitivities: bool = True) -> Evaluated:
-        """Integrate all segments; raises what the simulator raises."""
-        p, slopes = self.problem.values_of(iterate.z), self.problem.slopes(iterate.z)
+    def evaluate(self, iterate: Iterate, scales: Scales, sensitivities: bool = True) -> Evaluation:
+        """Simulate all segments; raises SimulationFailed."""
+        p, p_z = self.problem.values_of(iterate.z), self.problem.derivatives(iterate.z)
 
-        def job(place: tuple[int, int]) -> Segment:
-            run, i = place
-            return self._segment(run, i, iterate.starts[run][i], p, slopes, scales, sensitivities)
+        def evaluate_segment(task: tuple[int, int]) -> Segment:
+            run, i = task
+            return self._segment(run, i, iterate.starts[run][i], p, p_z, scales, sensitivities)
 
-        places = [(k, i) for k, cuts in enumerate(self.edges) for i in range(len(cuts) - 1)]
-        segments: Iterator[Segment] = iter(parallel(job, places, self.threads))
-        runs = tuple(tuple(next(segments) for _ in cuts[1:]) for cuts in self.edges)
-        return Evaluated(self.problem, iterate, runs)
+        tasks = [(k, i) for k, edges in enumerate(self.edges) for i in range(len(edges) - 1)]
+        segments: Iterator[Segment] = iter(parallel(evaluate_segment, tasks, self.threads))
+        runs = tuple(tuple(next(segments) for _ in edges[1:]) for edges in self.edges)
+        return Evaluation(self.problem, iterate, runs)
 
     def _segment(
-        self, run: int, i: int, start: Array, p: Array, slopes: Array, scales: Scales, sensitivities: bool
+        self, run: int, i: int, start: Array, p: Array, p_z: Array, scales: Scales, sensitivities: bool
     ) -> Segment:
-        record, cuts = self.problem.training[run], self.edges[run]
-        first, last = cuts[i], cuts[i + 1]
+        record, edges = self.problem.training[run], self.edges[run]
+        first, last = edges[i], edges[i + 1]
         nominal = self.simulator.nominal
         time, inputs = record.time[first : last + 1], self.inputs[run][first : last + 1]
         solution = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
-        own = last - first + (i == len(cuts) - 2)  # a sample on an edge counts once
-        weight = record.weight[first : first + own]
-        use = weight > 0
-        w, column = weight[use], np.nonzero(use)[1]
-        residual = (solution.y[:own][use] - record.measured[first : first + own][use]) * w
+        count = last - first + (i == len(edges) - 2)  # a sample on an edge counts once
+        weight = record.weight[first : first + count]
+        used = weight > 0
+        w, column = weight[used], np.nonzero(used)[1]
+        residual = (solution.y[:count][used] - record.measured[first : first + count][used]) * w
         factor = scales.factor(residual, column, self.loss)
         linear = None
         if sensitivities:
-            rows = np.hstack([solution.y_x[:own][use] * nominal, solution.y_p[:own][use] * slopes])
-            x_x, x_p = solution.x_x * nominal / nominal[:, None], solution.x_p * slopes / nominal[:, None]
-            linear = LinearSegment(factors(rows * (w * factor)[:, None]), x_x, x_p)
+            rows = np.hstack([solution.y_x[:count][used] * nominal, solution.y_p[:count][used] * p_z])
+            x_x, x_p = solution.x_x * nominal / nominal[:, None], solution.x_p * p_z / nominal[:, None]
+            linear = LinearSegment(tree_qr(rows * (w * factor)[:, None]), x_x, x_p)
         return Segment(residual, column, factor, solution.x / nominal, linear)
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:
-    """Indices that cut `time` into about equal segments of about `seconds`."""
+    """Indices that cut `time` into segments of about `seconds` and about equal length."""
     count = max(1, round((time[-1] - time[0]) / seconds))
     inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1])
     return tuple(int(i) for i in np.unique([0, *inner, len(time) - 1]))

@@ -1,11 +1,11 @@
-"""How well the data determine the parameters: covariances, noise of inputs, what the data leave open.
+"""Uncertainty of the estimates: covariances, noise of the inputs, parameters that the data do not determine.
 
-Everything is in the search variable z, relative changes for most parameters. The starts of the runs are
-unknown too; their uncertainty is in all numbers.
+All covariances are those of the search variable z, in relative changes for most parameters. They include the
+uncertainty of the initial states of the runs, which are unknowns too.
 
-Noise of measured inputs: smoothing leaves an error that is small but as slow as the window. The parameters
-follow it, and residuals do not show it. So the smoothed noise is drawn anew, and what the parameters would
-make of it is computed from the linearisation at the optimum.
+Smoothing leaves an error in a measured input that is small but as slow as the smoothing window. The estimates
+follow this error, and the residuals do not show it. Its effect is therefore computed by simulation: smoothed
+noise is added to the inputs, and the change of the estimates follows from the linearisation at the optimum.
 """
 
 from __future__ import annotations
@@ -15,114 +15,115 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.identification.refinement.data import parabolas
-from fmus.identification.refinement.gauss_newton import LARGEST, Solution, linearise
-from fmus.identification.refinement.problem import FreeParameter, MeasuredRun
+from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
+from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
+from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.shooting import Shooting
 from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.identification.refinement.weights import Priors
 
 Array = NDArray[np.float64]
 
-VAGUE = 100.0  # of z: a standard deviation given to everything, so that all numbers stay finite
-DRAWS = 24  # of the inputs' noise: standard deviations are then known to 15 %, one over sqrt(2 n)
-LIMIT = 0.5  # of z: a combination with a larger standard deviation is not determined by the data
-_TAKES_PART = 0.05  # share of a parameter in such a combination, and bond between two, that count
+VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
+DRAWS = 24  # of the input noise: relative error of a standard deviation 1 / sqrt(2 n), 15 %
+LIMIT = 0.5  # standard deviation of z; the data do not determine a combination with a larger one
+_TAKES_PART = 0.05  # smallest entry of the projector on such combinations that counts
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Covariances of z, shape (np, np), and what they rest on.
+    """Covariances of z, shape (np, np), and their basis.
 
-    plain        right if residuals are independent, but for the memory that the search saw in them
-    clustered    over segments, honest for residuals with a memory no longer than a segment
-    data         that of the data alone, without priors
-    residual     variance of a weighted residual, 1 if its weight is right
-    freedom      samples that count, those of one memory as one, minus unknowns
-    clusters     number of segments
-    condition    of the Jacobian of the data, columns scaled to length one
-    inputs       the part of the covariances that comes from the noise of measured inputs
+    covariance           for independent residuals, corrected for the correlation time of the scales
+    robust_covariance    cluster-robust over segments: for residuals correlated over no more than a segment
+    data_covariance      from the data alone, without priors
+    residual_variance    variance of a weighted residual, 1 if the weights are right
+    degrees_of_freedom   samples that count (those of one correlation time as one) minus unknowns
+    segments             number of segments
+    condition            condition number of the Jacobian of the data, columns scaled to length one
+    input_covariance     contribution of the noise of measured inputs, part of the three covariances
     """
 
-    plain: Array
-    clustered: Array
-    data: Array
-    residual: float
-    freedom: int
-    clusters: int
+    covariance: Array
+    robust_covariance: Array
+    data_covariance: Array
+    residual_variance: float
+    degrees_of_freedom: int
+    segments: int
     condition: float
-    inputs: Array | None = None
+    input_covariance: Array | None = None
 
     def sd(self, robust: bool) -> Array:
         """Standard deviations of z."""
-        return np.sqrt(np.diag(self.clustered if robust else self.plain))
+        return np.sqrt(np.diag(self.robust_covariance if robust else self.covariance))
 
     def degrees(self, robust: bool) -> int:
         """Degrees of freedom of these standard deviations."""
-        return max(1, self.clusters - 1) if robust else self.freedom
+        return max(1, self.segments - 1) if robust else self.degrees_of_freedom
 
     @property
     def correlation(self) -> Array:
-        """Of the plain covariance."""
+        """Correlation matrix of `covariance`."""
         sd = self.sd(False)
-        return np.asarray(self.plain / np.outer(sd, sd))
+        return np.asarray(self.covariance / np.outer(sd, sd))
 
 
-def statistics(solution: Solution, priors: Priors, inputs: Array) -> Statistics:
-    """Statistics where a search ended; `inputs` is the covariance by the noise of inputs."""
-    free = len(priors.z)
-    segments = [s for run in solution.evaluated.runs for s in run]
+def statistics(solution: Solution, priors: Priors, input_covariance: Array) -> Statistics:
+    """Statistics at the end of a search; `input_covariance` is the contribution of the noise of inputs."""
+    parameters = len(priors.z)
+    segments = [s for run in solution.evaluation.runs for s in run]
     weighted = np.concatenate([s.residual * s.factor for s in segments])
-    counted = sum(float(np.sum(1 / solution.scales.memory[s.column])) for s in segments)
-    freedom = max(1, round(counted) - free - sum(len(run.top) for run in solution.linear.runs))
-    variance = float(weighted @ weighted) / freedom
-    data = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
+    samples = sum(float(np.sum(1 / solution.scales.correlation_time[s.column])) for s in segments)
+    initial_states = sum(len(run.top) for run in solution.linear.runs)
+    degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
+    variance = float(weighted @ weighted) / degrees_of_freedom
+    jacobian = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
     prior = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
-    information = data.T @ data
-    lengths = np.linalg.norm(data, axis=0)
-    singular = np.linalg.svd(data / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
-    smallest = float(singular[-1]) if len(data) >= free else 0.0
+    information = jacobian.T @ jacobian
+    lengths = np.linalg.norm(jacobian, axis=0)
+    singular = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
+    smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
     return Statistics(
-        plain=_inverse(information / variance + prior) + inputs,
-        clustered=_clustered(solution, prior, _inverse(information + prior)) + inputs,
-        data=_inverse(information / variance + np.eye(free) / VAGUE**2) + inputs,
-        inputs=inputs,
-        residual=variance,
-        freedom=freedom,
-        clusters=len(segments),
+        covariance=_inverse(information / variance + prior) + input_covariance,
+        robust_covariance=_jackknife(solution, prior, _inverse(information + prior)) + input_covariance,
+        data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + input_covariance,
+        residual_variance=variance,
+        degrees_of_freedom=degrees_of_freedom,
+        segments=len(segments),
         condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
+        input_covariance=input_covariance,
     )
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of a positive definite matrix; scaled, because the magnitudes differ widely.
+    """Inverse of a positive definite matrix, scaled because magnitudes differ widely.
 
-    What rounding has made of zero is not taken for information: eigenvalues stay above it.
+    Eigenvalues are bounded from below by rounding, so that rounding errors do not count as information.
     """
     diagonal = np.diag(matrix)
     scale = 1 / np.sqrt(np.maximum(diagonal, np.finfo(float).eps * max(diagonal.max(), 1.0)))
-    sizes, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    sizes = np.maximum(sizes, np.finfo(float).eps * (sizes[-1] or 1.0))  # 1: no information at all
-    return np.asarray((vectors / sizes) @ vectors.T * np.outer(scale, scale))
+    eigenvalues, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    floor = np.finfo(float).eps * (eigenvalues[-1] or 1.0)  # 1: no information at all
+    return np.asarray((vectors / np.maximum(eigenvalues, floor)) @ vectors.T * np.outer(scale, scale))
 
 
-def _clustered(solution: Solution, prior: Array, inverse: Array) -> Array:
-    """Jackknife over segments [CR3: Bell and McCaffrey 2002]; the priors are one more, of known variance.
+def _jackknife(solution: Solution, prior: Array, inverse: Array) -> Array:
+    """Jackknife covariance over segments [CR3: Bell and McCaffrey 2002]; priors add their known variance.
 
-    Each segment is left out in turn, and z changes by what the others ask for, to first order.
+    Each segment is left out in turn; the change of z is computed to first order.
     """
     changes: list[Array] = []
     bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in solution.linear.runs]
-    for run, segments in zip(solution.linear.runs, solution.evaluated.runs, strict=True):
+    for run, segments in zip(solution.linear.runs, solution.evaluation.runs, strict=True):
         nx = len(run.top)
-        whole = np.zeros((nx + len(prior), nx + len(prior)))
-        whole[nx:, nx:] = sum(bottoms, prior)
-        whole += run.top[:, :-1].T @ run.top[:, :-1]
+        information = np.zeros((nx + len(prior), nx + len(prior)))
+        information[nx:, nx:] = sum(bottoms, prior)
+        information += run.top[:, :-1].T @ run.top[:, :-1]
         for segment, recursion in zip(segments, run.recursion, strict=True):
             assert segment.linear is not None
             rows = segment.linear.condensed(recursion, segment.projected(segment))
-            own, gradient = rows[:, :-1].T @ rows[:, :-1], rows[:, :-1].T @ rows[:, -1]
-            changes.append((_inverse(whole - own) @ gradient)[nx:])
+            contribution, gradient = rows[:, :-1].T @ rows[:, :-1], rows[:, :-1].T @ rows[:, -1]
+            changes.append((_inverse(information - contribution) @ gradient)[nx:])
     count, all_changes = len(changes), np.array(changes)
     if count == 1:
         return inverse
@@ -130,13 +131,14 @@ def _clustered(solution: Solution, prior: Array, inverse: Array) -> Array:
 
 
 def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> Array:
-    """Covariance of z, shape (np, np), by the noise of the inputs."""
-    free = len(priors.z)
+    """Covariance of z that the noise of the inputs causes, shape (np, np)."""
+    parameters = len(priors.z)
     if not any(run.input_noise for run in shooting.problem.training):
-        return np.zeros((free, free))
+        return np.zeros((parameters, parameters))
     rng = np.random.default_rng(0)
-    now, unbounded = solution.evaluated, (np.full(free, -np.inf), np.full(free, np.inf))
-    reference = solution.linear.step(now.iterate.z, unbounded, LARGEST)
+    optimum, unbounded = solution.evaluation, (np.full(parameters, -np.inf), np.full(parameters, np.inf))
+    z = optimum.iterate.z
+    reference = solution.linear.step(z, unbounded, LARGEST_RADIUS)
     changes = []
     for _ in range(DRAWS):
         inputs = tuple(
@@ -144,65 +146,63 @@ def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> 
             for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
         )
         try:
-            new = replace(shooting, inputs=inputs).evaluate(now.iterate, solution.scales, False)
+            new = replace(shooting, inputs=inputs).evaluate(optimum.iterate, solution.scales, False)
         except SimulationFailed:
             continue
-        step = linearise(now, new, priors, shooting.detached).step(now.iterate.z, unbounded, LARGEST)
+        step = linearise(optimum, new, priors, shooting.detached).step(z, unbounded, LARGEST_RADIUS)
         changes.append(step - reference)
-    drawn = np.array(changes).reshape(-1, free)
-    return np.asarray(drawn.T @ drawn / max(1, len(drawn)))
+    draws = np.array(changes).reshape(-1, parameters)
+    return np.asarray(draws.T @ draws / max(1, len(draws)))
 
 
 def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Generator) -> Array:
-    """Noise of a run's inputs as smoothing leaves it, shape (n, nu)."""
+    """A draw of the noise that smoothing leaves in a run's inputs, shape (n, nu)."""
     noise = np.zeros((len(run.time), len(names)))
     for j, name in enumerate(names):
         if name in run.input_noise:
             sd, window = run.input_noise[name]
-            noise[:, j] = parabolas(sd * rng.standard_normal(len(run.time)), window)
+            noise[:, j] = local_parabolas(sd * rng.standard_normal(len(run.time)), window)
     return noise
 
 
-def unidentified(free: tuple[FreeParameter, ...], data: Array) -> tuple[str, ...]:
-    """One sentence per group of parameters that the data leave open, alone or in combination.
+def unidentified(free: tuple[FreeParameter, ...], data_covariance: Array) -> tuple[str, ...]:
+    """One sentence per group of parameters that the data do not determine, alone or in combination.
 
-    data   covariance of z by the data alone, shape (np, np)
+    data_covariance   covariance of z from the data alone, shape (np, np)
     """
-    variances, vectors = np.linalg.eigh(data)
+    variances, vectors = np.linalg.eigh(data_covariance)
     undetermined = vectors[:, variances > LIMIT**2]
-    bond = undetermined @ undetermined.T  # projector: its blocks are the groups
-    left = [j for j in range(len(bond)) if bond[j, j] > _TAKES_PART]
+    projector = undetermined @ undetermined.T  # its diagonal blocks are the groups
+    ungrouped = [j for j in range(len(projector)) if projector[j, j] > _TAKES_PART]
     sentences = []
-    while left:
-        group, new = [left[0]], [left[0]]
+    while ungrouped:
+        group, new = [ungrouped[0]], [ungrouped[0]]
         while new:
             j = new.pop()
-            more = [i for i in left if i not in group and abs(bond[i, j]) > _TAKES_PART]
+            more = [i for i in ungrouped if i not in group and abs(projector[i, j]) > _TAKES_PART]
             group, new = group + more, new + more
-        left = [j for j in left if j not in group]
+        ungrouped = [j for j in ungrouped if j not in group]
         group.sort()
-        own = np.ix_(group, group)
-        sentences.append(_sentence([free[j] for j in group], bond[own], data[own]))
+        block = np.ix_(group, group)
+        sentences.append(_sentence([free[j] for j in group], projector[block], data_covariance[block]))
     return tuple(sentences)
 
 
-def _sentence(group: list[FreeParameter], bond: Array, data: Array) -> str:
+def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Array) -> str:
     names = [f.name for f in group]
-    dimension = round(float(np.trace(bond)))
+    dimension = round(float(np.trace(projector)))
     if len(names) == 1:
-        sd = float(np.sqrt(data[0, 0]))
-        reason = "do not show it" if sd > 0.5 * VAGUE else f"leave it open by {100 * sd:.0f} %"
+        sd = float(np.sqrt(data_covariance[0, 0]))
+        limit = f"leave a standard deviation of {100 * sd:.0f} %"
+        reason = "do not determine it" if sd > 0.5 * VAGUE else limit
         if group[0].sd is None:
             return f"{names[0]}: the data {reason}"
-        return (
-            f"{names[0]}: these recordings alone {reason}; its interval is that of what was known before, "
-            "such as from the bench"
-        )
+        return f"{names[0]}: these recordings alone {reason}; its interval is that of its prior"
     listed = ", ".join(names[:-1]) + f" and {names[-1]}"
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
-        return f"{listed}: the data show {len(names) - dimension} of {len(names)} combinations"
+        return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
     # along the undetermined direction (a, b) of two logarithms z_1 - a / b z_2 stays the same
-    exponent = float(bond[0, 1] / bond[1, 1])
+    exponent = float(projector[0, 1] / projector[1, 1])
     power = "" if abs(abs(exponent) - 1) < 0.05 else f"^{abs(exponent):.2g}"
-    together = f"{names[0]} {'/' if exponent > 0 else '*'} {names[1]}{power}"
-    return f"{listed}: the data show only {together}, not each"
+    combination = f"{names[0]} {'/' if exponent > 0 else '*'} {names[1]}{power}"
+    return f"{listed}: the data determine only {combination}, not each"

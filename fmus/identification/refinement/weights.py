@@ -1,8 +1,8 @@
-"""How much each residual counts: robust losses, the model's own error, correlated residuals, priors.
+"""Weights of the residuals: robust losses, model error, correlated residuals; priors.
 
 Residuals are in standard deviations of their sensors. A robust loss is a weight in iteratively reweighted
-least squares: a residual beyond `tuning` pulls less than its square would. 95 % efficiency on normal noise at
-1.345 for Huber's loss [Holland and Welsch 1977], and nearly that for the smooth one.
+least squares: a residual beyond `tuning` has less influence than its square would have. At tuning = 1.345
+Huber's loss has 95 % efficiency for normal noise [Holland and Welsch 1977], and the smooth loss nearly that.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 Loss = Literal["linear", "huber", "soft_l1"]
 
 TUNING = 1.345
-_TO_SD = 1.4826  # standard deviation over median magnitude of a normal variable
-_LONGEST = 0.05  # of the samples: a correlation time beyond that is a trend
-AT_REST = 1e-3  # nominal values: what a state that stands still may deviate from zero
-UNKNOWN = 1.0  # nominal values: a state that is measured, or that nobody knows
+_MAD_TO_SD = 1.4826  # standard deviation over median magnitude of a normal variable
+_LONGEST = 0.05  # largest correlation time, as a fraction of the samples; beyond that a residual is a trend
+SD_AT_REST = 1e-3  # prior standard deviation of an initial state that is at rest, in nominal values
+SD_UNKNOWN = 1.0  # the same for any other initial state
 
 
 def loss_factors(residual: Array, tuning: Array, loss: Loss) -> Array:
@@ -40,29 +40,30 @@ def loss_factors(residual: Array, tuning: Array, loss: Loss) -> Array:
 
 @dataclass(frozen=True)
 class Scales:
-    """Per output.
+    """Scales of the residuals, per output.
 
-    floor    standard deviation of the model's own error, in those of the sensor, 0 for none
-    memory   correlation time of the residuals in samples: so many count as one
-    tuning   where outliers begin, in standard deviations of sensor and model together
+    model_error        standard deviation of the model's own error in those of the sensor, 0 for none
+    correlation_time   of the residuals [samples]: so many samples count as one
+    tuning             where outliers begin, in standard deviations of sensor and model together
     """
 
-    floor: Array
-    memory: Array
+    model_error: Array
+    correlation_time: Array
     tuning: Array
 
     def factor(self, residual: Array, column: NDArray[np.int64], loss: Loss) -> Array:
-        """What residuals and their Jacobian are multiplied by; `column` is the output of each."""
-        shrunk = 1 / np.hypot(1.0, self.floor[column])
+        """The factor of each residual and its row of the Jacobian; `column` is the index of its output."""
+        shrunk = 1 / np.hypot(1.0, self.model_error[column])
         robust = loss_factors(residual * shrunk, self.tuning[column], loss)
-        return np.asarray(shrunk * robust / np.sqrt(self.memory[column]))
+        return np.asarray(shrunk * robust / np.sqrt(self.correlation_time[column]))
 
     def change(self, other: Scales) -> float:
         """Largest relative difference."""
-        mine, others = (
-            np.concatenate([np.hypot(1.0, s.floor), np.sqrt(s.memory), s.tuning]) for s in (self, other)
+        old, new = (
+            np.concatenate([np.hypot(1.0, s.model_error), np.sqrt(s.correlation_time), s.tuning])
+            for s in (self, other)
         )
-        return float(np.max(np.abs(others / mine - 1)))
+        return float(np.max(np.abs(new / old - 1)))
 
 
 def sensor_scales(outputs: int) -> Scales:
@@ -70,24 +71,25 @@ def sensor_scales(outputs: int) -> Scales:
     return Scales(np.zeros(outputs), np.ones(outputs), np.full(outputs, TUNING))
 
 
-def estimated_scales(residuals: list[Array], model_error: bool, memory: bool) -> Scales:
-    """The scales that the residuals of each output show, in the order of time.
+def estimated_scales(residuals: list[Array], model_error: bool, correlated: bool) -> Scales:
+    """Scales estimated from the residuals of each output, in the order of time.
 
-    Outliers never begin below the noise of the sensor. Far from the optimum all residuals are large; they are
-    not outliers then, so the median magnitude counts.
+    Outliers never begin below the noise of the sensor. Far from the optimum all residuals are large without
+    being outliers, so that the threshold follows their median magnitude.
     """
-    floor, tuning = np.zeros(len(residuals)), np.full(len(residuals), TUNING)
-    for k, part in enumerate(residuals):
-        if model_error and part.size:
-            floor[k] = math.sqrt(max(0.0, float(np.mean(part**2)) - 1))
-        if part.size:
-            tuning[k] *= max(1.0, _TO_SD * float(np.median(np.abs(part))) / math.hypot(1, floor[k]))
-    times = [correlation_time(part) if memory else 1.0 for part in residuals]
-    return Scales(floor, np.array(times), tuning)
+    error, tuning = np.zeros(len(residuals)), np.full(len(residuals), TUNING)
+    for k, residual in enumerate(residuals):
+        if model_error and residual.size:
+            error[k] = math.sqrt(max(0.0, float(np.mean(residual**2)) - 1))
+        if residual.size:
+            median = float(np.median(np.abs(residual)))
+            tuning[k] *= max(1.0, _MAD_TO_SD * median / math.hypot(1, error[k]))
+    times = [correlation_time(residual) if correlated else 1.0 for residual in residuals]
+    return Scales(error, np.array(times), tuning)
 
 
 def correlation_time(residual: Array) -> float:
-    """Samples over which a residual lasts, at least 1; at most a share of them, as more would be a trend."""
+    """Correlation time of a residual [samples], at least 1 and at most a fraction of all samples."""
     n = len(residual)
     if n < 4 or not float(residual @ residual) > 0:
         return 1.0
@@ -96,10 +98,10 @@ def correlation_time(residual: Array) -> float:
 
 @dataclass(frozen=True)
 class Priors:
-    """Means and standard deviations known before the recordings, as rows of the least-squares problem.
+    """Means and standard deviations of the priors, as rows of the least-squares problem.
 
-    z, z_sd           of the parameters; infinite where nothing is known
-    start, start_sd   per run, of the first state in nominal values
+    z, z_sd           of the parameters; the standard deviation is infinite without a prior
+    start, start_sd   per run, of its initial state in nominal values
     """
 
     z: Array
@@ -108,27 +110,27 @@ class Priors:
     start_sd: tuple[Array, ...]
 
     def start_rows(self, run: int, state: Array) -> Array:
-        """Rows [start | parameters | residual] of one run."""
+        """Rows [initial state | parameters | residual] of one run."""
         weight = 1 / self.start_sd[run]
         residual = (state - self.start[run]) * weight
         return np.hstack([np.diag(weight), np.zeros((len(weight), len(self.z))), residual[:, None]])
 
     def parameter_rows(self, z: Array) -> Array:
-        """Rows [parameters | residual]."""
+        """Rows [parameters | residual] of the parameters with a prior."""
         weight = 1 / self.z_sd
-        known = weight > 0
-        residual = np.where(known, (z - self.z) * weight, 0.0)
-        return np.hstack([np.diag(weight), residual[:, None]])[known]
+        informative = weight > 0
+        residual = np.where(informative, (z - self.z) * weight, 0.0)
+        return np.hstack([np.diag(weight), residual[:, None]])[informative]
 
 
-def priors(problem: EstimationProblem, simulator: Simulator, first_states: list[Array]) -> Priors:
-    """Priors of a problem; `first_states` per run, in nominal values."""
+def priors(problem: EstimationProblem, simulator: Simulator, initial_states: list[Array]) -> Priors:
+    """Priors of a problem; `initial_states` per run, in nominal values."""
     return Priors(
         z=problem.initial(),
         z_sd=np.array([f.z_sd for f in problem.free]),
-        start=tuple(first_states),
+        start=tuple(initial_states),
         start_sd=tuple(
-            np.array([AT_REST if name in run.rest else UNKNOWN for name in simulator.states])
+            np.array([SD_AT_REST if name in run.at_rest else SD_UNKNOWN for name in simulator.states])
             for run in problem.training
         ),
     )

@@ -17,8 +17,8 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.clock import FASTEST, evenly
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.multistart import Starts
-from fmus.identification.refinement.refine import Refined, advice
+from fmus.identification.refinement.multistart import MultistartResult
+from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.finding_figures import draw_finding, draw_matrix
@@ -114,11 +114,11 @@ def render(page: IdentificationPage) -> str:
 
 
 def refinement(
-    refined: Refined,
+    refined: RefinementResult,
     names: Mapping[str, str] | None = None,
     signals: Mapping[str, str] | None = None,
     facts: Mapping[str, str] | None = None,
-    starts: Starts | None = None,
+    starts: MultistartResult | None = None,
 ) -> dict[str, Any]:
     """What page and JSON hold of a refinement.
 
@@ -156,7 +156,7 @@ def refinement(
     }
 
 
-def _fit(refined: Refined, place: int, name: str) -> dict[str, Any]:
+def _fit(refined: RefinementResult, place: int, name: str) -> dict[str, Any]:
     """How well one signal is predicted; None where there is no such recording.
 
     train, test   NRMSE over the range
@@ -183,7 +183,7 @@ def _fit(refined: Refined, place: int, name: str) -> dict[str, Any]:
     }
 
 
-def _starts(refined: Refined, starts: Starts) -> list[dict[str, Any]]:
+def _starts(refined: RefinementResult, starts: MultistartResult) -> list[dict[str, Any]]:
     """Searches from other start points.
 
     away       root mean square distance of the start from the values before, relative changes of parameters
@@ -193,10 +193,10 @@ def _starts(refined: Refined, starts: Starts) -> list[dict[str, Any]]:
     """
     found, problem = [], refined.problem
     for place, start in enumerate(starts.starts, 1):
-        begun = np.array([f.z_of(start.begun[f.name]) for f in problem.free])
+        begun = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
         away = float(np.sqrt(np.mean((begun - problem.initial()) ** 2)))
-        end = {"apart": start.apart, "residual": start.residual, "iterations": start.iterations}
-        found.append({"name": f"random {place}", "away": away, **end, "same": start.apart < 1})
+        end = {"apart": start.distance, "residual": start.residual, "iterations": start.iterations}
+        found.append({"name": f"random {place}", "away": away, **end, "same": start.distance < 1})
     return found
 
 

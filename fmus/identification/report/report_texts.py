@@ -9,7 +9,7 @@ import numpy as np
 
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.refinement.refine import Refined
+from fmus.identification.refinement.refine import RefinementResult
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
 
@@ -100,7 +100,9 @@ CHECK = (
 
 
 def warnings(
-    refined: Refined, names: Mapping[str, str] | None = None, signals: Mapping[str, str] | None = None
+    refined: RefinementResult,
+    names: Mapping[str, str] | None = None,
+    signals: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Whole sentences, the last one with what to check; empty if nothing is doubtful.
 
@@ -123,7 +125,7 @@ def warnings(
     return [*found, CHECK] if found else []
 
 
-def _shares(refined: Refined) -> dict[str, float]:
+def _shares(refined: RefinementResult) -> dict[str, float]:
     """NRMSE of each output over all training recordings; infinite where a simulation failed.
 
     Over its largest range: in a recording where a joint rests, the range of its angle is noise.

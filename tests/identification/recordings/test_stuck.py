@@ -8,7 +8,7 @@ import pytest
 
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.data import usable_samples
+from fmus.identification.refinement.measured_runs import usable_samples
 from orchestrator.data.recording import Recording, Sensor
 
 SIZE = 4000

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Scalar, Subsystem
 from fmus.identification.refinement.compiled_model import CompiledModel
-from fmus.identification.refinement.data import RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun, free_parameters
+from fmus.identification.refinement.measured_runs import MeasuredRun, RecordingMap
+from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Values
 from orchestrator.data.recording import Recording, Sensor
 
@@ -121,7 +121,7 @@ def upright() -> Recording:
 
 def run(read: Recording, sub: Subsystem = OSCILLATOR) -> MeasuredRun:
     """The run of a recording."""
-    return RecordingMap(sub, ("position",), rest=("speed",), numbers=NUMBERS).run(read)
+    return RecordingMap(sub, ("position",), rest=("speed",), values=NUMBERS).run(read)
 
 
 def problem(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmus.identification.refinement.shooting import LinearSegment, condense, factors
+from fmus.identification.refinement.shooting import LinearSegment, condense, tree_qr
 
 NX, FREE, SEGMENTS, ROWS = 3, 2, 4, 40
 
@@ -17,7 +17,7 @@ def test_the_step_is_that_of_the_whole_system() -> None:
     ends = rng.standard_normal((SEGMENTS, NX, NX + FREE))
     gaps = rng.standard_normal((SEGMENTS - 1, NX))
     prior = np.hstack([np.eye(NX), np.zeros((NX, FREE)), rng.standard_normal((NX, 1))])
-    locals_ = [LinearSegment(factors(j), e[:, :NX], e[:, NX:]) for j, e in zip(jacobians, ends, strict=True)]
+    locals_ = [LinearSegment(tree_qr(j), e[:, :NX], e[:, NX:]) for j, e in zip(jacobians, ends, strict=True)]
     projected = [a.factors.project(r) for a, r in zip(locals_, residuals, strict=True)]
     run = condense(locals_, list(gaps), projected, prior)
     dz = np.linalg.lstsq(run.bottom[:, :-1], -run.bottom[:, -1], rcond=None)[0]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 
-from fmus.identification.refinement.data import input_matrix
 from fmus.identification.refinement.gauss_newton import Iteration, Options
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.simulation import BlackBox, FiniteDifferences
@@ -22,7 +21,7 @@ def test_steps_shrink_quadratically_without_noise() -> None:
     """With residuals that vanish at the optimum, an error is of the order of the square of the one before."""
     task = problem(run(recording(noise=0.0)))
     seen: list[Iteration] = []
-    options = Options(tolerance=1e-7, memory=False)
+    options = Options(tolerance=1e-7, correlated=False)
     found = refine(task, compiled(task, 1e-10), horizon=np.inf, options=options, progress=seen.append)
     error = [max(abs(np.log(p.parameters[n] / TRUTH[n])) for n in task.names) for p in seen]
     late = [e for e in error if e < 0.1]
@@ -43,7 +42,7 @@ def test_segments_converge_where_one_shot_does_not(off: float) -> None:
     assert cut.converged
     truth = np.log([TRUTH[name] for name in task.names])
     # chi square with three degrees of freedom stays below 21 with 99.99 %
-    assert (cut.z - truth) @ np.linalg.solve(cut.statistics.plain, cut.z - truth) < 21
+    assert (cut.z - truth) @ np.linalg.solve(cut.statistics.covariance, cut.z - truth) < 21
     # the sensors explain what is left: 801 samples, three standard deviations of a root mean square
     assert cut.history[-1].residual == pytest.approx(1, abs=3 / np.sqrt(2 * 801))
 
@@ -55,7 +54,7 @@ def test_result_does_not_depend_on_how_the_recording_is_cut() -> None:
     sd = one.statistics.sd(False)
     # steps end at 1e-4 standard deviations
     np.testing.assert_allclose(many.z, one.z, atol=float(1e-3 * sd.min()))
-    np.testing.assert_allclose(many.statistics.plain, one.statistics.plain, rtol=1e-3)
+    np.testing.assert_allclose(many.statistics.covariance, one.statistics.covariance, rtol=1e-3)
 
 
 def test_bounds_are_respected() -> None:
@@ -78,8 +77,8 @@ def test_masked_samples_have_no_influence() -> None:
     measured = clean.measured.copy()
     measured[100:130] = np.nan
     # a start at such a sample is guessed from the simulation, with both
-    guess = {name: np.where(weight[:, 0] > 0, x, np.nan) for name, x in clean.guess.items()}
-    one = replace(clean, weight=weight, guess=guess)
+    states = {name: np.where(weight[:, 0] > 0, x, np.nan) for name, x in clean.measured_states.items()}
+    one = replace(clean, weight=weight, measured_states=states)
     other = replace(one, measured=np.nan_to_num(measured, nan=1e6))
     assert (refine(problem(one)).z == refine(problem(other)).z).all()
 
@@ -113,7 +112,7 @@ def test_differences_lead_to_the_same_optimum(kind: str) -> None:
     start = {"position": 0.0, "speed": 0.0}
     task = problem(run(recording()))
     exact = compiled(task, 1e-9)
-    inputs = input_matrix(task.training[0], exact)
+    inputs = task.training[0].input_matrix(exact.inputs)
     other = FiniteDifferences(exact)
     if kind == "black box":
         other = BlackBox(
@@ -145,12 +144,12 @@ def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
 
 
 def test_mistakes_are_told() -> None:
-    """What is no parameter, what has no noise, what starts outside: one line each."""
-    with pytest.raises(Problem, match="oscillator: friction is to be refined"):
+    """An unknown parameter, an output without noise, an initial value outside its bounds: one line each."""
+    with pytest.raises(Problem, match="oscillator: friction is not a parameter"):
         problem(run(recording()), priors={"friction": (1.0, None)})
-    with pytest.raises(Problem, match=r"damping starts from 4 1/s .* expected 0 to 3"):
+    with pytest.raises(Problem, match=r"damping: expected an initial value from 0 to 3 1/s .*, got 4"):
         problem(run(recording()), priors={"damping": (4.0, None)})
-    with pytest.raises(Problem, match="position has no noise and no resolution"):
+    with pytest.raises(Problem, match="position: expected a sensor with noise or resolution"):
         run(replace(recording(), sensors={}))
-    with pytest.raises(Problem, match="no recording to fit"):
+    with pytest.raises(Problem, match="expected at least one recording to fit"):
         refine(problem())

@@ -12,7 +12,7 @@ from fmus.contract import quantities
 from fmus.identification import machine
 from fmus.identification.machine import nominal, parameters, signals
 from fmus.identification.refinement.compiled_model import CompiledModel
-from fmus.identification.refinement.refine import Refined, compiled, refine
+from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.parameters import values
@@ -64,7 +64,7 @@ def _recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def refined() -> Refined:
+def refined() -> RefinementResult:
     """From 30 % above or below the truth, in turn, without priors."""
     task = machine.problem([_recording()], nominal())
     factors = [1.3, 0.7] * len(task.free)
@@ -73,7 +73,7 @@ def refined() -> Refined:
     return refine(task, compiled(task))
 
 
-def test_machine_is_found_from_far_away(refined: Refined) -> None:
+def test_machine_is_found_from_far_away(refined: RefinementResult) -> None:
     """Seventeen parameters come back within their errors, and the sensors explain what is left."""
     truth = values(HARVESTER).p
     assert refined.converged
@@ -86,7 +86,7 @@ def test_machine_is_found_from_far_away(refined: Refined) -> None:
     assert refined.history[-1].residual == pytest.approx(1, abs=0.03)
 
 
-def test_errors_by_model_and_by_segments_agree(refined: Refined) -> None:
+def test_errors_by_model_and_by_segments_agree(refined: RefinementResult) -> None:
     """Two ways to the same standard deviations: where the model is right they differ by chance only."""
     ratio = refined.statistics.sd(True) / refined.statistics.sd(False)
     # nine segments: a standard deviation is known to a quarter, and a jackknife errs to the safe side
@@ -94,7 +94,7 @@ def test_errors_by_model_and_by_segments_agree(refined: Refined) -> None:
     assert refined.unidentified == ()
 
 
-def test_estimates_are_called_as_parameter_files_call_them(refined: Refined) -> None:
+def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementResult) -> None:
     """Names with a part only where parts mean different things; intervals around the values."""
     found = {e.name: e for e in refined.estimates(names=parameters())}
     assert {"valve_area", "boom_piston_damping", "head_mass"} <= set(found)

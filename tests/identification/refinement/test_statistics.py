@@ -11,12 +11,12 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fmus.identification.refinement.data import smoothed
-from fmus.identification.refinement.multistart import from_random_starts
+from fmus.identification.refinement.measured_runs import smoothed
+from fmus.identification.refinement.multistart import multistart
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.residuals import Traces, whiteness
-from fmus.identification.refinement.statistics import _clustered, unidentified
+from fmus.identification.refinement.residuals import SimulatedRun, whiteness
+from fmus.identification.refinement.statistics import _jackknife, unidentified
 from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
 
 
@@ -52,7 +52,7 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
     free = len(one.time) - 5
     covariance = np.linalg.inv(other.jac.T @ other.jac) * 2 * other.cost / free
     # two start states and three parameters; the noise is white, so every sample counts
-    assert found.statistics.freedom == free
+    assert found.statistics.degrees_of_freedom == free
     sd = found.statistics.sd(False)
     # the search ends within a tenth of a standard deviation, usually far within
     assert np.max(np.abs(found.z - other.x[2:]) / sd) < 0.1
@@ -63,7 +63,7 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
 def test_unidentifiable_pair_is_named() -> None:
     """Gain and loss act only as a ratio: that is what the sentence says, the rest is found all the same."""
     found = refine(problem(run(recording()), free=("stiffness", "damping", "gain", "loss")))
-    assert found.unidentified == ("gain and loss: the data show only gain / loss, not each",)
+    assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each",)
     ratio = found.values["gain"] / found.values["loss"]
     # five standard deviations of about 0.5 %
     assert ratio == pytest.approx(TRUTH["gain"] / TRUTH["loss"], rel=0.025)
@@ -88,8 +88,10 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
         for sd in (None, 0.1)
     }
     # the root of 0.6
-    assert told[None] == "loss: the data leave it open by 77 %"
-    assert told[0.1].startswith("loss: these recordings alone leave it open by 77 %; its interval is that of")
+    assert told[None] == "loss: the data leave a standard deviation of 77 %"
+    assert told[0.1].startswith(
+        "loss: these recordings alone leave a standard deviation of 77 %; its interval is"
+    )
 
 
 def test_outliers_pull_less_with_a_robust_loss() -> None:
@@ -132,7 +134,7 @@ def test_residuals_are_white_only_if_the_model_is_right() -> None:
     assert told.inputs["push"] > 0.1  # a hundredth by chance
     assert right.inputs["push"] < 0.1
     assert wrong.robust
-    assert wrong.floor["position"] > 5
+    assert wrong.model_error["position"] > 5
 
 
 def test_whiteness_does_not_see_across_gaps() -> None:
@@ -140,7 +142,7 @@ def test_whiteness_does_not_see_across_gaps() -> None:
     task = problem(run(recording()))
     one = task.training[0]
     rng = np.random.default_rng(3)
-    traces = Traces(one, one.measured + NOISE * rng.standard_normal(one.measured.shape))
+    traces = SimulatedRun(one, one.measured + NOISE * rng.standard_normal(one.measured.shape))
     holes = rng.random(one.weight.shape) < 0.5
     half = replace(one, weight=np.where(holes, 0.0, one.weight), compared=one.compared & ~holes)
     assert whiteness([replace(traces, run=half)], ("push",), 0).white
@@ -160,10 +162,10 @@ def test_fit_is_told_for_held_out_recordings() -> None:
 
 def test_random_starts_lead_to_the_same_optimum() -> None:
     """From anywhere within 30 % the search ends at the same place, on a quarter of the data too."""
-    starts = from_random_starts(refine(problem(run(recording()))), count=4, spread=0.3)
-    assert starts.share == 1
+    starts = multistart(refine(problem(run(recording()))), count=4, spread=0.3)
+    assert starts.fraction == 1
     assert max(starts.spread.values()) < 1e-3
-    assert len({start.begun["gain"] for start in starts.starts}) == 4
+    assert len({start.initial["gain"] for start in starts.starts}) == 4
 
 
 def test_noise_of_an_input_is_taken_off_and_told() -> None:
@@ -202,7 +204,9 @@ def test_leaving_out_one_segment_after_another_gives_the_variance_of_a_mean() ->
         for own in rows
     ]
     run = SimpleNamespace(top=np.zeros((0, 2)), bottom=np.vstack(rows), recursion=[None] * len(rows))
-    solution = SimpleNamespace(linear=SimpleNamespace(runs=[run]), evaluated=SimpleNamespace(runs=[segments]))
-    found = _clustered(solution, np.zeros((1, 1)), np.array([[1 / 7]]))
+    solution = SimpleNamespace(
+        linear=SimpleNamespace(runs=[run]), evaluation=SimpleNamespace(runs=[segments])
+    )
+    found = _jackknife(solution, np.zeros((1, 1)), np.array([[1 / 7]]))
     # exact identity: rounding only
     assert found[0, 0] == pytest.approx(np.var(samples, ddof=1) / 7, rel=1e-12)

@@ -34,15 +34,15 @@ def test_a_recording_may_begin_in_motion() -> None:
     """A speed that is not zero as the recording begins is not held to zero: the parameters stay right."""
     moving = run(window(recording(), 2.5, 12.0))
     found = refine(problem(moving))
-    assert (run(recording()).rest, moving.rest) == (("speed",), ())
+    assert (run(recording()).at_rest, moving.at_rest) == (("speed",), ())
     assert found.converged
     truth = np.log([TRUTH[name] for name in found.problem.names])
     away = found.z - truth
     # chi square with three degrees of freedom stays below 21 with 99.99 %
-    assert away @ np.linalg.solve(found.statistics.plain, away) < 21
-    held = refine(problem(replace(moving, rest=("speed",))))
+    assert away @ np.linalg.solve(found.statistics.covariance, away) < 21
+    held = refine(problem(replace(moving, at_rest=("speed",))))
     away = held.z - truth
-    assert away @ np.linalg.solve(held.statistics.plain, away) > 21
+    assert away @ np.linalg.solve(held.statistics.covariance, away) > 21
 
 
 def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:

@@ -9,10 +9,11 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
-from fmus.identification.refinement.multistart import RandomStart, Starts
-from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
-from fmus.identification.refinement.refine import Refined
-from fmus.identification.refinement.residuals import Traces, Whiteness
+from fmus.identification.refinement.measured_runs import MeasuredRun
+from fmus.identification.refinement.multistart import MultistartResult, RandomStart
+from fmus.identification.refinement.problem import EstimationProblem, FreeParameter
+from fmus.identification.refinement.refine import RefinementResult
+from fmus.identification.refinement.residuals import SimulatedRun, Whiteness
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.recording_comparison import compare
@@ -23,15 +24,15 @@ TIME = np.arange(0.0, 2.0, 0.005)
 NAMES = {"valve_area": "valve_area", "hose": "boom_stick.hose"}
 
 
-def traces(name: str, error: float) -> Traces:
+def traces(name: str, error: float) -> SimulatedRun:
     """A run that is off by `error` of its range in the first output, and has no second one."""
     measured = np.column_stack([np.sin(np.pi * TIME), np.zeros_like(TIME)])
     compared = np.column_stack([np.ones_like(TIME), np.zeros_like(TIME)]).astype(bool)
     run = MeasuredRun(name, TIME, {}, measured, compared.astype(float), compared, np.array([2.0, 1.0]))
-    return Traces(run, measured + 2 * error)
+    return SimulatedRun(run, measured + 2 * error)
 
 
-def refined(**more) -> Refined:
+def refined(**more) -> RefinementResult:
     """A result, put together by hand."""
     free = tuple(FreeParameter(name, 2.0, log=True) for name in NAMES)
     training = (traces("a", 0.03), traces("b", 0.04))
@@ -50,10 +51,10 @@ def refined(**more) -> Refined:
         "whiteness": {"angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "flow": quiet},
         "training": training,
         "held_out": (traces("c", 0.05),),
-        "floor": {},
+        "model_error": {},
         "starts": (),
     }
-    return Refined(**{**given, **more})
+    return RefinementResult(**{**given, **more})
 
 
 def test_a_refinement_is_told_in_the_names_of_the_page():
@@ -83,8 +84,10 @@ def test_a_search_that_did_not_converge_says_so():
 
 def test_random_starts_are_compared():
     """How far each start was from the values before; a search that went elsewhere is not the same."""
-    begun = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
-    ran = Starts((RandomStart(begun, {}, 0.2, 1.0, 9), RandomStart(begun, {}, np.inf, np.nan, 0)), 0.5, {})
+    initial = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
+    ran = MultistartResult(
+        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5, {}
+    )
     one, other = refinement(refined(), starts=ran)["starts"]
     # exact identity: both parameters are e times as large
     assert one["away"] == pytest.approx(1.0)
