@@ -1,4 +1,4 @@
-"""Models as equations, and how they become FMUs.
+"""Models as equations, and their export as FMUs.
 
     import fmus
 
@@ -6,10 +6,10 @@
         lag: fmus.Scalar = fmus.Quantity("s", "Time constant", value=0.5)
 
     class Inputs(fmus.Group):
-        wanted: fmus.Scalar = fmus.Quantity("1", "What is asked for")
+        commanded: fmus.Scalar = fmus.Quantity("1", "Commanded level")
 
     class State(fmus.Group):
-        level: fmus.Scalar = fmus.Quantity("1", "What there is")
+        level: fmus.Scalar = fmus.Quantity("1", "Level")
 
     lag = fmus.Subsystem(
         name="lag",
@@ -18,16 +18,17 @@
         states=State,
         inputs=Inputs,
         outputs=State,
-        dynamics=lambda x, u, p: State(level=(u.wanted - x.level) / p.lag),
+        dynamics=lambda x, u, p: State(level=(u.commanded - x.level) / p.lag),
         observe=lambda x, u, p: x,
     )
     fmus.build(lag, "build")                                  # build/lag.fmu
 
     fmus.build(fmus.PARTS["swing"]["detailed"], "build")      # build/swing_detailed.fmu
 
-A subsystem is declared by `Subsystem`, `Group` and `Quantity`; `compose` makes one of several; `values` are
-the numbers of one, `build` writes its FMU. `PARTS` are the parts of the harvester, part -> variant ->
-subsystem, the usual variant first; `HARVESTER` is the whole machine as one.
+`Subsystem`, `Group` and `Quantity` declare a subsystem. `compose` joins several into one. `values` returns
+the parameter and start values of a subsystem, `build` writes its FMU. `PARTS` contains the parts of the
+harvester, part -> variant -> subsystem, the default variant first. `HARVESTER` is the whole machine as one
+subsystem.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from fmus.machine.parts import FAMILIES as PARTS
     from fmus.parameters import Number, Values, values
 
-_WHERE = {
+_MODULES = {
     "Group": "contract",
     "HARVESTER": "machine.one_block",
     "Member": "contract",
@@ -68,10 +69,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import on first use: `import fmus` alone loads no equation and no CasADi."""
-    if name not in _WHERE:
+    """Import on first use, so that `import fmus` alone loads neither equations nor CasADi."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'fmus' has no attribute {name!r}")
-    return getattr(import_module(f"fmus.{_WHERE[name]}"), "FAMILIES" if name == "PARTS" else name)
+    return getattr(import_module(f"fmus.{_MODULES[name]}"), "FAMILIES" if name == "PARTS" else name)
 
 
 def __dir__() -> list[str]:

@@ -1,8 +1,7 @@
-"""The subsystems joined into one ODE and integrated tightly: the truth for co-simulation.
+"""Monolithic reference of the co-simulation: connected subsystems as one ODE, solved with tight tolerances.
 
-The equations are those of `fmus.composition`: no signal is held or extrapolated. Between the breakpoints of a
-piecewise linear scenario CVODES (BDF) integrates with the exact Jacobian; at each breakpoint it starts anew,
-because the input has a kink there.
+The equations are those of `fmus.composition`: no signal is held or extrapolated. CVODES (BDF) integrates with
+the exact Jacobian between the breakpoints of a piecewise linear scenario, and restarts at each breakpoint.
 """
 
 from __future__ import annotations
@@ -25,11 +24,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Monolith:
-    """One ODE. Names are `component.variable`; `inputs` are the machine's inputs.
+    """One ODE. Names are `component.variable`; `inputs` are the names of the external inputs.
 
     right_hand_side   (X, U, P) -> dX/dt
     outputs           (X, U, P) -> Y, all outputs of all subsystems
-    start             (X_start, U, P) -> X at the start, consistent with the pose
+    start             (X_start, U, P) -> initial X
+    x, u, p           start values of states and inputs, parameter values
+    nominal           nominal values of the states
     """
 
     states: tuple[str, ...]
@@ -51,21 +52,24 @@ def join(
     inputs: Mapping[str, Sequence[str]],
     numbers: Mapping[str, Values] | None = None,
 ) -> Monolith:
-    """Join subsystems by (source output, target input) pairs; `inputs` feeds the machine's inputs.
+    """Join subsystems by (source output, target input) pairs.
 
-    Inputs that nobody feeds keep their start value. Raises Problem on an algebraic loop.
+    Unconnected inputs keep their start value. Raises Problem on an algebraic loop.
+
+    inputs    external input -> `component.variable` of each input that it feeds
+    numbers   parameter and start values by component; default: those of the subsystems
     """
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
-    constant = {f"{n}.{v}": value for n, nums in numbers.items() for v, value in nums.u.items()}
-    whole = couple(subsystems, connections, inputs, constant)
+    constant = {f"{n}.{v}": value for n, own in numbers.items() for v, value in own.u.items()}
+    coupled = couple(subsystems, connections, inputs, constant)
     return Monolith(
-        states=whole.states,
-        inputs=whole.inputs,
-        parameters=whole.parameters,
-        output_names=whole.outputs,
-        right_hand_side=whole.function("F", whole.dx),
-        outputs=whole.function("Y", whole.y),
-        start=whole.function("X0", whole.start),
+        states=coupled.states,
+        inputs=coupled.inputs,
+        parameters=coupled.parameters,
+        output_names=coupled.outputs,
+        right_hand_side=coupled.function("F", coupled.dx),
+        outputs=coupled.function("Y", coupled.y),
+        start=coupled.function("X0", coupled.start),
         x=np.concatenate([list(n.x.values()) for n in numbers.values()]),
         u=np.array([constant[next(iter(targets))] for targets in inputs.values()]),
         p=np.concatenate([list(n.p.values()) for n in numbers.values()]),
@@ -74,10 +78,10 @@ def join(
 
 
 def breakpoints(time: Array, samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
-    """Indices where piecewise linear samples (n, m) over time (n,) change slope; with both ends.
+    """Indices at which piecewise linear samples (n, m) over time (n,) change slope, and of both ends.
 
-    tolerance   largest distance of a sample from the line through its neighbours that counts as none; what
-                rounding of the samples makes is none either, such as of a pressure in Pa
+    tolerance   distance of a sample from the line through its neighbours up to which it is on the line;
+                at least the rounding error of the samples, for example of a pressure in Pa
     """
     rounding = 8 * np.finfo(float).eps * np.abs(samples).max(axis=0)
     gaps = np.diff(time)[:, None]
@@ -96,30 +100,29 @@ def simulate(
 ) -> tuple[Array, Array]:
     """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
 
-    `tolerance` is relative, and absolute times each state's nominal value. `p` are parameters, the pose to
-    start from among them (default: of the parameter files).
+    p           parameter values, including the initial pose; default: those of the model
+    tolerance   relative tolerance, and absolute tolerance divided by the nominal value of each state
     """
     scale = ca.DM(model.nominal)
     p = model.p if p is None else p
     t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.states))
-    at, slope, fixed = (
-        ca.SX.sym(n, k) for n, k in (("at", inputs.shape[1]), ("slope", inputs.shape[1]), ("p", p.size))
+    u0, slope, constants = (
+        ca.SX.sym(n, k) for n, k in (("u0", inputs.shape[1]), ("slope", inputs.shape[1]), ("p", p.size))
     )
-    rate = model.right_hand_side(z * scale, at + slope * t, fixed) / scale
-    ode = {"t": t, "x": z, "p": column(at, slope, fixed), "ode": rate}
+    rate = model.right_hand_side(z * scale, u0 + slope * t, constants) / scale
+    ode = {"t": t, "x": z, "p": column(u0, slope, constants), "ode": rate}
     options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
     x = model.start(model.x, inputs[0], p).full()[:, 0]
     states = [x]
-    corners = breakpoints(time, inputs)
-    for first, last in pairwise(corners):
+    for first, last in pairwise(breakpoints(time, inputs)):
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]
         solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
-        with DeferredInterrupts(insist=False):  # CasADi asks for signals inside the equations
+        with DeferredInterrupts(insist=False):  # CasADi checks for signals while it evaluates equations
             result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
-        piece = result["xf"].full().T * model.nominal
-        states.extend(piece)
-        x = piece[-1]
+        segment = result["xf"].full().T * model.nominal
+        states.extend(segment)
+        x = segment[-1]
     history = np.array(states)
     outputs = model.outputs.map(len(time))(history.T, inputs.T, ca.repmat(ca.DM(p), 1, len(time)))
     return history, outputs.full().T

@@ -1,18 +1,19 @@
-"""Numbers of a subsystem: read, check and write its `parameters.toml`.
+"""Parameter and start values of a subsystem: read, check and write its `parameters.toml`.
 
-The file holds one table per scalar, under `[parameters.NAME]` for every parameter and
-`[start.NAME]` for start values of inputs and states (zero where the file is silent):
+The file contains one table for each value: `[parameters.NAME]` for every parameter, and `[start.NAME]` for
+start values of inputs and states, which are zero by default.
 
     [parameters.bulk_modulus]
     value = 1.6e9
     unit = "Pa"
     source = "paper"          # paper | derived | literature | assumed | identified
-    note = "section 3(c)"     # where the number comes from, plausible range
+    note = "section 3(c)"     # details of the source, plausible range
     sd = 1e8                  # optional: one standard deviation
 
-A set of numbers for several parts, which identification writes and `harvester build --parameters` reads, has
-the same format, with tables `[parameters.NAME]` only. A NAME holds for every part that declares it, as the
-valves are identical; `[parameters."swing.initial_preload"]` for that part alone.
+A parameter set for several parts, which identification writes and `harvester build --parameters` reads, has
+the same format, with tables `[parameters.NAME]` only. NAME applies to every part that declares this
+parameter, because for example the valves are identical; `[parameters."swing.initial_preload"]` applies to one
+part.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from fmus.contract import Quantity, Subsystem, quantities
 from orchestrator.base.errors import Problem
 
 SOURCES = {
-    "paper": "printed in the paper or read from it, as the note says: the only FERIC data",
-    "derived": "follows by a named formula from such numbers or, for start values, from the model",
+    "paper": "printed in the paper or read from its figures; the only data of the FERIC machine",
+    "derived": "follows from such values by a named formula or, for start values, from the model",
     "literature": "published for a comparable machine",
     "assumed": "a free choice",
     "identified": "fitted to measurements",
@@ -42,7 +43,7 @@ KEYS = {"value": (int, float), "unit": str, "source": str, "note": str, "sd": (i
 
 @dataclass(frozen=True)
 class Number:
-    """One value with its unit and provenance; `sd` is one standard deviation, if known."""
+    """A value with its unit and source; `sd` is one standard deviation, if known."""
 
     value: float
     unit: str
@@ -56,7 +57,7 @@ Tables: TypeAlias = Mapping[str, Mapping[str, Number]]  # "parameters" and "star
 
 @dataclass(frozen=True)
 class Values:
-    """Numbers of a subsystem by name: parameters p, start values of inputs u and of states x."""
+    """Values of a subsystem by name: parameters p, start values of inputs u and of states x."""
 
     p: Mapping[str, float]
     u: Mapping[str, float]
@@ -64,11 +65,11 @@ class Values:
 
 
 def read(path: Path) -> dict[str, dict[str, Number]]:
-    """The tables `parameters` and `start` of a file, each entry checked for its keys and types."""
+    """Tables `parameters` and `start` of a file; keys and types of each entry are checked."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise Problem(f"{path}: expected a TOML file, found {error.strerror}") from None
+        raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise Problem(f"{path}: cannot be read as TOML: {error}") from None
     unknown = set(document) - {"parameters", "start"}
@@ -76,7 +77,7 @@ def read(path: Path) -> dict[str, dict[str, Number]]:
         raise Problem(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
     for section, entries in document.items():
         if not isinstance(entries, dict):
-            raise Problem(f"{path}: {section} is {entries!r}, expected tables [{section}.NAME]")
+            raise Problem(f"{path}: {section} = {entries!r}, expected tables [{section}.NAME]")
     return {
         section: {
             name: _number(path, section, name, entry) for name, entry in document.get(section, {}).items()
@@ -109,36 +110,35 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
 
 
 def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
-    """The numbers of a subsystem, checked against its declaration: no name, unit or bound may differ.
+    """Tables of a subsystem; names, units and bounds are checked against its declaration.
 
-    Its file may hold numbers of other variants of the same part.
+    Its file may also contain parameters of other variants of the same part.
     """
-    given: Tables | None = sub.numbers if path is None else None
+    tables: Tables | None = sub.numbers if path is None else None
     path = path or sub.values
     if path is None:
-        path, given = Path(sub.name), given or _declared(sub)
-    found = read(path) if given is None else given
+        path, tables = Path(sub.name), tables or _declared(sub)
+    tables = read(path) if tables is None else tables
     parameters = quantities(sub.parameters)
-    startable = quantities(sub.inputs) | quantities(sub.states)
-    missing = set(parameters) - set(found["parameters"])
+    inputs_and_states = quantities(sub.inputs) | quantities(sub.states)
+    missing = set(parameters) - set(tables["parameters"])
     if missing:
         raise Problem(f"{path}: parameter {min(missing)} of {sub.name} is missing")
-    own: dict[str, dict[str, Number]] = {}
-    for section, declared in (("parameters", parameters), ("start", startable)):
-        own[section] = {}
-        for name, number in found[section].items():
+    checked: dict[str, dict[str, Number]] = {"parameters": {}, "start": {}}
+    for section, declared in (("parameters", parameters), ("start", inputs_and_states)):
+        for name, number in tables[section].items():
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
-                own[section][name] = number
+                checked[section][name] = number
             elif name not in sub.names_of_variants:
                 raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
-    return own
+    return checked
 
 
 def _declared(sub: Subsystem) -> Tables:
-    """The numbers that stand in the declaration."""
+    """Tables of the values in the declaration."""
 
-    def stated(*groups: type[Any]) -> dict[str, Number]:
+    def entries(*groups: type[Any]) -> dict[str, Number]:
         return {
             name: Number(q.value, q.unit, "assumed", "stated in the code")
             for group in groups
@@ -146,11 +146,11 @@ def _declared(sub: Subsystem) -> Tables:
             if q.value is not None
         }
 
-    return {"parameters": stated(sub.parameters), "start": stated(sub.inputs, sub.states)}
+    return {"parameters": entries(sub.parameters), "start": entries(sub.inputs, sub.states)}
 
 
 def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
-    """Refuse another unit than the declared one, and a value out of bounds."""
+    """Raise Problem if the unit is not the declared one or the value is out of bounds."""
     if number.unit != quantity.unit:
         raise Problem(f"{path}: {where} is in {number.unit}, declared {quantity.unit}")
     low, high = quantity.minimum, quantity.maximum
@@ -159,26 +159,26 @@ def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
 
 
 def derived(sub: Subsystem, path: Path | None = None) -> dict[str, Number]:
-    """The parameters that follow from others because their number is 0, with their values."""
-    given = numbers(sub, path)["parameters"]
-    formulas = sub.derive(SimpleNamespace(**{name: number.value for name, number in given.items()}))
-    return {n: replace(given[n], value=float(v)) for n, v in formulas.items() if given[n].value == 0}
+    """Derived parameters: those that are 0 in the file and follow from others, with their values."""
+    table = numbers(sub, path)["parameters"]
+    formulas = sub.derive(SimpleNamespace(**{name: number.value for name, number in table.items()}))
+    return {n: replace(table[n], value=float(v)) for n, v in formulas.items() if table[n].value == 0}
 
 
 def complete(sub: Subsystem) -> Tables:
-    """The numbers of a subsystem, with the values of derived parameters."""
-    found = numbers(sub)
-    return {**found, "parameters": {**found["parameters"], **derived(sub)}}
+    """Tables of a subsystem, with the values of derived parameters."""
+    tables = numbers(sub)
+    return {**tables, "parameters": {**tables["parameters"], **derived(sub)}}
 
 
 def values(sub: Subsystem, path: Path | None = None, derive: bool = True) -> Values:
-    """Plain numbers for a subsystem; start values not in the file are zero.
+    """Parameter and start values of a subsystem; start values that are not in the file are zero.
 
-    derive   with the values of derived parameters in the place of 0
+    derive   whether derived parameters have their value; otherwise 0
     """
-    found = numbers(sub, path)
-    start = found["start"]
-    parameters = {**found["parameters"], **(derived(sub, path) if derive else {})}
+    tables = numbers(sub, path)
+    start = tables["start"]
+    parameters = {**tables["parameters"], **(derived(sub, path) if derive else {})}
     return Values(
         p={name: parameters[name].value for name in quantities(sub.parameters)},
         u={name: start[name].value if name in start else 0.0 for name in quantities(sub.inputs)},
@@ -186,15 +186,15 @@ def values(sub: Subsystem, path: Path | None = None, derive: bool = True) -> Val
     )
 
 
-def write(path: Path, found: Tables) -> None:
-    """Write tables `parameters` and `start` so that `read` returns the same numbers."""
-    path.write_text(document(found), encoding="utf-8")
+def write(path: Path, tables: Tables) -> None:
+    """Write tables `parameters` and `start`; `read` returns the same values."""
+    path.write_text(document(tables), encoding="utf-8")
 
 
-def document(found: Tables) -> str:
-    """The text of a file with these tables."""
+def document(tables: Tables) -> str:
+    """Content of a file with these tables."""
     lines: list[str] = []
-    for section, entries in found.items():
+    for section, entries in tables.items():
         for name, n in entries.items():
             lines += [f"[{section}.{name}]", f"value = {n.value!r}", f"unit = {json.dumps(n.unit)}"]
             lines += [f"source = {json.dumps(n.source)}", f"note = {json.dumps(n.note, ensure_ascii=False)}"]
@@ -203,41 +203,45 @@ def document(found: Tables) -> str:
     return "\n".join(lines)
 
 
-Set: TypeAlias = Mapping[str, Number]
+ParameterSet: TypeAlias = Mapping[str, Number]  # parameters by name, or by "part.name"
 
 
-def read_set(path: Path, subs: Iterable[Subsystem]) -> Set:
-    """The numbers of a file, each checked against the parts that declare it; there must be one."""
-    found = read(path)
-    if found["start"]:
-        raise Problem(f"{path}: [start.{min(found['start'])}] is no parameter, expected [parameters.*] only")
-    if not found["parameters"]:
+def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
+    """Parameters of a file, each checked against the parts that declare it, at least one."""
+    tables = read(path)
+    if tables["start"]:
+        raise Problem(f"{path}: [start.{min(tables['start'])}]: expected tables [parameters.NAME] only")
+    if not tables["parameters"]:
         raise Problem(f"{path}: no table [parameters.NAME], expected at least one")
     declared = {
         (sub.component, name): quantity
         for sub in subs
         for name, quantity in quantities(sub.parameters).items()
     }
-    for name, number in found["parameters"].items():
-        meant = [q for (part, own), q in declared.items() if name in (own, f"{part}.{own}")]
-        if not meant:
-            known = {own for _, own in declared} | {f"{part}.{own}" for part, own in declared}
-            near = difflib.get_close_matches(name, known, 1) or ["a name that `harvester parameters` shows"]
-            raise Problem(f"{path}: [parameters.{name}] is declared by no part, expected {near[0]}")
-        for quantity in meant:
+    for name, number in tables["parameters"].items():
+        declarations = [q for (part, local), q in declared.items() if name in (local, f"{part}.{local}")]
+        if not declarations:
+            names = {local for _, local in declared} | {f"{part}.{local}" for part, local in declared}
+            similar = difflib.get_close_matches(name, names, 1) or ["a name in `harvester parameters`"]
+            raise Problem(f"{path}: [parameters.{name}] is not declared by any part, expected {similar[0]}")
+        for quantity in declarations:
             check(path, f"[parameters.{name}]", quantity, number)
-    return found["parameters"]
+    return tables["parameters"]
 
 
-def with_numbers(sub: Subsystem, given: Set, start: Mapping[str, float] | None = None) -> Subsystem:
-    """The subsystem with the numbers of a set in place of its own; what it does not declare is left out.
+def with_parameters(
+    sub: Subsystem, parameters: ParameterSet, start: Mapping[str, float] | None = None
+) -> Subsystem:
+    """The subsystem with the values of a parameter set; parameters that it does not declare are ignored.
 
-    start   start values by `component.variable` that follow from them
+    start   start values by `component.variable` that follow from the parameters
     """
     tables, part = numbers(sub), sub.component
-    own = {n: given.get(f"{part}.{n}", given.get(n, old)) for n, old in tables["parameters"].items()}
-    followed = {
+    replaced = {
+        n: parameters.get(f"{part}.{n}", parameters.get(n, old)) for n, old in tables["parameters"].items()
+    }
+    started = {
         n: replace(old, value=(start or {}).get(f"{part}.{n}", old.value))
         for n, old in tables["start"].items()
     }
-    return replace(sub, numbers={"parameters": own, "start": followed})
+    return replace(sub, numbers={"parameters": replaced, "start": started})

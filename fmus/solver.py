@@ -1,8 +1,9 @@
-"""The solver of the C code (export/native/solver.c) once more in NumPy, to be read and compared.
+"""The solver of the FMUs (export/native/solver.c) in NumPy: for Python FMUs, and as a reference for tests.
 
-Inner steps with error control, by an implicit method. Of a model that is not declared stiff each is tried
-with an explicit method first; where its error is too large or it is not stable, the implicit one does it, and
-the explicit one rests: for 8 inner steps at first, for up to 1024 where it fails again and again.
+An implicit method takes inner steps with error control. If the model is not declared stiff, an explicit
+method tries each inner step first. If its error is too large or it is unstable, the implicit method takes the
+step, and the explicit method is suspended: for 8 inner steps at first, for up to 1024 after repeated
+failures.
 
 Explicit: Kutta's method of order 3 with the midpoint rule of order 2 inside (native/kutta.c).
 Implicit: RODAS (native/rosenbrock.c), a linearly implicit Runge-Kutta method of order 4 with an embedded one
@@ -28,8 +29,9 @@ from scipy.linalg import lapack
 
 Array: TypeAlias = NDArray[np.float64]
 
-STAGES, MOST_STEPS = 6, 1_000_000
-SHORTEST_REST, LONGEST_REST = 8, 1024
+STAGES = 6
+MAX_STEPS = 1_000_000  # inner steps in one call
+SHORTEST_PAUSE, LONGEST_PAUSE = 8, 1024  # inner steps without the explicit method
 GAMMA = 0.25
 ALPHA = (0.0, 0.386, 0.21, 0.63, 1.0, 1.0)
 G = (0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0)
@@ -57,12 +59,12 @@ C = tuple(
 )
 
 
-class System(Protocol):
-    """dx/dt = f(x, u); what it returns may be overwritten by its next call.
+class OdeSystem(Protocol):
+    """dx/dt = f(x, u); the next call may overwrite the returned arrays.
 
-    nominal      magnitudes of the states
-    absolute     their absolute tolerances over the relative one
-    stiff        is the explicit method left out?
+    nominal      nominal values of the states
+    absolute     absolute tolerances of the states, divided by the relative tolerance
+    stiff        whether the explicit method is never tried
     rate         f
     linearised   f, df/dx and df/du du
     """
@@ -76,37 +78,37 @@ class System(Protocol):
 
 
 @dataclass(frozen=True)
-class Motion:
+class InputPolynomials:
     """Inputs over a step: u = sum over k of coefficients[k] tau^k, tau [s] since its start; shape (4, nu)."""
 
     coefficients: Array
 
     @property
-    def moving(self) -> bool:
-        """Does any input change?"""
+    def varying(self) -> bool:
+        """Whether any input changes over the step."""
         return bool(self.coefficients[1:].any())
 
     def value(self, tau: float) -> Array:
-        """The inputs at tau."""
+        """Inputs at tau."""
         m = self.coefficients
         u: Array = m[0] + tau * (m[1] + tau * (m[2] + tau * m[3]))
         return u
 
-    def slope(self, tau: float) -> Array:
-        """Their time derivatives at tau."""
+    def derivative(self, tau: float) -> Array:
+        """Time derivatives of the inputs at tau."""
         m = self.coefficients
         du: Array = m[1] + tau * (2 * m[2] + tau * 3 * m[3])
         return du
 
 
 class Unsolved(Exception):
-    """The solver gave up.
+    """The solver failed.
 
-    why     "not finite", "singular", "small" or "many": the derivative, the Jacobian, the step, the steps
-    tau     how far it came [s]
-    step    last step tried [s]
+    why     "not finite" (derivative), "singular" (Jacobian), "small" (step) or "many" (steps)
+    tau     time reached [s]
+    step    last inner step tried [s]
     worst   index of the state with the largest error, or of the derivative that is not finite
-    value   of that derivative
+    value   value of that derivative
     x       states at tau
     """
 
@@ -116,86 +118,95 @@ class Unsolved(Exception):
 
 
 @dataclass
-class Pace:
-    """What the solver remembers from step to step; all zero at first.
+class StepMemory:
+    """Memory of the solver from step to step; all zero at first.
 
-    step       proposal for the next inner step [s], 0 if none
-    rest       inner steps for which the explicit method rests, because it failed
-    patience   how many it rests when it fails the next time
+    step         proposal for the next inner step [s], 0 without one
+    pause        remaining inner steps without the explicit method, because it failed
+    next_pause   length of the pause after the next failure
     """
 
     step: float = 0.0
-    rest: int = 0
-    patience: int = 0
+    pause: int = 0
+    next_pause: int = 0
 
-    def its_turn(self) -> bool:
-        """Is the explicit method to be tried?"""
-        if self.rest <= 0:
+    def explicit_is_due(self) -> bool:
+        """Whether the explicit method is tried for this inner step; counts the pause down."""
+        if self.pause <= 0:
             return True
-        self.rest -= 1
+        self.pause -= 1
         return False
 
-    def learn(self, success: bool) -> None:
-        """After a trial of the explicit method."""
-        patience = min(max(self.patience, SHORTEST_REST), LONGEST_REST)
-        self.rest = 0 if success else patience
-        self.patience = patience - 1 if success else 2 * patience
+    def update(self, success: bool) -> None:
+        """Set the pauses after a trial of the explicit method."""
+        pause = min(max(self.next_pause, SHORTEST_PAUSE), LONGEST_PAUSE)
+        self.pause = 0 if success else pause
+        self.next_pause = pause - 1 if success else 2 * pause
 
 
 def solve(
-    system: System, x: Array, motion: Motion, length: float, tolerance: float, memory: Array
+    system: OdeSystem, x: Array, motion: InputPolynomials, length: float, tolerance: float, memory: Array
 ) -> tuple[Array, Array]:
-    """The states after `length` seconds, and the memory for the next call.
+    """States after `length` seconds, and the memory for the next call.
 
-    memory   what the last call returned, zeros at first; shape (3,), the numbers of `Pace`
+    memory   memory from the last call, zeros at first; shape (3,), the fields of `StepMemory`
     """
-    pace = Pace(float(memory[0]), int(memory[1]), int(memory[2]))
-    with np.errstate(all="ignore"):  # what is not finite is looked at here
-        x = _solve(system, x, motion, length, tolerance, pace)
-    return x, np.array([pace.step, pace.rest, pace.patience])
+    step_memory = StepMemory(float(memory[0]), int(memory[1]), int(memory[2]))
+    with np.errstate(all="ignore"):  # values that are not finite are handled here
+        x = _solve(system, x, motion, length, tolerance, step_memory)
+    return x, np.array([step_memory.step, step_memory.pause, step_memory.next_pause])
 
 
-def _solve(system: System, x: Array, motion: Motion, length: float, tolerance: float, pace: Pace) -> Array:
-    smallest = max(1e-14 * length, sys.float_info.min)  # with smaller ones the time stands still
-    tau, worst, rejected, count, proposal = 0.0, 0, False, 0, pace.step or length
-    stage: Stage | None = None  # the linearised model at tau
+def _solve(
+    system: OdeSystem,
+    x: Array,
+    motion: InputPolynomials,
+    length: float,
+    tolerance: float,
+    step_memory: StepMemory,
+) -> Array:
+    smallest = max(1e-14 * length, sys.float_info.min)  # smaller steps do not change the time
+    tau, worst, rejected, count, proposal = 0.0, 0, False, 0, step_memory.step or length
+    rodas: RodasStep | None = None  # the linearised model at tau
     while tau < length:
         # Equal steps to the end, none larger than the proposal: no tiny last step.
         parts = math.ceil((length - tau) / proposal * (1.0 - 1e-9))
         h = (length - tau) / parts if parts > 1 else length - tau
-        if count == MOST_STEPS:
+        if count == MAX_STEPS:
             raise Unsolved("many", tau, h, worst, 0.0, x)
         count += 1
         error, new = math.inf, x
-        if stage is None and not system.stiff and pace.its_turn():
-            new, estimate, calm = kutta(system, motion, tau, x, h)
+        if rodas is None and not system.stiff and step_memory.explicit_is_due():
+            new, estimate, stable = kutta(system, motion, tau, x, h)
             error, worst = _error(x, new, estimate, tolerance, system.absolute)
-            error = error if calm else math.inf
-            pace.learn(error <= 1.0)  # a comparison with NaN is false
+            error = error if stable else math.inf
+            step_memory.update(error <= 1.0)  # a comparison with NaN is false
         if not error <= 1.0:
-            stage = stage or _linearised(system, motion, tau, x)
-            new, estimate = stage.advance(x, h)
+            rodas = rodas or _linearised(system, motion, tau, x)
+            new, estimate = rodas.advance(x, h)
             error, worst = _error(x, new, estimate, tolerance, system.absolute)
         if error <= 1.0:
-            # Order of the estimate of RODAS is 3, so its error grows with h^4; that of the other with h^3.
+            # The error grows with h^4 in RODAS (order 3 of the estimate), with h^3 in the explicit method.
             growth = min(5.0, 0.9 / max(error, 1e-8) ** 0.25)
             following = h * (min(1.0, growth) if rejected else growth)
-            # A step cut short by the end of the interval says nothing against the old proposal.
+            # A step shortened by the end of the interval does not reduce the old proposal.
             proposal = following if growth < 5.0 or rejected else max(following, proposal)
-            x, rejected, stage = new, False, None
+            x, rejected, rodas = new, False, None
             tau = tau + h if parts > 1 else length
         else:
             proposal = h * (max(0.2, 0.9 / error**0.25) if error < sys.float_info.max else 0.2)
             rejected = True
             if proposal < smallest:
-                why = "small" if stage is None or stage.solvable else "singular"
+                why = "small" if rodas is None or rodas.solvable else "singular"
                 raise Unsolved(why, tau, h, worst, 0.0, x)
-    pace.step = proposal
+    step_memory.step = proposal
     return x
 
 
-def kutta(system: System, motion: Motion, tau: float, x: Array, h: float) -> tuple[Array, Array, bool]:
-    """The states after an explicit step of size h, the error estimate, and whether the step is stable.
+def kutta(
+    system: OdeSystem, motion: InputPolynomials, tau: float, x: Array, h: float
+) -> tuple[Array, Array, bool]:
+    """States after an explicit step of size h, error estimate, and whether the step is stable.
 
     Between the last two stages dx/dt changes by lambda = (k_3 - k_2) / (x_3 - x_2): stable if |lambda h| < 1.
     """
@@ -203,31 +214,31 @@ def kutta(system: System, motion: Motion, tau: float, x: Array, h: float) -> tup
     k2 = system.rate(x + 0.5 * h * k1, motion.value(tau + 0.5 * h)).copy()
     k3 = system.rate(x + h * (2.0 * k2 - k1), motion.value(tau + h))
     estimate = h / 6.0 * (k1 - 2.0 * k2 + k3)
-    change, moved = ((k3 - k2) / system.nominal, (2.0 * k2 - 1.5 * k1) / system.nominal)
-    return x + h * k2 + estimate, estimate, bool(change @ change <= moved @ moved)
+    rate_change, state_change = ((k3 - k2) / system.nominal, (2.0 * k2 - 1.5 * k1) / system.nominal)
+    return x + h * k2 + estimate, estimate, bool(rate_change @ rate_change <= state_change @ state_change)
 
 
-def _linearised(system: System, motion: Motion, tau: float, x: Array) -> Stage:
+def _linearised(system: OdeSystem, motion: InputPolynomials, tau: float, x: Array) -> RodasStep:
     u = motion.value(tau)
-    f, jacobian, ft = system.linearised(x, u, motion.slope(tau))
+    f, jacobian, ft = system.linearised(x, u, motion.derivative(tau))
     if not np.isfinite(f).all():
-        bad = int(np.argmin(np.isfinite(f)))
-        raise Unsolved("not finite", tau, 0.0, bad, float(f[bad]), x)
-    return Stage(system, motion if motion.moving else None, tau, u, f.copy(), jacobian, ft)
+        index = int(np.argmin(np.isfinite(f)))
+        raise Unsolved("not finite", tau, 0.0, index, float(f[index]), x)
+    return RodasStep(system, motion if motion.varying else None, tau, u, f.copy(), jacobian, ft)
 
 
 def _error(x: Array, new: Array, estimate: Array, tolerance: float, absolute: Array) -> tuple[float, int]:
-    """Weighted root mean square of the error estimate, and where it is largest."""
-    parts = np.abs(estimate) / (tolerance * (absolute + np.maximum(np.abs(x), np.abs(new))))
-    return math.sqrt(parts @ parts / parts.size), int(np.argmax(parts))
+    """Weighted root mean square of the error estimate, and the index of the largest error."""
+    errors = np.abs(estimate) / (tolerance * (absolute + np.maximum(np.abs(x), np.abs(new))))
+    return math.sqrt(errors @ errors / errors.size), int(np.argmax(errors))
 
 
 @dataclass
-class Stage:
-    """The stages of RODAS from one point; `solvable` tells whether the last matrix was regular."""
+class RodasStep:
+    """Inner steps of RODAS from one point; `solvable`: whether the last matrix was regular."""
 
-    system: System
-    motion: Motion | None  # None while all inputs stand still
+    system: OdeSystem
+    motion: InputPolynomials | None  # None if all inputs are constant
     tau: float
     u: Array
     f0: Array
@@ -236,9 +247,9 @@ class Stage:
     solvable: bool = True
 
     def advance(self, x: Array, h: float) -> tuple[Array, Array]:
-        """The states after a step of size h, and the error estimate."""
+        """States after a step of size h, and error estimate."""
         nominal, k = self.system.nominal, np.zeros((STAGES, x.size))
-        # in units of the magnitudes, for the sake of the pivots
+        # scaled by the nominal values, for good pivots
         matrix = -self.jacobian * nominal / nominal[:, None]
         matrix[np.diag_indices(x.size)] += 1.0 / (GAMMA * h)
         lu, pivots, singular = lapack.dgetrf(matrix, overwrite_a=True)

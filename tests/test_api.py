@@ -37,7 +37,7 @@ def test_the_example_of_the_package_builds_and_runs(example, tmp_path):
 def test_numbers_in_the_code_are_told_as_such(example):
     """Value and unit of the declaration; start values that are not stated are zero."""
     lag = example["lag"]
-    assert fmus.values(lag) == fmus.Values({"lag": 0.5}, {"wanted": 0.0}, {"level": 0.0})
+    assert fmus.values(lag) == fmus.Values({"lag": 0.5}, {"commanded": 0.0}, {"level": 0.0})
     assert numbers(lag)["parameters"]["lag"].note == "stated in the code"
 
 
@@ -71,8 +71,8 @@ def test_several_become_one(example):
         "both",
         "Two lags",
         {"first": lag, "second": lag},
-        [("first.level", "second.wanted")],
-        {"wanted": ["first.wanted"]},
+        [("first.level", "second.commanded")],
+        {"commanded": ["first.commanded"]},
     )
     assert list(fmus.quantities(both.states)) == ["first_level", "second_level"]
     dx, _ = symbolic(both).function()([0.5, 0.25], [1.0], list(fmus.values(both).p.values()))

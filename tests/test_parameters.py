@@ -204,7 +204,7 @@ def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes
     [
         ("value = ", "cannot be read as TOML"),
         ("[swing.x]\nvalue = 1\n", r"unknown table \[swing\]"),
-        ("parameters = 3\n", r"parameters is 3, expected tables \[parameters\.NAME\]"),
+        ("parameters = 3\n", r"parameters = 3, expected tables \[parameters\.NAME\]"),
         (
             "[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'paper'\nnote = ''\nsd = -1\n",
             "sd is -1, expected 0 or more",

@@ -82,17 +82,17 @@ def test_the_whole_and_the_poses_follow(machine):
     [
         (
             VALVE.replace("valve_area", "valve_aera"),
-            "[parameters.valve_aera] is declared by no part, expected",
+            "[parameters.valve_aera] is not declared by any part, expected",
         ),
         (VALVE.replace('"m2"', '"mm2"'), "[parameters.valve_area] is in mm2, declared m2"),
         (VALVE.replace("4.1e-5", "-4.1e-5"), "[parameters.valve_area] is -4.1e-05 m2, expected 0.0 to None"),
         (
             VALVE.replace("parameters.", "start."),
-            "[start.valve_area] is no parameter, expected [parameters.*]",
+            "[start.valve_area]: expected tables [parameters.NAME] only",
         ),
         (
             PRELOAD.replace("swing.", "boom."),
-            "[parameters.boom.initial_preload] is declared by no part, expected",
+            "[parameters.boom.initial_preload] is not declared by any part, expected",
         ),
         ("", "no table [parameters.NAME], expected at least one"),
     ],

@@ -86,9 +86,9 @@ class Linear:
         return self.rate(x, u), np.array([[self.factor]]), du
 
 
-def inputs(*coefficients: float) -> solver.Motion:
+def inputs(*coefficients: float) -> solver.InputPolynomials:
     """An input that is this polynomial of the time."""
-    return solver.Motion(np.array([*coefficients, *[0.0] * (4 - len(coefficients))])[:, None])
+    return solver.InputPolynomials(np.array([*coefficients, *[0.0] * (4 - len(coefficients))])[:, None])
 
 
 @pytest.mark.parametrize("z", [-1.1, -0.9, -0.3, 0.5])

@@ -19,7 +19,7 @@ from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
-from fmus.parameters import Set, read, read_set, with_numbers
+from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 
@@ -71,11 +71,11 @@ def numbered_parts(parameters: Path | None = None) -> tuple[dict[str, Subsystem]
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
     if parameters is None:
         return dict(ALL), others
-    given = read_set(parameters, [*ALL.values(), CONTROLLER, *others])
-    own, new = (pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_numbers(MANIPULATOR, given)))
+    given = read_parameter_set(parameters, [*ALL.values(), CONTROLLER, *others])
+    own, new = (pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_parameters(MANIPULATOR, given)))
     start = {n: value for n, value in new.items() if value != own[n]}  # other masses, other holding forces
-    usual = {n: with_numbers(sub, given, start) for n, sub in ALL.items()}
-    return usual, [with_numbers(sub, given, start) for sub in others]
+    usual = {n: with_parameters(sub, given, start) for n, sub in ALL.items()}
+    return usual, [with_parameters(sub, given, start) for sub in others]
 
 
 def controller_of(own: Mapping[str, Subsystem], parameters: Path | None = None) -> Subsystem:
@@ -84,8 +84,8 @@ def controller_of(own: Mapping[str, Subsystem], parameters: Path | None = None) 
     if parameters is None:
         return made
     given = read(parameters)["parameters"]
-    mine: Set = {n: v for n, v in given.items() if n in GAINS or n.startswith(f"{made.name}.")}
-    return with_numbers(made, mine)
+    mine: ParameterSet = {n: v for n, v in given.items() if n in GAINS or n.startswith(f"{made.name}.")}
+    return with_parameters(made, mine)
 
 
 def _copied(fmu: Path, variant: str) -> Path:

@@ -300,7 +300,7 @@ class Instance:
             s.x, s.memory = self.model.advance(s.x, s.p, inputs, begin, length, s.tolerance, s.memory)
         except Unsolved as problem:
             refuse(self._failure(problem))
-        s.time, s.u, s.slope = begin + length, inputs.value(length), inputs.slope(length)
+        s.time, s.u, s.slope = begin + length, inputs.value(length), inputs.derivative(length)
         s.was_given, s.is_given = s.is_given, np.zeros_like(s.is_given)
         try:
             self._check()

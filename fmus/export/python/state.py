@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.export.interface import Variable
-from fmus.solver import Array, Motion
+from fmus.solver import Array, InputPolynomials
 from orchestrator.base.errors import Problem
 
 _MAGIC = b"FMUstate python 1 "
@@ -29,7 +29,7 @@ _MAGIC = b"FMUstate python 1 "
 class InstanceState:
     """Numbers only, as in native/core.h.
 
-    memory      of the solver, see `solver.Pace`
+    memory      of the solver, see `solver.StepMemory`
     x, p, u     states, parameters, inputs at the current time
     set         inputs as last set: where the next step starts
     slope       time derivatives of the inputs at the end of the last step
@@ -102,13 +102,13 @@ def derivative(s: InstanceState, rates: Sequence[int], at: Array, i: int, order:
     return float(at[rates[i]]) if order == 1 else derivative(s, rates, at, rates[i], order - 1)
 
 
-def motion(s: InstanceState, rates: Sequence[int]) -> Motion:
+def motion(s: InstanceState, rates: Sequence[int]) -> InputPolynomials:
     """Over the next step."""
     numbers = range(s.set.size)
     terms = (
         [derivative(s, rates, s.set, i, k) / scale for i in numbers] for k, scale in ((1, 1), (2, 2), (3, 6))
     )
-    return Motion(np.array([s.set, *terms]))
+    return InputPolynomials(np.array([s.set, *terms]))
 
 
 def slope(s: InstanceState, rates: Sequence[int], i: int) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 
 from fmus.contract import Subsystem
 from fmus.export.interface import Interface
-from fmus.solver import Array, Motion, solve
+from fmus.solver import Array, InputPolynomials, solve
 from orchestrator.base.errors import Problem
 
 
@@ -45,7 +45,14 @@ class RunnableModel(Protocol):
     def rate(self, x: Array, u: Array, p: Array) -> Array: ...
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]: ...
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+        self,
+        x: Array,
+        p: Array,
+        motion: InputPolynomials,
+        t: float,
+        length: float,
+        tolerance: float,
+        memory: Array,
     ) -> tuple[Array, Array]: ...
     def forward(
         self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
@@ -121,11 +128,11 @@ class SubsystemModel:
         return self._start(x, u, p)[0].copy()  # type: ignore[no-any-return]
 
     def rate(self, x: Array, u: Array, p: Array | None = None) -> Array:
-        """See `RunnableModel` and `solver.System`."""
+        """See `RunnableModel` and `solver.OdeSystem`."""
         return self._rate(x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
 
     def linearised(self, x: Array, u: Array, du: Array) -> tuple[Array, Array, Array]:
-        """See `solver.System`."""
+        """See `solver.OdeSystem`."""
         f, jacobian, ft = self._linearised(x, u, self._p, du)
         return f, jacobian, ft
 
@@ -135,7 +142,14 @@ class SubsystemModel:
         return y.copy(), require.copy()
 
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+        self,
+        x: Array,
+        p: Array,
+        motion: InputPolynomials,
+        t: float,
+        length: float,
+        tolerance: float,
+        memory: Array,
     ) -> tuple[Array, Array]:
         """See `RunnableModel`."""
         if not x.size:

@@ -31,7 +31,7 @@ import numpy as np
 from fmus.contract import Quantity, Symbolic, quantities
 from fmus.export.interface import Interface, assembled, variable_groups
 from fmus.parameters import Values
-from fmus.solver import Array, Motion
+from fmus.solver import Array, InputPolynomials
 from orchestrator.base.errors import Problem
 
 
@@ -222,7 +222,14 @@ class UserModel:
         return {statement: self._number("require", statement, n) for statement, n in values.items()}
 
     def advance(
-        self, x: Array, p: Array, motion: Motion, t: float, length: float, tolerance: float, memory: Array
+        self,
+        x: Array,
+        p: Array,
+        motion: InputPolynomials,
+        t: float,
+        length: float,
+        tolerance: float,
+        memory: Array,
     ) -> tuple[Array, Array]:
         """See `RunnableModel`: equal steps, none longer than `inner_step`."""
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
