@@ -1,9 +1,12 @@
-"""The design of a study: samples in the unit cube, the numbers they stand for, and what each run is run with.
+"""Design of experiments: samples in the unit cube, the values of factors and choices, and the runs.
 
-Samples of each dimension are uniform on 0..1; a factor's number is the inverse of its distribution there, so
-all methods know all distributions. Latin hypercube: McKay, Beckman and Conover, Technometrics 21 (1979);
-Sobol: Joe and Kuo, SIAM J. Sci. Comput. 30 (2008), scrambled after Owen; Saltelli: Comput. Phys. Commun. 181
-(2010); Morris: Technometrics 33 (1991).
+Samples of each dimension are uniform on 0..1. The value of a factor is the inverse of its distribution
+function at the sample, so every method supports every distribution.
+
+    latin      McKay, Beckman and Conover, Technometrics 21 (1979)
+    sobol      Joe and Kuo, SIAM J. Sci. Comput. 30 (2008), scrambled after Owen
+    saltelli   Saltelli et al., Comput. Phys. Commun. 181 (2010)
+    morris     Morris, Technometrics 33 (1991)
 """
 
 from __future__ import annotations
@@ -26,9 +29,9 @@ from orchestrator.ssp.system import Port, System, coerce
 from orchestrator.studies.cases import Options, StudyCase, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
-LEVELS = 4  # of morris: as in its paper, with jumps of two thirds of the range
-EDGE = 2.0**-53  # nearer to 0 or 1 an unbounded distribution would give infinite numbers
-INNER = 0.01  # the lowest level of morris where the distribution has no least number: its 1 % quantile
+LEVELS = 4  # Morris levels, as in the paper: steps of two thirds of the range
+EDGE = 2.0**-53  # smallest distance from 0 and 1: there quantiles of unbounded distributions are infinite
+LOWEST_LEVEL = 0.01  # lowest Morris level of an unbounded distribution: its 1 % quantile
 UNBOUNDED = ("normal", "lognormal")
 TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Enumeration": pa.int64(), "Boolean": pa.bool_()}
 
@@ -37,7 +40,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sample:
-    """What a run is run with: its number, its options and the numbers of its factors, those it has."""
+    """One run: its number, its options, and the values of the factors that its system has."""
 
     run: int
     options: Options
@@ -52,7 +55,7 @@ def samples(study: Study) -> Array:
     count, runs, method = len(study.dimensions), study.runs, study.method
     if not count:
         return np.zeros((1, 0))
-    if method == "grid":  # each value in the middle of its share of 0..1; the last dimension varies fastest
+    if method == "grid":  # each value in the middle of its interval; the last dimension varies fastest
         counts = [levels(d) for d in study.dimensions]
         return np.array(list(product(*((np.arange(n) + 0.5) / n for n in counts))))
     if method in ("latin", "sobol"):
@@ -72,37 +75,37 @@ def problem(names: Sequence[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
-# ---- the numbers they stand for
+# ---- values of factors and choices
 
 
 def table(study: Study) -> pd.DataFrame:
     """All runs, one row each in the order of their numbers; the same study has the same table.
 
-    Rows of one combination of crossed choices stand together, in the order of the samples.
+    Rows of one combination of crossed choices are adjacent, in the order of the samples.
     """
     cube = samples(study)
-    sampled = {d.column: _numbers(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
-    constant = {c.column: c.options[0] for c in study.settled}
+    sampled = {d.column: _values(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
+    constant = {c.column: c.options[0] for c in study.fixed_choices}
     parts = []
     for options in product(*(c.options for c in study.crossed)):
         crossed = {c.column: o for c, o in zip(study.crossed, options, strict=True)}
         parts.append(pd.DataFrame({**constant, **crossed, **sampled}, index=range(len(cube))))
-    whole = pd.concat(parts, ignore_index=True)
+    runs = pd.concat(parts, ignore_index=True)
     columns = [*(f.column for f in study.factors), *(c.column for c in study.choices)]
-    return whole[columns].rename_axis("run")
+    return runs[columns].rename_axis("run")
 
 
-def _numbers(study: Study, dimension: Factor | Choice, u: Array) -> Any:
-    """The numbers or options that samples of one dimension stand for."""
+def _values(study: Study, dimension: Factor | Choice, u: Array) -> Any:
+    """The values or options of one dimension at samples."""
     if isinstance(dimension, Choice):
         return [dimension.options[i] for i in _index(u, len(dimension.options))]
     if study.method == "morris" and dimension.distribution in UNBOUNDED:
-        u = INNER + (1 - 2 * INNER) * u
+        u = LOWEST_LEVEL + (1 - 2 * LOWEST_LEVEL) * u
     return quantile(dimension, u)
 
 
 def quantile(factor: Factor, u: Array) -> Array:
-    """Numbers of a factor below which a share u of them lies, shape as u."""
+    """Quantiles of a factor at probabilities u, shape as u."""
     n = factor.numbers
     if factor.distribution == "values":
         return np.asarray(n["values"], np.float64)[_index(u, len(n["values"]))]
@@ -116,41 +119,41 @@ def _distribution(name: str, n: Mapping[str, Any]) -> Any:
         return stats.uniform(n["minimum"], n["maximum"] - n["minimum"])
     if name == "normal":
         return stats.norm(n["mean"], n["sd"])
-    if name == "lognormal":  # mean and sd are those of the numbers, not of their logarithm
-        spread = np.log1p((n["sd"] / n["mean"]) ** 2)
-        return stats.lognorm(np.sqrt(spread), scale=n["mean"] * np.exp(-spread / 2))
+    if name == "lognormal":  # mean and sd of the factor, not of its logarithm
+        variance = np.log1p((n["sd"] / n["mean"]) ** 2)
+        return stats.lognorm(np.sqrt(variance), scale=n["mean"] * np.exp(-variance / 2))
     width = n["maximum"] - n["minimum"]
     return stats.triang((n["mode"] - n["minimum"]) / width, n["minimum"], width)
 
 
 def _index(u: Array, count: int) -> NDArray[np.intp]:
-    """Which of `count` equal shares of 0..1 each sample lies in."""
+    """Index of the interval that contains each sample, of `count` equal intervals of 0..1."""
     return np.minimum((u * count).astype(np.intp), count - 1)
 
 
-# ---- what each run is run with
+# ---- the runs
 
 
 def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) -> list[Sample]:
-    """The runs of a study in the order of its table; shares become values."""
-    shares = {o: nominals(study, case.system) for o, case in cases.items()}
-    whole = {o: {n for n in shares[o] if not is_real(case.system, n)} for o, case in cases.items()}
+    """The runs of a study in the order of its table; relative numbers become values."""
+    scales = {o: nominals(study, case.system) for o, case in cases.items()}
+    integers = {o: {n for n in scales[o] if not is_real(case.system, n)} for o, case in cases.items()}
     options = list(zip(*(table[c.column] for c in study.choices), strict=True)) or [()] * len(table)
     columns = {f.name: table[f.column].to_numpy() for f in study.factors}
     samples = []
     for index, chosen in enumerate(options):
-        numbers = {n: float(columns[n][index]) * share for n, share in shares[chosen].items()}
-        samples.append(Sample(index, chosen, numbers | {n: int(numbers[n]) for n in whole[chosen]}))
+        values = {n: float(columns[n][index]) * scale for n, scale in scales[chosen].items()}
+        samples.append(Sample(index, chosen, values | {n: int(values[n]) for n in integers[chosen]}))
     return samples
 
 
 def starts(
     study: Study, cases: Mapping[Options, StudyCase], samples: Sequence[Sample]
 ) -> tuple[pa.Table, dict[str, str]]:
-    """The start values and parameters of each run, and the units of those that have one.
+    """Start values and parameter values of each run, and the units of the columns.
 
-    One row per sample; a column `start:component.variable` of each variable that can be set in some case.
-    Inputs that a connection or a scenario feeds are left out; null is what a variant does not have.
+    One row per sample; a column `start:component.variable` for each variable that can be set in some case.
+    Inputs with a connection or a column of a scenario are left out; null: the variant lacks the variable.
     """
     rows: dict[Options, list[int]] = {options: [] for options in cases}
     for i, sample in enumerate(samples):
@@ -167,28 +170,28 @@ def starts(
                 units[name] = variable.unit.name
             column = columns.setdefault(name, [None] * len(samples))
             if port in varied:
-                factor, linear = varied[port]
+                factor, conversion = varied[port]
                 for i in rows[options]:
-                    column[i] = coerce(str(port), variable, samples[i].factors[factor], linear)
+                    column[i] = coerce(str(port), variable, samples[i].factors[factor], conversion)
             else:
                 constant = case.system.components[port.component].value(port.variable)
-                known = None if isinstance(constant, float) and np.isnan(constant) else constant
+                value = None if isinstance(constant, float) and np.isnan(constant) else constant
                 for i in rows[options]:
-                    column[i] = known
+                    column[i] = value
     return pa.table({name: pa.array(columns[name], types[name]) for name in columns}), units
 
 
 def _settable(case: StudyCase) -> list[Port]:
-    """The variables of a case that have a start value of their own."""
+    """The variables of a case whose start value has an effect."""
     system = case.system
     names = () if case.scenario is None else case.scenario.signals
-    fed = {c.target for c in system.connections}
-    fed |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
+    driven = {c.target for c in system.connections}
+    driven |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
     ports = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
-    return [port for port in ports if system.variable(port).settable and port not in fed]
+    return [port for port in ports if system.variable(port).settable and port not in driven]
 
 
 def _varied(study: Study, system: System) -> dict[Port, tuple[str, LinearTransformation]]:
-    """Variable -> the factor that sets it, and from its unit to that of the FMU."""
+    """Variable -> the factor that sets it, and the conversion to the unit of the FMU."""
     names = [f.name for f in study.factors if system.has(f.name)]
-    return {port: (name, linear) for name in names for port, linear in system.targets(name)}
+    return {port: (name, conversion) for name in names for port, conversion in system.targets(name)}

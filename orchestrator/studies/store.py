@@ -40,7 +40,6 @@ GROUP = 64  # runs in a row group of the signals: few megabytes
 OPEN = 8  # part files in memory while the signals of all runs are put in order
 HALF = ".half"  # of a file that is being written
 LONG = 120  # characters of two lists that are shown as a whole
-KEYS = ("name", "what")  # keys that name an item of a list
 INNER = ("numbers", "options")  # keys that the file of a study does not have
 DECIDES = ("distribution", "signal", "measure")  # keys that the rest of an item follows from
 BAND = "band:"  # of a column of a part: the samples of a signal, one list per run
@@ -240,8 +239,8 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
     """The study, and digests of the files that it names and of its samples; for JSON."""
     study, files = payload.study, dict[str, str]()
     for options, case in payload.cases.items():
-        chosen = {c.what: f" {o}" for c, o in zip(study.choices, options, strict=True)}
-        each = ", ".join(f"{c.what}={o}" for c, o in zip(study.choices, options, strict=True))
+        chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
+        each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
         among = f" with {each}" if each else ""
         for name, component in case.system.components.items():
             if component.source is not None:
@@ -272,7 +271,10 @@ def from_json(fields: Mapping[str, Any], title: str) -> Study:
     """The study that `to_json` wrote."""
     items = {
         "factors": tuple(Factor(**f) for f in fields["factors"]),
-        "choices": tuple(Choice(**c) for c in fields["choices"]),
+        # before 0.2 the name of a choice was its `what`
+        "choices": tuple(
+            Choice(c.pop("name", None) or c.pop("what"), **c) for c in map(dict, fields["choices"])
+        ),
         "outputs": tuple(Output(**o) for o in fields["outputs"]),
     }
     return Study(title=title, **{**fields, **items})
@@ -323,9 +325,8 @@ def _items(value: Any) -> Mapping[str, Any] | None:
     """A table, or a list of named items by their names; none of what has no parts with a name."""
     if isinstance(value, Mapping):
         return value
-    for key in KEYS if isinstance(value, list) else ():
-        if all(isinstance(item, Mapping) and key in item for item in value):
-            return {item[key]: item for item in value}
+    if isinstance(value, list) and all(isinstance(item, Mapping) and "name" in item for item in value):
+        return {item["name"]: item for item in value}
     return None
 
 

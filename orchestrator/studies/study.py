@@ -1,11 +1,14 @@
-"""A parameter study as data: what is varied, what is run, what is kept of each run.
+"""A parameter study as data: factors, choices, settings of the runs, and outputs of each run.
 
-A study is built in Python or read from a TOML file; docs/sweep.md shows a complete one. Its systems are not
-opened here: `cases.resolve` does so, checks names and limits, and converts numbers to the units of the FMUs.
+A study is built in Python or read from a TOML file; docs/sweep.md shows a complete one. This module does not
+open the systems: `cases.resolve` does, checks names and limits, and converts values to the units of the FMUs.
 
-Columns of a table of runs are named by what they hold: `factor:swing.gear_ratio` is a sample of a factor,
-`choice:boom_stick` an option, `start:swing.gear_ratio` a number as the run used it, in the unit of the FMU,
-`output:peak` an output.
+The table of runs has columns with these names:
+
+    factor:swing.gear_ratio   sample of a factor
+    choice:boom_stick         option of a choice
+    start:swing.gear_ratio    value that the run used, in the unit of the FMU
+    output:peak               value of an output
 """
 
 from __future__ import annotations
@@ -25,10 +28,11 @@ Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
 METHODS: tuple[Method, ...] = get_args(Method)
 MEASURES: tuple[Measure, ...] = get_args(Measure)
-POWERS = ("sobol", "saltelli")  # methods whose samples are balanced for powers of two only
-START = "start:"  # of a column with the start value of a component.variable
-MOST = 1_000_000  # runs: some gigabytes, when their numbers are put into one table
-NUMBERS: Mapping[str, tuple[str, ...]] = {  # of each distribution
+BALANCED = ("sobol", "saltelli")  # methods whose samples are balanced only if their number is a power of two
+START = "start:"  # prefix of the columns with start values
+MOST_RUNS = 1_000_000  # the table of all runs then takes some gigabytes
+# Distribution -> names of its parameters.
+DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {
     "uniform": ("minimum", "maximum"),
     "normal": ("mean", "sd"),
     "lognormal": ("mean", "sd"),
@@ -39,15 +43,15 @@ NUMBERS: Mapping[str, tuple[str, ...]] = {  # of each distribution
 
 @dataclass(frozen=True)
 class Factor:
-    """A number that differs from run to run.
+    """A start value or parameter value that differs from run to run.
 
-    name          as of `run(set=...)`
+    name          variable, as in `run(set=...)`
     distribution  uniform (minimum, maximum), normal (mean, sd), lognormal (mean, sd), triangular (minimum,
-                  mode, maximum), values (a list, each as likely)
-    numbers       of the distribution, in `unit`; of a grid, `values`. Mean and sd of a lognormal factor are
-                  its own, not those of its logarithm
-    relative      the numbers are shares of the value that the FMU or the system has
-    unit          default: that of the FMU
+                  mode, maximum), values (a list with equal probabilities)
+    numbers       parameters of the distribution, in `unit`; mean and sd of a lognormal factor are those of
+                  the factor, not of its logarithm
+    relative      the numbers are relative to the value in the FMU or the system
+    unit          default: the unit of the FMU
     """
 
     name: str
@@ -58,36 +62,36 @@ class Factor:
     kind: ClassVar[str] = "factor"
 
     def __post_init__(self) -> None:
-        Table(self.key, {"distribution": self.distribution}).one_of("distribution", NUMBERS)
-        numbers = Table(self.key, dict(self.numbers)).allow_only(NUMBERS[self.distribution])
-        plain: dict[str, Any] = {}
-        for name in NUMBERS[self.distribution]:
+        Table(self.key, {"distribution": self.distribution}).one_of("distribution", DISTRIBUTIONS)
+        numbers = Table(self.key, dict(self.numbers)).allow_only(DISTRIBUTIONS[self.distribution])
+        floats: dict[str, Any] = {}
+        for name in DISTRIBUTIONS[self.distribution]:
             numbers.require(name, "a list of numbers" if name == "values" else "a number")
             value = self.numbers[name]
-            plain[name] = tuple(map(float, value)) if name == "values" else float(value)
-        object.__setattr__(self, "numbers", plain)
-        if fault := _fault(self.distribution, plain):
-            raise self.wrong(*fault)
+            floats[name] = tuple(map(float, value)) if name == "values" else float(value)
+        object.__setattr__(self, "numbers", floats)
+        if impossible := _impossible(self.distribution, floats):
+            raise self.wrong(*impossible)
 
     @property
     def key(self) -> str:
-        """Where the file of a study has it."""
+        """The table in the TOML file of a study."""
         return f"factors.{quote_key(self.name)}"
 
     @property
     def column(self) -> str:
-        """Of the samples; those of a relative factor are shares."""
+        """Column of the samples; those of a relative factor are relative."""
         return f"factor:{self.name}"
 
     def wrong(self, name: str, expected: str) -> Problem:
-        """What to raise for an impossible number."""
+        """The Problem for an impossible distribution parameter."""
         value = self.numbers[name]
         got = f"[{', '.join(f'{v:g}' for v in value)}]" if isinstance(value, tuple) else f"{value:g}"
         return Problem(f"{self.key}: {name}: expected {expected}, got {got}")
 
 
-def _fault(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | None:
-    """The first impossible number of a distribution, and what is expected."""
+def _impossible(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Name of the first impossible distribution parameter, and what is expected; None if there is none."""
     if distribution in ("uniform", "triangular") and not n["minimum"] < n["maximum"]:
         return "maximum", f"more than the minimum {n['minimum']:g}"
     if distribution == "triangular" and not n["minimum"] <= n["mode"] <= n["maximum"]:
@@ -105,12 +109,12 @@ def _fault(distribution: str, n: Mapping[str, Any]) -> tuple[str, str] | None:
 class Choice:
     """A scenario, a parameter set or a variant of a component that differs from run to run.
 
-    what     "scenario", "parameters", or the name of a component
+    name     "scenario", "parameters", or the name of a component
     options  files or names; each is run with every sample of the factors
-    sampled  the choice is a dimension of the samples instead, each option as likely
+    sampled  the choice is a dimension of the samples instead; all options have the same probability
     """
 
-    what: str
+    name: str
     options: tuple[str, ...]
     sampled: bool = False
     kind: ClassVar[str] = "choice"
@@ -119,23 +123,18 @@ class Choice:
         object.__setattr__(self, "options", tuple(self.options))
 
     @property
-    def name(self) -> str:
-        """What is chosen."""
-        return self.what
-
-    @property
     def column(self) -> str:
-        """Of the options."""
-        return f"choice:{self.what}"
+        """Column of the options."""
+        return f"choice:{self.name}"
 
 
 @dataclass(frozen=True)
 class Output:
-    """One number per run: a measure of a signal over a window of time [s].
+    """One value per run: a measure of a signal over a time window [s].
 
     start, stop  default: from the beginning, to the end of the run
-    band         the signal itself is kept, too
-    unit         of the number; from the FMU, as is `signal_unit`
+    band         the signal is stored over time, too
+    unit         unit of the value; follows from `signal_unit`, the unit in the FMU
     """
 
     name: str
@@ -149,23 +148,23 @@ class Output:
 
     @property
     def column(self) -> str:
-        """Of the numbers."""
+        """Column of the values."""
         return f"output:{self.name}"
 
 
 @dataclass(frozen=True)
 class Study:
-    """Everything that determines the results: equal studies have equal results, to the last bit.
+    """Everything that determines the results: equal studies have bit-identical results.
 
     system       path of an .ssp, .ssd or .fmu file
-    runs         samples of the factors; of a grid it follows (0); of saltelli the N of N (k + 2); of morris
-                 the trajectories, N (k + 1) runs
-    stop, step   of each run [s]; default, also of `master`: as of `run`
-    fixed        start values of all runs: a number in the unit of the FMU, or (number, unit)
-    band_step    interval at which signals are kept [s]
-    record_step  interval at which the measures see a signal [s]; default: every communication point
-    folder       paths are relative to it; it does not count when studies are compared
-    source       the file of the study, named in messages; does not count either
+    runs         number of samples; 0 for a grid, where it follows from the values; N of the N (k + 2) runs of
+                 saltelli; trajectories of morris, with N (k + 1) runs
+    stop, step   stop time and communication step of each run [s]; defaults, also of `master`, as of `run`
+    fixed        start values of all runs: a value in the unit of the FMU, or (value, unit)
+    band_step    interval at which signals are stored [s]
+    record_step  sampling interval of the signals for the measures [s]; default: every communication point
+    folder       paths are relative to this folder; ignored if studies are compared
+    source       file of the study, for messages; ignored if studies are compared
     """
 
     title: str = ""
@@ -191,12 +190,12 @@ class Study:
 
     @property
     def dimensions(self) -> tuple[Factor | Choice, ...]:
-        """What the samples have a column for: the factors, then the sampled choices."""
+        """The dimensions of the samples: the factors, then the sampled choices."""
         return (*self.factors, *(c for c in self.compared if c.sampled))
 
     @property
     def compared(self) -> tuple[Choice, ...]:
-        """The choices that differ from run to run; one option alone holds for all runs."""
+        """The choices with several options, which differ from run to run."""
         return tuple(c for c in self.choices if len(c.options) > 1)
 
     @property
@@ -205,13 +204,13 @@ class Study:
         return tuple(c for c in self.compared if not c.sampled)
 
     @property
-    def settled(self) -> tuple[Choice, ...]:
-        """The choices of one option."""
+    def fixed_choices(self) -> tuple[Choice, ...]:
+        """The choices with one option, which holds for all runs."""
         return tuple(c for c in self.choices if len(c.options) == 1)
 
     @property
     def bands(self) -> tuple[str, ...]:
-        """The signals that are kept, once each."""
+        """The signals that are stored, without repetitions."""
         return tuple(dict.fromkeys(o.signal for o in self.outputs if o.band))
 
     @property
@@ -224,7 +223,7 @@ class Study:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """A Problem inside names the study, once."""
+        """Put the file of the study, or its title, before the message of a Problem."""
         source = self.source or f"study {self.title!r}"
         try:
             yield
@@ -232,7 +231,7 @@ class Study:
             raise Problem(f"{source}: {str(problem).removeprefix(f'{source}: ')}") from None
 
     def check(self) -> None:
-        """Raise a Problem where the study contradicts itself, whatever its system."""
+        """Raise a Problem if the study contradicts itself; its system is not opened."""
         if self.method not in METHODS:
             raise Problem(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if not self.outputs:
@@ -241,8 +240,8 @@ class Study:
             raise Problem("expected factors, or choices of two options and more, got neither")
         if not self.dimensions and self.method != "grid":
             raise Problem(f"method: expected grid, as nothing is sampled, got {self.method!r}")
-        if fault := self._runs_expected():
-            raise Problem(f"runs: expected {fault}, got {self.runs}")
+        if expected := self._expected_runs():
+            raise Problem(f"runs: expected {expected}, got {self.runs}")
         for factor in self.factors if self.method == "grid" else ():
             if factor.distribution != "values":
                 got = f"got {factor.distribution!r}"
@@ -253,23 +252,23 @@ class Study:
             if output.start is not None and output.stop is not None and not output.start <= output.stop:
                 expected = f"at least the start {output.start:g} s"
                 raise Problem(f"{where}: stop: expected {expected}, got {output.stop:g} s")
-        if self.count > MOST:
-            raise Problem(f"expected at most {MOST:,} runs, got {self.count:,}")
+        if self.count > MOST_RUNS:
+            raise Problem(f"expected at most {MOST_RUNS:,} runs, got {self.count:,}")
 
-    def _runs_expected(self) -> str:
-        """What `runs` should be; empty if it is."""
+    def _expected_runs(self) -> str:
+        """What `runs` should be; empty if it is right."""
         if self.method == "grid":
             return "none, as those of a grid follow from its values" if self.runs else ""
         if self.runs < 1:
             return "a whole number of at least 1"
-        if self.method in POWERS and self.runs & (self.runs - 1):
-            near = 2 ** int(log2(self.runs))
-            return f"a power of two, such as {near} or {2 * near}, as the method is {self.method}"
+        if self.method in BALANCED and self.runs & (self.runs - 1):
+            lower = 2 ** int(log2(self.runs))
+            return f"a power of two, such as {lower} or {2 * lower}, as the method is {self.method}"
         return ""
 
 
 def levels(dimension: Factor | Choice) -> int:
-    """How many values a dimension of a grid has."""
+    """Number of values of a dimension of a grid."""
     return len(dimension.options if isinstance(dimension, Choice) else dimension.numbers["values"])
 
 
@@ -314,7 +313,7 @@ def read(file: str | Path) -> Study:
             step=table.number("step", positive=True),
             master=table.text("master"),
             factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
-            choices=tuple(_choice(table.table("choices"), what) for what in table.table("choices").data),
+            choices=tuple(_choice(table.table("choices"), name) for name in table.table("choices").data),
             outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),
             fixed={name: _start(table.table("fixed"), name) for name in table.table("fixed").data},
             band_step=table.number("band_step", positive=True) or Study.band_step,
@@ -327,27 +326,27 @@ def read(file: str | Path) -> Study:
 
 
 def _factor(name: str, table: Table) -> Factor:
-    kind = table.one_of("distribution", NUMBERS)
-    table.allow_only(("distribution", "relative", "unit", *NUMBERS[kind]))
+    distribution = table.one_of("distribution", DISTRIBUTIONS)
+    table.allow_only(("distribution", "relative", "unit", *DISTRIBUTIONS[distribution]))
     relative, unit = table.boolean("relative"), table.text("unit")
     if relative and unit:
-        raise table.problem("unit", "none, as the numbers are shares")
-    numbers = {k: table.numbers(k) if k == "values" else table.number(k) for k in NUMBERS[kind]}
-    known = {key: number for key, number in numbers.items() if number is not None}
-    return Factor(name, kind, known, relative, unit or "")
+        raise table.problem("unit", "none, as the numbers are relative")
+    numbers = {k: table.numbers(k) if k == "values" else table.number(k) for k in DISTRIBUTIONS[distribution]}
+    given = {key: number for key, number in numbers.items() if number is not None}
+    return Factor(name, distribution, given, relative, unit or "")
 
 
-def _choice(table: Table, what: str) -> Choice:
-    """A list of options, or a table of options and sampled."""
-    if not isinstance(table.data[what], dict):
-        return Choice(what, table.texts(what))
-    inner = Table(f"{table.where}.{what}", table.data[what]).allow_only(("options", "sampled"))
+def _choice(table: Table, name: str) -> Choice:
+    """Read a list of options, or a table with `options` and `sampled`."""
+    if not isinstance(table.data[name], dict):
+        return Choice(name, table.texts(name))
+    inner = Table(f"{table.where}.{name}", table.data[name]).allow_only(("options", "sampled"))
     inner.require("options", "a list of texts")
-    return Choice(what, inner.texts("options"), inner.boolean("sampled"))
+    return Choice(name, inner.texts("options"), inner.boolean("sampled"))
 
 
 def _start(table: Table, name: str) -> float | tuple[float, str]:
-    """A number, or a table of value and unit."""
+    """Read a number, or a table with `value` and `unit`."""
     value = table.data[name]
     if isinstance(value, dict):
         inner = Table(f"{table.where}.{name}", value).allow_only(("value", "unit"))

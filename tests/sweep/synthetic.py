@@ -53,7 +53,7 @@ def results(
     )
     table = design.table(study).reset_index()
     columns = {f.name: table[f.column].to_numpy(float) for f in factors}
-    columns |= {c.what: table[c.column].to_numpy(str) for c in choices}
+    columns |= {c.name: table[c.column].to_numpy(str) for c in choices}
     bad = failed(table) if failed else np.zeros(len(table), bool)
     table[output.column] = np.where(bad, np.nan, function(columns))
     table["status"] = np.where(bad, "failed", "ok")

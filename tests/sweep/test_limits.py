@@ -57,7 +57,7 @@ def test_minimum_and_maximum_of_a_variable_are_read(bounded: Path) -> None:
         ),
         ("offset", _uniform(0, 21, ', unit = "mm"'), "maximum: expected at most 0.02 m, got 0.021 m"),
         ("factor", _uniform(1, 6), 'factors."gain.factor": maximum: expected at most 5, got 6'),
-        ("factor", _uniform(0.5, 7, ", relative = true"), "maximum: expected at most 5, got 7 (7 of 1)"),
+        ("factor", _uniform(0.5, 7, ", relative = true"), "maximum: expected at most 5, got 7 (7 times 1)"),
         (
             "offset",
             'distribution = "triangular", minimum = 0, mode = 0.01, maximum = 0.03',
@@ -97,8 +97,8 @@ def test_numbers_up_to_the_ends_are_accepted(bounded: Path, tmp_path: Path, name
     assert resolve(read(_file(tmp_path, bounded, name, numbers)))[0].factors[0].name == f"gain.{name}"
 
 
-def test_fixed_numbers_count_themselves_and_for_shares(bounded: Path, tmp_path: Path) -> None:
-    """One outside is refused; a share is of the fixed number, not of the start value 0 of the offset."""
+def test_fixed_values_are_checked_and_scale_relative_factors(bounded: Path, tmp_path: Path) -> None:
+    """A value outside is refused; relative numbers refer to the fixed value, not to the start value 0."""
     file = _file(tmp_path, bounded, "factor", _uniform(1, 2), '"gain.offset" = 0.05')
     with pytest.raises(Problem, match=r"fixed: gain.offset: expected at most 0.02 m, got 0.05 m$"):
         resolve(read(file))[0]
@@ -106,7 +106,7 @@ def test_fixed_numbers_count_themselves_and_for_shares(bounded: Path, tmp_path: 
     file = _file(tmp_path, bounded, "offset", shares, '"gain.offset" = 0.005')
     assert resolve(read(file))[0].factors[0].relative
     file = _file(tmp_path, bounded, "offset", shares, '"gain.offset" = 0.01')
-    with pytest.raises(Problem, match=r"maximum: expected at most 0.02 m, got 0.03 m \(3 of 0.01\)$"):
+    with pytest.raises(Problem, match=r"maximum: expected at most 0.02 m, got 0.03 m \(3 times 0.01\)$"):
         resolve(read(file))[0]
 
 

@@ -36,7 +36,7 @@ def test_one_option_changes_nothing(method: str, others: tuple[Choice, ...], tmp
     write(tmp_path, found, one)
     numbers = json.loads((tmp_path / NUMBERS).read_text("utf-8"))
     names = [e["name"] for e in numbers["findings"][0]["sensitivity"]["effects"]]
-    assert sorted(names) == sorted([*(f.name for f in space), *(c.what for c in others)])
+    assert sorted(names) == sorted([*(f.name for f in space), *(c.name for c in others)])
     page = (tmp_path / PAGE).read_text("utf-8")
     assert f"3 factors{', 1 choice' if others else ''}, " in page
     assert "By parameters" not in page

@@ -172,7 +172,7 @@ def test_a_scenario_and_a_variant_are_choices(workshop, tmp_path, one):
         (
             FACTOR,
             FACTOR.replace("gain.factor", "gain.offset") + "relative = true\n",
-            "factors.gain.offset: expected a value to be a share of, got 0",
+            "factors.gain.offset: relative: expected a start value other than 0, got 0",
         ),
     ],
 )
@@ -196,7 +196,7 @@ def test_a_study_needs_something_to_vary_and_to_keep(file):
 def test_whole_numbers_stay_whole(fails, tmp_path):
     """A variable that is an Integer takes values only, and whole ones."""
     file = study(tmp_path, FAILS, fails)
-    expected = "values: expected whole numbers, as fails.how is no Real variable"
+    expected = "values: expected whole numbers, as fails.how is not a Real variable"
     assert expected in told(file, FAILS.replace("[0, 3,", "[0.5, 3,"))
 
 

@@ -63,7 +63,7 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     assert found.fixed["manipulator.head_mass"] == pytest.approx(
         340.0, rel=1e-15
     )  # t in kg, but for rounding
-    assert [c.what for c in found.choices] == ["boom_stick", "parameters", "scenario"]
+    assert [c.name for c in found.choices] == ["boom_stick", "parameters", "scenario"]
     assert [o.name for o in found.outputs] == ["peak_pressure", "angle"]
 
 

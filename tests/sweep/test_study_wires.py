@@ -40,15 +40,15 @@ def test_a_wired_input_is_refused_with_what_a_study_can_do(name: str, fmu_dir: P
     key = f'"{name}"' if "." in name else name
     wire = "operator_input.boom_command -> boom_stick.boom_command"
     assert str(wrong.value) == (
-        f"{file}: factors.{key}: {name} cannot be set: it is fed by {wire}; vary what"
-        " operator_input is set by, or drive boom_stick.boom_command by a scenario under choices"
+        f"{file}: factors.{key}: {name}: expected an unconnected input, got the connection {wire};"
+        " vary parameters of operator_input, or drive boom_stick.boom_command by a scenario under choices"
     )
 
 
 def test_what_the_refusal_advises_is_accepted(fmu_dir: Path, tmp_path: Path) -> None:
-    """A number of the levers is a factor; a scenario drives the wired input itself."""
+    """A parameter of operator_input can be a factor; a scenario can drive the connected input itself."""
     assert resolve(read(_file(tmp_path, fmu_dir, "operator_input.boom_1_command")))[0].factors
     file = _file(tmp_path, fmu_dir, "manipulator.head_mass")
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     file.write_text(file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n', encoding="utf-8")
-    assert resolve(read(file))[0].settled[0].options == ("rest.csv",)
+    assert resolve(read(file))[0].fixed_choices[0].options == ("rest.csv",)

@@ -70,7 +70,7 @@ def failures(results: Results) -> tuple[Failure, ...]:
         own, counts = reasons[group.index], {}
         for choice in results.study.compared:
             seen = group[choice.column].astype(str).value_counts()
-            counts[choice.what] = {option: int(seen.get(option, 0)) for option in choice.options}
+            counts[choice.name] = {option: int(seen.get(option, 0)) for option in choice.options}
         examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
         found.append(Failure(str(own.iloc[0]), len(group), examples, counts, own.nunique() > 1))
     return tuple(sorted(found, key=lambda failure: (-failure.count, failure.reason)))
@@ -85,7 +85,7 @@ def _missing_factors(results: Results) -> list[str]:
             known = results.table.groupby(choice.column)[column].count()
             lacking = [o for o in choice.options if known.get(o, 0) == 0]
             if lacking and len(lacking) < len(choice.options):
-                where = f"{choice.what} {', '.join(lacking)}"
+                where = f"{choice.name} {', '.join(lacking)}"
                 notes.append(f"{factor.name} is not in {where}: there it moves nothing")
     return notes
 
@@ -114,7 +114,7 @@ def _finding(results: Results, output: Output) -> OutputAnalysis:
     for choice in study.compared:
         column = ended[choice.column].astype(str)
         own = {o: spread(ended.loc[column == o, output.column].to_numpy(float)) for o in choice.options}
-        by_choice[choice.what] = {option: value for option, value in own.items() if value is not None}
+        by_choice[choice.name] = {option: value for option, value in own.items() if value is not None}
     constant = False
     found: Sensitivity | str = "no run has this output"
     if whole is not None:
@@ -157,7 +157,7 @@ def _sensitivity(study: Study, found: OutputSamples) -> Sensitivity | str:
         result = _from_independent_rows(found)
     if isinstance(result, str):
         return result
-    options = {choice.what: choice.options for choice in study.choices}
+    options = {choice.name: choice.options for choice in study.choices}
     effects = tuple(replace(e, options=options.get(e.name, ())) for e in result.effects)
     return replace(result, effects=effects)
 

@@ -216,7 +216,7 @@ def main_effects(samples: OutputSamples) -> Sensitivity | str:
     table = pd.DataFrame(np.repeat(samples.x, samples.y.shape[1], axis=0), columns=list(samples.names))
     options = list(itertools.product(*(choice.options for choice in samples.crossed)))
     for j, choice in enumerate(samples.crossed):
-        table[choice.what] = np.tile([own[j] for own in options], len(samples.x))
+        table[choice.name] = np.tile([own[j] for own in options], len(samples.x))
     table["y"] = samples.y.ravel()
     known = table.dropna()
     if len(known) < 2:

@@ -111,7 +111,7 @@ def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]
 
 def colouring(results: Results, sensitivity: Sensitivity | None) -> Choice | None:
     """The choice that moves the output most, if its options can have colours of their own."""
-    by_name = {c.what: c for c in results.study.compared if len(c.options) <= len(COLOURS)}
+    by_name = {c.name: c for c in results.study.compared if len(c.options) <= len(COLOURS)}
     names = [e.name for e in sensitivity.effects] if sensitivity else list(by_name)
     return next((by_name[name] for name in names if name in by_name), None)
 

@@ -248,7 +248,7 @@ def _bands(results: Results) -> list[tuple[str, list[tuple[str, Markup]]]]:
         unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
         pictures = [("all runs", embed(bands(results, signal, unit, None), f"b{place}-", signal))]
         for k, choice in enumerate(results.study.compared):
-            title = f"by {choice.what}"
+            title = f"by {choice.name}"
             drawn = bands(results, signal, unit, choice)
             pictures.append((title, embed(drawn, f"b{place}-{k}-", f"{signal} {title}")))
         found.append((signal, pictures))
