@@ -26,7 +26,7 @@ def example() -> dict:
 def test_the_example_of_the_package_builds_and_runs(example, tmp_path):
     """A first order lag with its number in the code: 1 - exp(-t/T) after a step."""
     path = fmus.build(example["lag"], tmp_path)
-    with driving(path, wanted=1.0) as fmu:
+    with driving(path, commanded=1.0) as fmu:
         for _ in range(100):
             fmu.step(0.01)
         (level,) = fmu.get("level")
