@@ -346,7 +346,7 @@ def test_all_options_reach_the_validation(capsys):
             "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file",
         ),
         (["validate", "--layout", "none.toml"], "none.toml: no such file"),
-        (["validate", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
+        (["validate", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
         (["validate", "--stop", "1", "--set", "manipulator.boom_mas=1"], "manipulator.boom_mass"),
         (["validate", "--stop", "1", "--set", "gravity=1"], "manipulator.gravity"),
         (
@@ -357,7 +357,7 @@ def test_all_options_reach_the_validation(capsys):
         (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),
         (["validate", "--stop", "1", "--master", "magic"], "expected one of jacobi, gauss-seidel"),
         (["run", "--scenario", "file.txt"], "file.txt: expected a file name ending in .csv or .parquet"),
-        (["build", "--out", "file.txt"], "file.txt: expected a folder, and none can be made: "),
+        (["build", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
         (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
         (["parameters", "swing", "boom"], "boom"),
         (["parameters", "--source", "hearsay"], "'hearsay', expected one of paper, derived, literature"),

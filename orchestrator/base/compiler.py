@@ -1,6 +1,7 @@
-"""Compile C to a shared library with the compiler of the package `ziglang`, and keep it in the user's cache.
+"""Compiles C files to a shared library with `zig cc` (package `ziglang`) and keeps it in the user's cache.
 
-The compiler has a cache of its own, but that knows a file by its place on the disk, not by what is in it.
+The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
+The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
 """
 
 from __future__ import annotations
@@ -24,62 +25,59 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
 class CompilerError(Problem):
-    """The compiler is missing or refuses; `output` is all that it wrote."""
+    """The compiler is missing or reports an error; `output` is the whole text that it wrote to stderr."""
 
     output = ""
 
 
 def shared_library(
-    name: str, code: Mapping[str, bytes], arguments: Sequence[str], more: Iterable[bytes] = ()
+    name: str, code: Mapping[str, bytes], arguments: Sequence[str], dependencies: Iterable[bytes] = ()
 ) -> Path:
-    """The library `name` of C files, as `zig cc ARGUMENTS` makes it in a folder that holds them; kept.
+    """Path of the library `name` made by `zig cc ARGUMENTS` from C files; compiled unless in the cache.
 
-    more   what it follows from besides files, arguments and compiler, such as headers elsewhere
+    code           file name -> content; all files are in the working directory of the compiler
+    dependencies   contents that the library depends on besides `code`, such as headers in other folders
 
-    The folder is another one each time, so that the library cannot know where it was built.
+    Each compilation has a new temporary folder, so that no build path can get into the library.
     """
     digest = hashlib.sha256()
-    for part in (_compiler().encode(), *(a.encode() for a in arguments), *_parts(code), *more):
+    sources = (part for file in sorted(code) for part in (file.encode(), code[file]))
+    for part in (_compiler_version().encode(), *(a.encode() for a in arguments), *sources, *dependencies):
         digest.update(len(part).to_bytes(8, "big") + part)
     file = f"{digest.hexdigest()[:32]}-{name}"
     try:
         return _compile(cache_folder() / file, name, code, arguments)
-    except OSError:  # a cache that cannot be written to keeps nothing
+    except OSError:  # the cache is not writable
         return _compile(_process_folder() / file, name, code, arguments)
 
 
 def cache_folder() -> Path:
-    """The user's folder for what can be made again."""
-    named = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return Path(named or Path.home() / ".cache") / "harvester-cosim"
+    """The user's folder for files that can be computed again."""
+    folder = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return Path(folder or Path.home() / ".cache") / "harvester-cosim"
 
 
-def _parts(code: Mapping[str, bytes]) -> Iterable[bytes]:
-    for name in sorted(code):
-        yield from (name.encode(), code[name])
-
-
-def _compiler() -> str:
+def _compiler_version() -> str:
     try:
         return version("ziglang")
     except PackageNotFoundError:
         raise CompilerError("no C compiler: the package ziglang is not installed") from None
 
 
-def _compile(kept: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[str]) -> Path:
-    if kept.is_file():
-        return kept
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
+def _compile(library: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[str]) -> Path:
+    if library.is_file():
+        return library
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         for file, data in code.items():
             (Path(folder) / file).write_bytes(data)
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
         run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if run.returncode:
             raise _compiler_error(run)
-        with suppress(OSError):  # somebody else was faster, and uses it already
-            (Path(folder) / name).replace(kept)
-    return kept
+        with suppress(OSError):  # another process compiled the same library meanwhile and has loaded it
+            (Path(folder) / name).replace(library)
+    return library
 
 
 def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:
@@ -92,7 +90,7 @@ def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:
 
 @cache
 def _process_folder() -> Path:
-    """A folder for this process alone."""
+    """A temporary folder that is removed when this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="harvester-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

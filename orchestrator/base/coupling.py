@@ -1,4 +1,8 @@
-"""How a system is coupled: master, extrapolation, passes, steps; and what the file of a system suggests."""
+"""Coupling settings of a co-simulation, and the settings that the file of a system suggests.
+
+`Coupling` holds the choice of master, extrapolation, passes and step control. `Suggestion` holds the coupling
+and the step that an SSP file suggests, and which of them the user has overridden.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +13,42 @@ from typing import Any
 from orchestrator.base.errors import Problem, suggest
 
 MASTERS = ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")
-# of extrapolation, where the user says nothing
-DEFAULT_ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}
+DEFAULT_ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}  # of extrapolation
 CONTROLS = ("error", "energy")
 
-# Where the user says nothing: of hermite, and of adaptive runs.
-MAX_PASSES = 8
-# Tolerance of the passes. Work cycle at 5 ms: 1e-4 gives 2.0e-5 in 1.1 passes, 1e-5 gives 2.4e-6 in 1.7
+MAX_PASSES = 8  # default of hermite
+# Default tolerance of the passes. The work cycle at 5 ms has an error of 2.0e-5 in 1.1 passes with 1e-4, and
+# of 2.4e-6 in 1.7 passes with 1e-5.
 PASS_TOLERANCE = 1e-5
-# Estimated error at which a step of equal ones is divided: no step of the work cycle up to 20 ms comes to it
+PASS_TOLERANCE_RATIO = 0.3  # tolerance of the passes over the tolerance of an adaptive step
+# Estimated error above which an equal step is divided. No step of the work cycle up to 20 ms reaches it.
 GUARD_TOLERANCE = 1e-2
 GUARDED_MASTERS = ("hermite", "interface-jacobian")
-PASS_TOLERANCE_RATIO = 0.3  # of the tolerance of an adaptive step: tolerance of its passes
-SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s]
+SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """All choices about the coupling of a run; a choice that would have no effect is a Problem.
+    """Coupling settings of a run. A setting that would have no effect raises a Problem.
+
+    Relative errors are fractions of a signal's magnitude: its nominal value, or the largest value so far.
 
     master      one of MASTERS
-    order       at which sources are continued over a step: 0, 1, 2 or 3; default: that of ORDERS
-    passes      hermite: how often a step is computed at most; default: 8
-    tolerance   hermite: a step is computed again while value or slope (times the step) of a signal ends
-                further from its source, as a share of its magnitude: the nominal value, or the largest seen;
-                default: 1e-5, of adaptive runs 0.3 of their tolerance
-    correct     inputs get back what their continuation lost over the step before
-    lag         interface-jacobian: steps for which a linearisation is kept
-    factors     component -> how many steps of its own it takes in one communication step
-    adaptive    None: all steps are as long as the user says; else the tolerance of their estimated error, as
-                a share of the magnitude of each signal
-    control     what that tolerance is of: "error" of the signals (default), or "energy" of the power bonds
-    guard       of runs with equal steps: one whose estimated error is larger, as a share of the magnitude of
-                a signal, is divided, and so is one with a corner of a scenario inside, where all components
-                can go back; 0: never; default: 0.01 for hermite and interface-jacobian, else 0
-    smallest    step [s] of adaptive runs; at it errors above the tolerance are let pass; default: 1e-7
-    largest     step [s] of adaptive runs; default: 0.1
+    order       of the extrapolation of outputs over a step: 0, 1, 2 or 3; default: DEFAULT_ORDERS
+    passes      hermite: largest number of passes over a step; default: 8
+    tolerance   hermite: a step is repeated while the end value of an extrapolated signal, or its time
+                derivative times the step, differs from the output by more than this relative error;
+                default: 1e-5, in adaptive runs 0.3 of their tolerance
+    correct     inputs are corrected by the extrapolation error of the step before
+    lag         interface-jacobian: number of steps between two linearisations
+    factors     component -> number of its steps in one communication step
+    adaptive    None: equal steps; else the tolerance of the estimated relative error of an adaptive step
+    control     meaning of that tolerance: "error" of the signals (default), or "energy" of the power bonds
+    guard       equal steps: a step is divided if its estimated relative error is larger, and if a corner of
+                a scenario is inside it, provided that all components can restore their states; 0: never;
+                default: 0.01 for hermite and interface-jacobian, else 0
+    smallest    smallest adaptive step [s], which is accepted with any error; default: 1e-7
+    largest     largest adaptive step [s]; default: 0.1
     """
 
     master: str = "gauss-seidel"
@@ -86,63 +90,63 @@ class Coupling:
         self._refuse_without_effect()
 
     def _refuse_without_effect(self) -> None:
-        """Refuse what the other choices leave without effect."""
+        """Refuse settings that have no effect together with the others."""
         for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
             if value is not None and self.master != "hermite":
-                raise Problem(f"{name}: only hermite computes a step again, the master is {self.master}")
+                raise Problem(f"{name}: expected the master hermite, which repeats steps, got {self.master}")
         if self.lag != 1 and self.master != "interface-jacobian":
-            raise Problem(f"lag: only interface-jacobian keeps linearisations, the master is {self.master}")
+            expected = "expected the master interface-jacobian, which keeps linearisations"
+            raise Problem(f"lag: {expected}, got {self.master}")
         if self.tolerance is not None and self.passes == 1:
-            raise Problem("coupling tolerance: it ends the passes of a step, expected more of them than 1")
+            raise Problem("coupling tolerance: expected more than one pass, which the tolerance ends, got 1")
         if self.correct and self.master == "interface-jacobian":
-            raise Problem(f"correct: {self.master} predicts the inputs, expected another master")
+            raise Problem(f"correct: expected another master, {self.master} predicts the inputs")
         if self.correct and self.master == "hermite" and self.passes != 1:
-            many = f"up to {self.max_passes} passes"
-            raise Problem(f"correct: expected a single pass, with which hermite loses something, got {many}")
+            raise Problem(f"correct: expected hermite with a single pass, got up to {self.max_passes} passes")
         if self.guard is not None and self.adaptive is not None:
-            raise Problem("guard: adaptive steps have a tolerance already, expected one of the two")
+            raise Problem("guard: expected equal steps, got adaptive ones, which have their own tolerance")
         for name in ("control", "smallest", "largest"):
             if getattr(self, name) is not None and self.adaptive is None:
-                raise Problem(f"{name}: of adaptive steps only, expected a tolerance for them (adaptive)")
+                raise Problem(f"{name}: expected adaptive steps (a tolerance `adaptive`), got equal ones")
 
     def check(self, components: Iterable[str]) -> None:
-        """Refuse factors of what is no component."""
-        known = list(components)
+        """Refuse factors of unknown components."""
+        names = list(components)
         for name in self.factors:
-            if name not in known:
-                near = suggest(name, known) or f"; there are {', '.join(known)}"
-                raise Problem(f"factor of {name}: no component of that name{near}")
+            if name not in names:
+                near = suggest(name, names) or f"; there are {', '.join(names)}"
+                raise Problem(f"factor of {name}: unknown component{near}")
 
     @property
     def extrapolation(self) -> int:
-        """The order of extrapolation."""
+        """Order of the extrapolation of outputs over a step."""
         return DEFAULT_ORDERS[self.master] if self.order is None else self.order
 
     @property
     def max_passes(self) -> int:
-        """How many passes a step takes at most."""
+        """Largest number of passes over a step."""
         if self.master != "hermite":
             return 1
         return MAX_PASSES if self.passes is None else self.passes
 
     @property
     def pass_tolerance(self) -> float:
-        """The tolerance of the passes."""
+        """Relative error at which the passes over a step end."""
         if self.tolerance is not None:
             return self.tolerance
         return PASS_TOLERANCE if self.adaptive is None else PASS_TOLERANCE_RATIO * self.adaptive
 
     @property
     def guard_tolerance(self) -> float:
-        """The estimated error at which a step of equal ones is divided; 0: none is."""
+        """Estimated relative error above which an equal step is divided; 0: steps are not divided."""
         if self.adaptive is not None:
             return 0.0
-        usual = GUARD_TOLERANCE if self.master in GUARDED_MASTERS else 0.0
-        return usual if self.guard is None else self.guard
+        default = GUARD_TOLERANCE if self.master in GUARDED_MASTERS else 0.0
+        return default if self.guard is None else self.guard
 
     @property
     def estimates_error(self) -> bool:
-        """Is the error of steps estimated?"""
+        """True if the run estimates the error of its steps."""
         return self.adaptive is not None or self.guard_tolerance > 0
 
     @property
@@ -153,12 +157,12 @@ class Coupling:
 
     @property
     def controls_energy(self) -> bool:
-        """Is the tolerance of adaptive steps one of energy?"""
+        """True if adaptive steps are controlled by the energy error of the power bonds."""
         return self.control == "energy"
 
     @property
     def text(self) -> str:
-        """The master, with what differs from its usual settings."""
+        """The master and the settings that differ from its defaults."""
         more = [] if self.order is None else [f"of order {self.order}"]
         if self.passes is not None:
             more.append("in one pass" if self.passes == 1 else f"in up to {self.passes} passes")
@@ -171,25 +175,29 @@ class Coupling:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that has an effect, by name, also what nobody chose."""
-        found: dict[str, Any] = {"master": self.master, "order": self.extrapolation, "correct": self.correct}
-        found |= {"factors": dict(self.factors)} if self.factors else {}
-        found |= {"lag": self.lag} if self.master == "interface-jacobian" else {}
-        found |= {"passes": self.max_passes} if self.master == "hermite" else {}
-        found |= {"tolerance": self.pass_tolerance} if self.max_passes > 1 else {}
+        """All settings that have an effect, by name, defaults included."""
+        settings: dict[str, Any] = {
+            "master": self.master,
+            "order": self.extrapolation,
+            "correct": self.correct,
+        }
+        settings |= {"factors": dict(self.factors)} if self.factors else {}
+        settings |= {"lag": self.lag} if self.master == "interface-jacobian" else {}
+        settings |= {"passes": self.max_passes} if self.master == "hermite" else {}
+        settings |= {"tolerance": self.pass_tolerance} if self.max_passes > 1 else {}
         if self.adaptive is None:
-            return found | ({"guard": self.guard_tolerance} if self.guard_tolerance else {})
+            return settings | ({"guard": self.guard_tolerance} if self.guard_tolerance else {})
         smallest, largest = self.step_limits
-        how = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
-        return found | how | {"smallest": smallest, "largest": largest}
+        control = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
+        return settings | control | {"smallest": smallest, "largest": largest}
 
 
-def merge_choices(given: Mapping[str, Any], usual: Coupling | None = None) -> Coupling:
-    """The choices `given` by name; a given master stands for itself, else the others are those of `usual`."""
-    if usual is None or "master" in given:
-        return Coupling(**given)
-    factors = {**usual.factors, **given.get("factors", {})}
-    return replace(usual, **{**given, "factors": factors})
+def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) -> Coupling:
+    """The coupling with `choices` by name. If they include a master, `defaults` are not used."""
+    if defaults is None or "master" in choices:
+        return Coupling(**choices)
+    factors = {**defaults.factors, **choices.get("factors", {})}
+    return replace(defaults, **{**choices, "factors": factors})
 
 
 OVERRIDE_HINT = "to choose a way of your own, give --master and --step"
@@ -197,15 +205,16 @@ OVERRIDE_HINT = "to choose a way of your own, give --master and --step"
 
 @dataclass(frozen=True)
 class Suggestion:
-    """How to couple.
+    """The coupling and the step that the file of a system suggests.
 
-    coupling, step   None where nothing is said; step [s]
-    refusal          why what is said cannot be followed; empty where it can
-    source           what says it, for a note on the card of a run; empty for an annotation of ours
-    place            where the step is said, for the message about one that does not fit
-    only             the components that the step is meant for, where it is said for some only
-    given            settings that were changed afterwards
-    aside            the refusal that a given master has put aside
+    coupling     None if the file suggests none
+    step         [s]; None if the file suggests none
+    refusal      why the suggestion cannot be used; empty if it can
+    source       the annotation of another tool, for a note on the card of a run; empty for our annotation
+    location     file and line of the suggested step, for messages
+    components   the components for which the step is suggested; empty: all
+    overridden   names of settings that the user has changed
+    dismissed    the refusal of a suggestion that the user has replaced by a master
     """
 
     coupling: Coupling | None = None
@@ -217,24 +226,24 @@ class Suggestion:
     overridden: tuple[str, ...] = ()
     dismissed: str = ""
 
-    def with_choices(self, given: Coupling | Mapping[str, Any]) -> Suggestion:
-        """With other settings: a coupling or a master among them puts aside all that was suggested."""
-        if isinstance(given, Coupling):
-            return Suggestion(given, dismissed=self.refusal or self.dismissed)
-        coupling = merge_choices(given, self.coupling)
-        if "master" in given:
+    def with_choices(self, choices: Coupling | Mapping[str, Any]) -> Suggestion:
+        """The suggestion with the user's settings. A coupling or a master replaces the whole suggestion."""
+        if isinstance(choices, Coupling):
+            return Suggestion(choices, dismissed=self.refusal or self.dismissed)
+        coupling = merge_choices(choices, self.coupling)
+        if "master" in choices:
             return Suggestion(coupling, dismissed=self.refusal or self.dismissed)
-        return replace(self, coupling=coupling, overridden=(*self.overridden, *given))
+        return replace(self, coupling=coupling, overridden=(*self.overridden, *choices))
 
     def notes(self, step_given: bool) -> tuple[str, ...]:
-        """For the card of a run: what of another tool's annotation is followed, and what is not."""
-        if dropped := self.dismissed or (self.refusal if step_given else ""):
-            return (f"put aside: {dropped}",)
+        """Notes for the card of a run: which parts of another tool's annotation the run follows."""
+        if refusal := self.dismissed or (self.refusal if step_given else ""):
+            return (f"put aside: {refusal}",)
         if not self.source or (self.components and step_given):
             return ()
         if self.components:
-            meant = " and ".join(self.components)
-            return (f"the step is what {self.source} says for {meant}; all components take it",)
-        given = [*dict.fromkeys(self.overridden), *(["step"] if step_given else [])]
-        but = f", but for what was given: {', '.join(given)}" if given else ""
-        return (f"coupled according to {self.source}{but}",)
+            names = " and ".join(self.components)
+            return (f"all components use the step that {self.source} gives for {names}",)
+        overridden = [*dict.fromkeys(self.overridden), *(["step"] if step_given else [])]
+        exceptions = f", except for {', '.join(overridden)}" if overridden else ""
+        return (f"coupled according to {self.source}{exceptions}",)

@@ -1,4 +1,4 @@
-"""The one exception for a user's mistake, told in one line, and the names that may have been meant."""
+"""`Problem`, the exception for a user's mistake, its subclasses, and suggestions of similar names."""
 
 from __future__ import annotations
 
@@ -6,48 +6,49 @@ from collections.abc import Iterable
 
 
 class Problem(Exception):
-    """Names the file, the thing, what was expected and what was found. No traceback is shown."""
+    """A user's mistake in one line: `FILE: THING: expected X, got Y`. The user sees no traceback."""
 
 
 class Unsupported(Problem):
-    """A variable of a kind that cannot be used here, such as an array."""
+    """A variable of a type that is not supported, such as an array."""
 
 
 class Discarded(Problem):
-    """An FMU did only part of a step: up to `reached` [s], NaN if it does not say.
+    """An FMU discarded a step after the time `reached` [s]; NaN if the FMU does not report the time.
 
-    An error in a step counts as one: both versions of FMI allow to go on from a state saved before.
+    A step with status error is treated the same way, because both versions of FMI allow the importer to
+    continue from a state that was saved before the step.
     """
 
     reached = float("nan")
 
 
 class Ended(Problem):
-    """An FMU asks to end the simulation at `reached` [s]."""
+    """An FMU requests the end of the simulation at the time `reached` [s]."""
 
     reached = float("nan")
 
 
 class Stopped(Exception):
-    """The user ended a command early; tells what is kept of its work."""
+    """The user ended a command early; the message says which results are kept."""
 
 
 class UnknownSignal(Problem, KeyError):
-    """A name that no signal has; a KeyError too, because traces are looked up like mappings."""
+    """An unknown signal name; also a KeyError, because traces are used like mappings."""
 
-    __str__ = Exception.__str__  # KeyError would put the text in quotes
+    __str__ = Exception.__str__  # KeyError would quote the message
 
-    def __init__(self, name: str, known: Iterable[str], where: str = "") -> None:
-        names = list(known)
-        near = suggest(name, names) or f"; there are {', '.join(sorted(names)[:8]) or 'none'}"
-        super().__init__(f"{where}no signal {name} in the run{near}")
+    def __init__(self, name: str, names: Iterable[str], where: str = "") -> None:
+        names = list(names)
+        hint = suggest(name, names) or f"; there are {', '.join(sorted(names)[:8]) or 'none'}"
+        super().__init__(f"{where}no signal {name} in the run{hint}")
 
 
-def suggest(name: str, known: Iterable[str]) -> str:
-    """'; did you mean a, b?', for the end of a message; first what differs only by its component."""
-    import difflib  # late: a child process of `check` starts without
+def suggest(name: str, names: Iterable[str]) -> str:
+    """'; did you mean a, b?' for the end of a message; variables of the same name come first."""
+    import difflib  # on first use, because a child process of `check` must start fast
 
-    names = list(known)
-    tail = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
-    close = dict.fromkeys([*tail, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])
-    return f"; did you mean {', '.join(list(close)[:3])}?" if close else ""
+    names = list(names)
+    same_variable = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
+    similar = dict.fromkeys([*same_variable, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])
+    return f"; did you mean {', '.join(list(similar)[:3])}?" if similar else ""

@@ -1,4 +1,4 @@
-"""Files that may lie inside zip archives: an FMU inside an SSP, a parameter file inside the FMU."""
+"""Files on disk and inside zip archives, such as an FMU inside an SSP: read, list, extract, write."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Location:
-    """A file on disk, or a member of a (nested) archive: `inside` lists the member names, outermost first."""
+    """A file on disk, or a member of a (nested) archive.
+
+    path      the file on disk
+    members   member names, that of the outermost archive first; empty for the file on disk itself
+    """
 
     path: Path
     members: tuple[str, ...] = ()
@@ -39,18 +43,18 @@ class Location:
             try:
                 return archive.read(self.members[-1])
             except KeyError:
-                there = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
+                names = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
                 raise Problem(
-                    f"{self.parent}: {self.members[-1]} is missing; the archive holds {there}"
+                    f"{self.parent}: {self.members[-1]} is missing; the archive contains {names}"
                 ) from None
 
     @property
     def parent(self) -> Location:
-        """The archive that holds this member."""
+        """The archive that contains this member."""
         return Location(self.path, self.members[:-1])
 
     def zip(self) -> zipfile.ZipFile:
-        """This file opened as an archive."""
+        """Open this file as an archive."""
         try:
             return zipfile.ZipFile(self.path if not self.members else io.BytesIO(self.read()))
         except FileNotFoundError:
@@ -59,38 +63,38 @@ class Location:
             raise Problem(f"{self}: expected a zip archive, got something else") from None
 
     def member(self, name: str) -> Location:
-        """A file of this archive, or of this folder."""
+        """The file `name` of this archive or folder."""
         return Location(self.path / name) if self.is_folder else Location(self.path, (*self.members, name))
 
     @property
     def is_folder(self) -> bool:
-        """True for an unpacked archive."""
+        """True if this is a folder, such as an unpacked archive."""
         return not self.members and self.path.is_dir()
 
     def names(self) -> list[str]:
-        """The files of this archive or folder, with forward slashes."""
+        """Names of the files of this archive or folder, with forward slashes."""
         if self.is_folder:
             return [p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if p.is_file()]
         with self.zip() as archive:
             return [n for n in archive.namelist() if not n.endswith("/")]
 
     def resolve(self, uri: str) -> Location:
-        """The file that a relative (or file:) URI found in this file names."""
+        """The file that a URI in this file refers to: a relative path or a file: URI."""
         try:
             parts = urlsplit(uri)
         except ValueError as error:
-            raise Problem(f"{self}: source {uri!r} is no address: {error}") from None
+            raise Problem(f"{self}: source {uri!r}: expected a URI, got {error}") from None
         if parts.scheme == "file":
             return Location(Path(unquote(parts.path)))
         if len(parts.scheme) > 1:
-            raise Problem(f"{self}: source {uri!r} cannot be opened, expected a relative path")
+            raise Problem(f"{self}: source {uri!r}: expected a relative path or a file: URI")
         if not self.members:
             return Location(self.path.parent / unquote(parts.path))
         joined = PurePosixPath(self.members[-1]).parent / unquote(parts.path)
         return Location(self.path, (*self.members[:-1], _normalised(joined)))
 
     def extract(self, folder: Path) -> None:
-        """Unpack this archive, or copy this folder; members that point outside of the archive are refused."""
+        """Unpack this archive or copy this folder; refuse members with a path outside of the archive."""
         if self.is_folder:
             shutil.copytree(self.path, folder)
             return
@@ -102,37 +106,35 @@ class Location:
 
 
 def _normalised(path: PurePosixPath) -> str:
-    """A member name without `.` and `..`."""
-    kept: list[str] = []
+    """The member name of a path, with `.` and `..` resolved."""
+    parts: list[str] = []
     for part in path.parts:
-        if part == ".." and kept:
-            kept.pop()
+        if part == ".." and parts:
+            parts.pop()
         elif part != ".":
-            kept.append(part)
-    return "/".join(kept)
+            parts.append(part)
+    return "/".join(parts)
 
 
 DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 
 
 def require_system(system: Path) -> Path:
-    """The system, if there is such a file."""
+    """The path of a system file, which must exist."""
     if not system.exists():
-        raise Problem(
-            f"{system}: no such file"
-            + (f"; make it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else "")
-        )
+        hint = f"; make it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else ""
+        raise Problem(f"{system}: no such file{hint}")
     return system
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for files to come, before work is spent on them."""
+    """Make a folder for results before the computation starts, and check that it is writable."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise Problem(f"{path}: expected a folder, and none can be made: {error.strerror}") from None
+        raise Problem(f"{path}: expected a folder, which cannot be made: {error.strerror}") from None
     if not os.access(path, os.W_OK):
-        raise Problem(f"{path}: expected a folder to write to, got no permission")
+        raise Problem(f"{path}: expected a writable folder, got no permission to write")
 
 
 def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], digits: int) -> None:
@@ -143,17 +145,17 @@ def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], d
 
 
 def write_zip(path: Path, content: Mapping[str, bytes]) -> None:
-    """A zip file with fixed times and order; there is the whole file or the one that was there before."""
+    """Write a reproducible zip file: fixed times, sorted members. The file is replaced in one operation."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
             for name in sorted(content):
                 entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 entry.create_system = 3
                 entry.external_attr = 0o644 << 16
                 archive.writestr(entry, content[name])
-        part.replace(path)
+        temporary.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Pages that are one HTML file each: styles, scripts and figures inside, no network needed."""
+"""Self-contained HTML pages from templates, and JSON files: styles, scripts and figures are in the page."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ TEMPLATES = Path(__file__).with_name("templates")
 
 
 def render(template: Path, *, title: str, **content: Any) -> str:
-    """The HTML text of a template that extends `page.html.j2`, with its CSS file of the same name.
+    """Render a template that extends `page.html.j2`, with the CSS file of the same name.
 
-    Templates have the filters number, typeset, pretty (units) and upper_first.
+    template   path of the template
+    content    variables of the template, besides `title` and `style`
+
+    Templates can use the filters number, typeset, pretty (units) and upper_first.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -44,26 +47,25 @@ def render(template: Path, *, title: str, **content: Any) -> str:
 
 
 def script_data(data: Any) -> Markup:
-    """Data for a script element; `<` could otherwise end it."""
+    """Data as JSON for a script element; `<` is escaped, because it could end the element."""
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file, equal on every platform; folders are made."""
+    """Write a text file with the same bytes on every platform; its folder is made if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8", newline="\n")
     return path
 
 
 def write_json(path: Path, values: Any) -> Path:
-    """Write values as `plain` makes them."""
-    return write_text(
-        path, json.dumps(json_values(values), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    )
+    """Write values as JSON, converted by `json_values`."""
+    text = json.dumps(json_values(values), indent=1, allow_nan=False, ensure_ascii=False)
+    return write_text(path, text + "\n")
 
 
 def json_values(values: Any) -> Any:
-    """Dataclasses, mappings, sequences and NumPy numbers as JSON knows them; what is not finite is null."""
+    """Convert dataclasses, mappings, sequences and NumPy numbers to JSON types; NaN and infinity to null."""
     if is_dataclass(values) and not isinstance(values, type):
         return {field.name: json_values(getattr(values, field.name)) for field in fields(values)}
     if isinstance(values, Mapping):

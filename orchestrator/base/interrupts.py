@@ -1,9 +1,10 @@
-"""Signals that end a command (Ctrl-C, a request to end, a closed terminal) as one interrupt.
+"""Signals that end a command (SIGINT, SIGTERM, SIGHUP), handled as KeyboardInterrupt.
 
-`signals_interrupt` turns each of them into a KeyboardInterrupt, so that children are stopped and folders
-removed. `DeferredInterrupts` holds them back while compiled code runs. Python would raise KeyboardInterrupt
-in whatever code runs next. That may be the logger that an FMU calls, and no exception finds its way back
-through the FMU; or CasADi's check for signals, whose exception CVODES takes for equations that failed.
+`signals_interrupt` turns each of these signals into a KeyboardInterrupt, so that child processes are stopped
+and temporary folders removed. `DeferredInterrupts` delays the signals while compiled code runs. Python would
+otherwise raise KeyboardInterrupt in the Python code that runs next: in the logger that an FMU calls, where
+the exception would be lost in the FMU, or in CasADi's check for signals, whose exception CVODES reports as
+equations that failed.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ _ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 
 
 def _in_main_thread() -> bool:
-    """Only the main thread may set what a signal does."""
+    """True in the main thread, the only one that may set signal handlers."""
     return threading.current_thread() is threading.main_thread()
 
 
 @contextmanager
 def signals_interrupt() -> Iterator[None]:
-    """Inside, SIGTERM and SIGHUP raise KeyboardInterrupt, where they would end the process at once."""
+    """Context in which SIGTERM and SIGHUP raise KeyboardInterrupt instead of ending the process."""
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -41,22 +42,22 @@ def signals_interrupt() -> Iterator[None]:
 
 
 class DeferredInterrupts:
-    """Inside, a signal that Python code handles is noted, and handled in `check` or at the end.
+    """Context that delays signals with a Python handler until `check` is called or the context ends.
 
-    insist   a second signal is handled at once: the FMU may never return
+    second_at_once   handle a second signal immediately, because the FMU may never return
     """
 
-    def __init__(self, insist: bool = True) -> None:
-        self.insist = insist
+    def __init__(self, second_at_once: bool = True) -> None:
+        self.second_at_once = second_at_once
         self._handlers: dict[int, Any] = {}
-        self._noted: tuple[int, FrameType | None] | None = None
+        self._pending: tuple[int, FrameType | None] | None = None
 
     def __enter__(self) -> DeferredInterrupts:
         for number in _ENDING if _in_main_thread() else ():
             handler = signal.getsignal(number)
-            if callable(handler):  # any other ends the process without Python
+            if callable(handler):  # the default action ends the process without Python
                 self._handlers[number] = handler
-                signal.signal(number, self._note)
+                signal.signal(number, self._delay)
         return self
 
     def __exit__(
@@ -68,12 +69,12 @@ class DeferredInterrupts:
             self.check()
 
     def check(self) -> None:
-        """Handle the signal that was noted, which usually raises KeyboardInterrupt."""
-        if self._noted:
-            (number, frame), self._noted = self._noted, None
+        """Handle a pending signal, which usually raises KeyboardInterrupt."""
+        if self._pending:
+            (number, frame), self._pending = self._pending, None
             self._handlers[number](number, frame)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        if self._noted and self.insist:
+    def _delay(self, number: int, frame: FrameType | None) -> None:
+        if self._pending and self.second_at_once:
             self.check()
-        self._noted = self._noted or (number, frame)
+        self._pending = self._pending or (number, frame)

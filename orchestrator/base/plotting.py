@@ -1,6 +1,6 @@
-"""The style of all figures: colours, axes, ticks, legends; signals over time with their errors below; files.
+"""Common style of all figures, panels of signals over time with their errors, and export as PNG or SVG.
 
-Figures leave as PNG for documents, or as SVG inside a page, whose colours then follow the page's theme.
+Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from orchestrator.base.units import convert, pretty, reader_unit, superscript
 Array = NDArray[np.float64]
 Style = Mapping[str, Any]
 
-WIDTH = 9.6  # [in]: 1000 pixels of a page
+WIDTH = 9.6  # [in], 1000 pixels in a page
 DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
 DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
-# Lines that differ without colour.
+# Line styles that differ without colour.
 LINE_STYLES: tuple[Any, ...] = (
     "-",
     (0, (4, 2)),
@@ -50,8 +50,8 @@ LINE_STYLES: tuple[Any, ...] = (
 class Palette:
     """Colours that differ in hue and in lightness, for colour-blind readers and for print (Okabe and Ito).
 
-    pairs    a light and a dark one: reference and simulation, or measurement and fit
-    series   for lines that have no partner
+    pairs    (light, dark) for reference and simulation, or for measurement and fit
+    series   colours of curves that are not shown in pairs
     """
 
     ink: str = "#1c2024"
@@ -67,39 +67,44 @@ class Palette:
     )
     series: tuple[str, ...] = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f", "#7a6400", "#333333")
 
-    def pair(self, place: int) -> tuple[str, str]:
-        """The pair with this number; after the last one they begin again."""
-        return self.pairs[place % len(self.pairs)]
+    def pair(self, index: int) -> tuple[str, str]:
+        """Light and dark colour of pair `index`, in cyclic order."""
+        return self.pairs[index % len(self.pairs)]
 
-    def colour(self, place: int) -> str:
-        """The colour of the line with this number."""
-        return self.series[place % len(self.series)]
+    def colour(self, index: int) -> str:
+        """Colour of curve `index`, in cyclic order."""
+        return self.series[index % len(self.series)]
 
 
 PALETTE = Palette()
-# Twice as many points as a screen is wide: the eye sees every peak, the file stays small.
+# Two samples per bucket are about the width of a screen in pixels: no visible peak is lost.
 BUCKETS = 600
 
 
 def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
-    """The smallest and the largest sample of each bucket, in their order: no peak is lost.
+    """Reduce a curve to the smallest and the largest sample of each bucket, in their order.
 
-    x, y   shape (n,); returned with at most 2 buckets + 2 samples, first and last among them; a bucket
-           without any number keeps its first sample, so that a gap stays one
+    x, y   shape (n,)
+
+    The result has at most 2 buckets + 2 samples, including the first and the last one. A bucket that
+    contains only NaN keeps its first sample, so that a gap remains visible.
     """
     if len(x) <= 2 * buckets:
         return x, y
     edges = np.linspace(0, len(x), buckets + 1).astype(int)
-    picks = {0, len(x) - 1}
+    selected = {0, len(x) - 1}
     for a, b in itertools.pairwise(edges):
-        known = a + np.flatnonzero(np.isfinite(y[a:b]))
-        picks |= {int(known[y[known].argmin()]), int(known[y[known].argmax()])} if known.size else {int(a)}
-    kept = np.array(sorted(picks))
-    return x[kept], y[kept]
+        finite = a + np.flatnonzero(np.isfinite(y[a:b]))
+        if finite.size:
+            selected |= {int(finite[y[finite].argmin()]), int(finite[y[finite].argmax()])}
+        else:
+            selected.add(int(a))
+    indices = np.array(sorted(selected))
+    return x[indices], y[indices]
 
 
 def new_figure(width: float, height: float, **padding: Any) -> Figure:
-    """An empty figure [in]; `padding` as of matplotlib's constrained layout."""
+    """An empty figure of this size [in]; `padding`: options of matplotlib's constrained layout."""
     layout = ConstrainedLayoutEngine()
     layout.set(**padding)
     figure = Figure(figsize=(width, height), layout=layout)
@@ -108,7 +113,7 @@ def new_figure(width: float, height: float, **padding: Any) -> Figure:
 
 
 def style_axes(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
-    """Left and bottom spine only, a faint grid, and the labels of the axes."""
+    """Apply the common style: left and bottom spine, a faint grid, labels of the axes."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(PALETTE.faint)
     axes.tick_params(which="both", colors=PALETTE.ink, labelsize=8, length=3)
@@ -121,7 +126,7 @@ def style_axes(axes: Axes, x: str = "", y: str = "", size: float = 9) -> None:
 
 
 def limit_ticks(axis: Axis, count: int = 5) -> None:
-    """At most `count` ticks; the power of ten of very large and small numbers stands in the label."""
+    """At most `count` ticks; a common power of ten of the tick labels is part of the axis label."""
     axis.set_major_locator(MaxNLocator(count))
     low, high = axis.get_view_interval()
     power = _power(axis)
@@ -129,65 +134,65 @@ def limit_ticks(axis: Axis, count: int = 5) -> None:
     span = abs(high - low) / scale
     digits = min(4, max(0, 1 - math.floor(math.log10(span)))) if span > 0 else 2
 
-    def text(value: float, _: object) -> str:
-        found = f"{value / scale:.{digits}f}"
-        found = found.rstrip("0").rstrip(".") if "." in found else found
-        return "0" if found == "-0" else found.replace("-", MINUS)
+    def tick_label(value: float, _: object) -> str:
+        label = f"{value / scale:.{digits}f}"
+        label = label.rstrip("0").rstrip(".") if "." in label else label
+        return "0" if label == "-0" else label.replace("-", MINUS)
 
-    axis.set_major_formatter(text)
+    axis.set_major_formatter(tick_label)
     if power:
         name, bracket, unit = axis.get_label_text().partition("[")
         axis.set_label_text(f"{name.rstrip()} [10{superscript(str(power))}{f' {unit}' if bracket else ']'}")
 
 
 def power_ticks(axis: Axis) -> None:
-    """Large and small numbers with their power of ten at each tick; above the axes it would hit a legend."""
+    """Tick labels with a common power of ten; above the axes it would collide with a legend."""
     power = _power(axis)
     if not power or axis.get_scale() != "linear":
         return
-    ending = f"·10{superscript(str(power))}"
+    suffix = f"·10{superscript(str(power))}"
     axis.set_major_formatter(
-        lambda value, _: f"{value / 10.0**power:.3g}{ending if value else ''}".replace("-", MINUS)
+        lambda value, _: f"{value / 10.0**power:.3g}{suffix if value else ''}".replace("-", MINUS)
     )
 
 
 def _power(axis: Axis) -> int:
-    """The power of ten of the largest number in view; 0 where digits are as short."""
+    """Power of ten of the largest value in view; 0 if plain digits are as short."""
     largest = max(map(abs, axis.get_view_interval()))
     power = math.floor(math.log10(largest)) if largest > 0 else 0
     return 0 if -3 <= power <= 4 else power
 
 
 def heading(figure: Figure, title: str, below: str = "") -> None:
-    """Title on the left; below, small, where the data come from."""
+    """Add a title on the left, and `below`, the source of the data, in small type below the figure."""
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=12, color=PALETTE.ink, fontweight="bold")
     if below:
         figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.faint)
 
 
-def legend(of: Figure | Axes, **options: Any) -> Any:
-    """A legend above what it explains: inside it would lie on the curves."""
+def legend(parent: Figure | Axes, **options: Any) -> Any:
+    """A legend above a figure or axes, where it covers no curve."""
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
-    place = {"loc": "outside upper left"} if isinstance(of, Figure) else above
-    return of.legend(
-        **{"fontsize": 8, "frameon": False, "labelcolor": PALETTE.ink, "ncols": 3, **place, **options}
+    position = {"loc": "outside upper left"} if isinstance(parent, Figure) else above
+    return parent.legend(
+        **{"fontsize": 8, "frameon": False, "labelcolor": PALETTE.ink, "ncols": 3, **position, **options}
     )
 
 
 def legend_entry(label: str, **style: Any) -> Line2D:
-    """An entry of a legend."""
+    """A legend entry without a curve in the axes."""
     return Line2D([], [], label=label, **style)
 
 
 REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
 SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
-ROW_HEIGHT = 0.46  # [in] for each unit of height
+ROW_HEIGHT = 0.46  # [in] per unit of `TracePanel.heights`
 
 
 @dataclass(frozen=True)
 class TraceLine:
-    """Samples over time [s], in the unit of their panel."""
+    """A curve: samples over time [s], in the unit of the panel."""
 
     time: Array
     values: Array
@@ -197,12 +202,13 @@ class TraceLine:
 
 @dataclass(frozen=True)
 class TracePanel:
-    """Signals of one quantity over time, and in a strip below their errors.
+    """Signals of one quantity over time, and their errors in a strip below.
 
-    unit, error_unit   of the lines, and of the errors
-    bounds             limits of the errors: symmetric bands, drawn where they are in sight
-    remarks            texts with their colour, at the right of the panel
-    heights            of panel and strip, in units of `ROW`
+    unit         of the curves
+    error_unit   of the errors
+    bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
+    remarks      (text, colour) on the right of the panel
+    heights      of panel and error strip, in units of `ROW_HEIGHT`
     """
 
     unit: str
@@ -224,20 +230,20 @@ def draw_traces(
     below: str = "",
     key: Iterable[Line2D] = (),
 ) -> Figure:
-    """The panels over a common time axis.
+    """Draw panels over a common time axis.
 
     window   first and last time [s]
     below    a short line below the figure
-    key      what the kinds of lines mean
+    key      legend entries that explain the line styles
     """
     heights = [height for panel in panels for height in panel.heights[: 2 if panel.errors else 1]]
     figure = new_figure(WIDTH, ROW_HEIGHT * sum(heights) + 0.9, h_pad=0.02, hspace=0.0)
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    places = iter(axes)
+    remaining = iter(axes)
     for panel in panels:
-        _draw_panel(next(places), panel)
+        _draw_panel(next(remaining), panel)
         if panel.errors:
-            _draw_errors(next(places), panel)
+            _draw_errors(next(remaining), panel)
     axes[-1].set_xlabel("time [s]", color=PALETTE.ink)
     if window:
         axes[-1].set_xlim(*window)
@@ -259,15 +265,14 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
     if any(line.name for line in panel.lines):
         legend(axes, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-    for place, (text, colour) in enumerate(panel.remarks):
-        at = (1.01, 0.98 - 0.4 * place)
-        axes.annotate(
-            typeset(text), at, xycoords="axes fraction", color=colour, fontsize=8, va="top", ha="left"
-        )
+    for row, (text, colour) in enumerate(panel.remarks):
+        position = (1.01, 0.98 - 0.4 * row)
+        style: dict[str, Any] = {"color": colour, "fontsize": 8, "va": "top", "ha": "left"}
+        axes.annotate(typeset(text), position, xycoords="axes fraction", **style)
 
 
 def _draw_errors(axes: Axes, panel: TracePanel) -> None:
-    """The strip below a panel, with a scale of its own."""
+    """Draw the error strip of a panel, with a separate scale."""
     style_axes(axes, y=f"{panel.error_label}\n[{pretty(panel.error_unit) or '1'}]", size=8)
     axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
     for line in panel.errors:
@@ -284,7 +289,7 @@ def _draw_errors(axes: Axes, panel: TracePanel) -> None:
 def plot_signals(
     time: Array, signals: Mapping[str, Array], units: Mapping[str, str], title: str = ""
 ) -> Figure:
-    """Signals over time [s], a panel for each display unit, in the order of the signals."""
+    """Signals over time [s], one panel per display unit, in the order of the signals."""
     panels: dict[str, list[TraceLine]] = {}
     for name, values in signals.items():
         unit = units.get(name, "")
@@ -292,12 +297,12 @@ def plot_signals(
         dashes = LINE_STYLES[len(lines) % len(LINE_STYLES)]
         style = {"color": PALETTE.colour(len(lines)), "linewidth": 1.3, "linestyle": dashes}
         lines.append(TraceLine(time, convert(values, unit, reader_unit(unit), name), style, name))
-    found = [TracePanel(unit, lines, heights=(4.5, 0.0)) for unit, lines in panels.items()]
-    return draw_traces(found, (float(time[0]), float(time[-1])), title)
+    trace_panels = [TracePanel(unit, lines, heights=(4.5, 0.0)) for unit, lines in panels.items()]
+    return draw_traces(trace_panels, (float(time[0]), float(time[-1])), title)
 
 
 def svg(figure: Figure) -> str:
-    """The figure as SVG text: text stays text, the same figure gives the same bytes."""
+    """The figure as reproducible SVG; texts are stored as text, not as paths."""
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "harvester", "path.simplify_threshold": 0.2}):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
@@ -305,20 +310,19 @@ def svg(figure: Figure) -> str:
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
-    """The figure as PNG on white."""
+    """The figure as PNG with a white background."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 
-# An SVG above this size [characters] is embedded as PNG instead.
-SVG_LIMIT = 700_000
+SVG_LIMIT = 700_000  # characters; `embed` uses PNG for a larger figure
 
 
 def embed(figure: Figure, prefix: str, title: str) -> Markup:
-    """The figure for HTML: SVG whose colours follow the page's theme, or PNG if that would be too large.
+    """The figure for HTML: SVG whose colours follow the theme of the page, or PNG if the SVG is too large.
 
-    prefix   of all ids in it, different for each figure of a page
+    prefix   prefix of all ids in the SVG, different for each figure of a page
     """
     text = svg(figure)
     if len(text) > SVG_LIMIT:

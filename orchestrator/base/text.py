@@ -1,7 +1,7 @@
-"""Numbers, units and tables as a reader sees them: in a terminal, in a document, on a page.
+"""Text output of numbers, units and tables: ASCII for a terminal, typeset for documents and HTML pages.
 
-A terminal gets ASCII: `1.2e-13`, `m3/s`. Print and pages get what `typeset` and `pretty` make of that:
-1.2·10⁻¹³, m³/s.
+A terminal shows `1.2e-13` and `m3/s`. For documents and pages, `typeset` and `pretty` convert these texts to
+1.2·10⁻¹³ and m³/s.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 NO_VALUE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
-# Errors are smaller than what they are errors of.
-ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}
-SMALL_LENGTH = 0.1  # [m, m/s]: where all numbers of a quantity are below, they are shown in mm or mm/s
+ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}  # unit of a quantity -> unit of its errors, which are smaller
+SMALL_LENGTH = 0.1  # [m] or [m/s]; quantities whose values are all smaller are shown in mm or mm/s
 
 
 def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
-    """A number with a few significant digits, `zeros` at its end among them; a dash where there is none."""
+    """A number with a few significant digits; a dash for None and NaN. `zeros`: keep trailing zeros."""
     if value is None or not math.isfinite(value):
         return NO_VALUE
     if value == 0:
@@ -39,7 +38,7 @@ def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
 
 
 def typeset(text: str) -> str:
-    """Numbers in a text as print has them: 2.5e-13 as 2.5·10⁻¹³, +- as ±, a minus sign; a dash for none."""
+    """Typeset the numbers in a text: 2.5e-13 as 2.5·10⁻¹³, +- as ±, a minus sign; a dash for no value."""
     if text == NO_VALUE:
         return DASH
     text = re.sub(r"(?<=\d)e([+-]?\d+)\b", lambda m: f"·10{superscript(str(int(m[1])))}", text)
@@ -47,25 +46,25 @@ def typeset(text: str) -> str:
 
 
 def percentage(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
-    """A pure number as percent."""
-    found = number(None if value is None else 100 * value, digits, zeros=zeros)
-    return found if found == NO_VALUE else f"{found} %"
+    """A fraction in percent, such as `12 %` for 0.12."""
+    text = number(None if value is None else 100 * value, digits, zeros=zeros)
+    return text if text == NO_VALUE else f"{text} %"
 
 
 def join_words(words: Sequence[str]) -> str:
-    """Words as a list in a sentence: `a, b and c`."""
+    """Join words to a list in a sentence: `a, b and c`."""
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def sentences(*parts: str) -> str:
-    """Parts as sentences, empty ones left out."""
-    found = [part.strip().rstrip(".") for part in parts if part.strip()]
-    return " ".join(f"{part[0].upper()}{part[1:]}." for part in found)
+    """Join texts to sentences with capitals and full stops; empty texts are left out."""
+    stripped = [part.strip().rstrip(".") for part in parts if part.strip()]
+    return " ".join(f"{part[0].upper()}{part[1:]}." for part in stripped)
 
 
 @dataclass(frozen=True)
 class DisplayUnit:
-    """The unit of a quantity, and the one that a reader sees; an offset between them does not count."""
+    """The unit of a quantity and the unit in which a reader sees it; an offset between them is ignored."""
 
     unit: str
     display: str
@@ -77,7 +76,7 @@ class DisplayUnit:
 
     @property
     def name(self) -> str:
-        """The display unit as print has it, nothing for pure numbers."""
+        """The display unit, typeset; empty for a dimensionless quantity."""
         return pretty(self.display)
 
     def plain(self, value: float, digits: int = 3) -> str:
@@ -95,26 +94,26 @@ class DisplayUnit:
 
 
 def display_unit(unit: str, largest: float = math.inf) -> DisplayUnit:
-    """The unit to show numbers in, of which `largest` is the largest: bar for Pa, mm for small lengths."""
+    """Display unit of values up to `largest`, such as bar for Pa, and mm for small lengths."""
     return error_display_unit(unit) if abs(largest) < SMALL_LENGTH else DisplayUnit(unit, reader_unit(unit))
 
 
 def error_display_unit(unit: str) -> DisplayUnit:
-    """The unit to show errors of a quantity in: mm for m, bar for Pa."""
+    """Display unit of the errors of a quantity, such as mm for m and bar for Pa."""
     return DisplayUnit(unit, ERROR_UNITS.get(unit) or reader_unit(unit))
 
 
 def name_with_unit(name: str, unit: str) -> str:
-    """A quantity with its unit, as print has it: `flow [m³/s]`."""
+    """The name of a quantity with its unit, typeset: `flow [m³/s]`."""
     return f"{name} [{pretty(unit)}]" if pretty(unit) else name
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of texts for a terminal, a document or a page.
+    """A table of texts for a terminal, a document or an HTML page.
 
-    left     columns whose cells begin below each other; in the others, of numbers, they end below each other
-    strong   cells that stand out
+    left     indices of left-aligned columns; the others, with numbers, are right-aligned
+    strong   texts of cells that are emphasised
     """
 
     head: Sequence[str]
@@ -124,17 +123,17 @@ class TextTable:
     strong: Collection[str] = ()
 
     def lines(self) -> list[str]:
-        """As plain text, a string for each line."""
-        every = [self.head, *self.rows]
-        widths = [max(map(len, column)) for column in zip(*every, strict=True)]
-        return ["  ".join(self._padded(row, widths)).rstrip() for row in every]
+        """The lines of the table as plain text."""
+        rows = [self.head, *self.rows]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return ["  ".join(self._padded(row, widths)).rstrip() for row in rows]
 
     def _padded(self, row: Sequence[str], widths: Sequence[int]) -> Iterable[str]:
         for i, (cell, width) in enumerate(zip(row, widths, strict=True)):
             yield cell.ljust(width) if i in self.left else cell.rjust(width)
 
     def print(self, console: Console) -> None:
-        """Print with the title above; a narrow terminal breaks lines, but no cell is cut."""
+        """Print the table with its title above; a narrow terminal wraps lines, no cell is truncated."""
         from rich.box import SIMPLE_HEAD
         from rich.measure import Measurement
         from rich.table import Table as RichTable
@@ -150,20 +149,20 @@ class TextTable:
         console.print(Text(self.title, "bold"), table, sep="\n")
 
     def markdown(self) -> str:
-        """For a document."""
+        """The table in Markdown."""
         bold = [[f"**{c}**" if c in self.strong else c for c in row] for row in (self.head, *self.rows)]
         lines = ["| " + " | ".join(row) + " |" for row in bold]
         rule = "|" + "|".join("---" if i in self.left else "--:" for i in range(len(self.head))) + "|"
         return "\n".join([lines[0], rule, *lines[1:]])
 
     def html(self) -> Markup:
-        """For a page; cells are escaped unless they are markup, a wide table scrolls."""
-        lines = [Markup("").join(self._cells("th", self.head))]
-        lines += [Markup("").join(self._cells("td", row)) for row in self.rows]
-        body = Markup("\n").join(Markup("<tr>{}</tr>").format(line) for line in lines)
+        """The table in HTML; cells are escaped unless they are markup. A wide table can be scrolled."""
+        rows = [Markup("").join(self._cells("th", self.head))]
+        rows += [Markup("").join(self._cells("td", row)) for row in self.rows]
+        body = Markup("\n").join(Markup("<tr>{}</tr>").format(row) for row in rows)
         return Markup('<div class="wide"><table>\n{}\n</table></div>').format(body)
 
     def _cells(self, tag: str, row: Sequence[str]) -> Iterable[Markup]:
         for i, cell in enumerate(row):
-            kind = "" if i in self.left else ' class="n"'
-            yield Markup(f"<{tag}{kind}>") + escape(cell) + Markup(f"</{tag}>")
+            attribute = "" if i in self.left else ' class="n"'
+            yield Markup(f"<{tag}{attribute}>") + escape(cell) + Markup(f"</{tag}>")

@@ -1,7 +1,7 @@
-"""TOML files with known keys: messages name the file, the key, what was expected and what was got.
+"""Reads and checks TOML files with known keys; messages name file, key, expected and actual value.
 
-`fill` makes a dataclass of a table: its fields are the keys, its types and rules say what they may be.
-A `Table` reads one key at a time, where what is right depends on more than the file.
+`read_dataclass` converts a table to a dataclass: its fields are the keys, its type hints are the rules.
+`Table` reads single keys, for files whose rules depend on more than their content.
 """
 
 from __future__ import annotations
@@ -17,50 +17,54 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from orchestrator.base.errors import Problem, suggest
 
-Word = TypeVar("Word", bound=str)
-Kind = TypeVar("Kind")
+Choice = TypeVar("Choice", bound=str)
+Dataclass = TypeVar("Dataclass")
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a file; each method gives the value of a key, None where it is optional and missing."""
+    """A table of a TOML file. Its methods check the value of a key; a missing optional key gives None.
+
+    where   file and name of the table, for messages
+    data    the content
+    """
 
     where: str
     data: Mapping[str, Any]
 
     def allow_only(self, keys: Collection[str]) -> Table:
-        """This table, if it has no other keys."""
+        """This table, which must not have other keys than these."""
         for key in self.data:
             if key not in keys:
-                near = suggest(key, keys) or f"; there are {', '.join(keys)}"
-                raise Problem(f"{self.where}: unknown key {key!r}{near}")
+                hint = suggest(key, keys) or f"; there are {', '.join(keys)}"
+                raise Problem(f"{self.where}: unknown key {key!r}{hint}")
         return self
 
     def require(self, key: str, expected: str) -> Any:
-        """The value of a key that has to be there."""
+        """The value of a required key."""
         if key not in self.data:
             raise Problem(f"{self.where}: {key}: expected {expected}, got nothing")
         return self.data[key]
 
     def problem(self, key: str, expected: str) -> Problem:
-        """What to raise for a value that does not do."""
+        """The Problem for a wrong value."""
         return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}")
 
     def text(self, key: str) -> str | None:
-        """A text that is not empty."""
+        """A text, not empty."""
         value = self.data.get(key)
         if value is not None and not (isinstance(value, str) and value):
             raise self.problem(key, "a text")
         return value
 
-    def one_of(self, key: str, known: Iterable[Word]) -> Word:
-        """One of some words."""
-        names = list(known)
+    def one_of(self, key: str, choices: Iterable[Choice]) -> Choice:
+        """One of some texts."""
+        names = list(choices)
         expected = f"one of {', '.join(names)}"
         value = self.require(key, expected)
         if value not in names:
-            near = suggest(value, names) if isinstance(value, str) else ""
-            raise Problem(f"{self.problem(key, expected)}{near}")
+            hint = suggest(value, names) if isinstance(value, str) else ""
+            raise Problem(f"{self.problem(key, expected)}{hint}")
         return names[names.index(value)]
 
     def number(self, key: str, positive: bool = False) -> float | None:
@@ -73,31 +77,31 @@ class Table:
             raise self.problem(key, expected)
         return float(value)
 
-    def integer(self, key: str, least: int) -> int | None:
-        """A whole number of at least `least`."""
+    def integer(self, key: str, minimum: int) -> int | None:
+        """A whole number, not below `minimum`."""
         value = self.data.get(key)
         if value is None:
             return None
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise self.problem(key, f"a whole number of at least {least}")
+        if not isinstance(value, int) or isinstance(value, bool) or value < minimum:
+            raise self.problem(key, f"a whole number of at least {minimum}")
         return value
 
     def boolean(self, key: str) -> bool:
-        """True or false; false if it is missing."""
+        """True or false; false if the key is missing."""
         value = self.data.get(key, False)
         if not isinstance(value, bool):
             raise self.problem(key, "true or false")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """A text, or a list of different ones."""
+        """A text or a list of different texts, as a tuple."""
         value = self.data[key]
-        found = [value] if isinstance(value, str) else value
-        if not isinstance(found, list) or not found or not all(isinstance(v, str) and v for v in found):
+        texts = [value] if isinstance(value, str) else value
+        if not isinstance(texts, list) or not texts or not all(isinstance(v, str) and v for v in texts):
             raise self.problem(key, "a text or a list of texts")
-        if len(set(found)) < len(found):
+        if len(set(texts)) < len(texts):
             raise self.problem(key, "different texts")
-        return tuple(found)
+        return tuple(texts)
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers."""
@@ -107,7 +111,7 @@ class Table:
         return tuple(float(v) for v in value)
 
     def tables(self, key: str) -> dict[str, Table]:
-        """The tables inside a table."""
+        """The tables inside the table `key`, by name."""
         inner = self.table(key)
         for name, value in inner.data.items():
             if not isinstance(value, dict):
@@ -115,7 +119,7 @@ class Table:
         return {name: Table(f"{inner.where}.{quote_key(name)}", value) for name, value in inner.data.items()}
 
     def table(self, key: str) -> Table:
-        """The table of a key; an empty one if it is missing."""
+        """The table `key`; an empty one if it is missing."""
         value = self.data.get(key, {})
         if not isinstance(value, dict):
             raise self.problem(key, "a table")
@@ -123,7 +127,7 @@ class Table:
 
 
 def read(file: Path, data: bytes) -> Table:
-    """The tables of a TOML file with these bytes."""
+    """The content `data` of a TOML file as a table."""
     try:
         return Table(str(file), tomllib.loads(data.decode("utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -132,7 +136,7 @@ def read(file: Path, data: bytes) -> Table:
 
 @dataclass(frozen=True)
 class Rule:
-    """What a value has to meet beyond its type: `Annotated[float, Rule("0 or more", lambda v: v >= 0)]`."""
+    """A condition on a value besides its type: `Annotated[float, Rule("0 or more", lambda v: v >= 0)]`."""
 
     expected: str
     holds: Callable[[Any], bool]
@@ -142,28 +146,29 @@ POSITIVE = Rule("a number above 0", lambda value: value > 0)
 NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
 
 
-def read_dataclass(kind: type[Kind], table: Table) -> Kind:
-    """A dataclass from a table with its fields as keys; a field without default is a required key.
+def read_dataclass(target: type[Dataclass], table: Table) -> Dataclass:
+    """Convert a table to a dataclass: keys are its fields, a field without default is a required key.
 
     A field is a str, float, int, bool, date, Literal, tuple of floats, tuple[..., ...] (a list), another
     dataclass (a table), a Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
     """
-    hints = get_type_hints(kind, include_extras=True)
+    hints = get_type_hints(target, include_extras=True)
     table.allow_only(hints)
-    for field in fields(kind):  # type: ignore[arg-type]
+    for field in fields(target):  # type: ignore[arg-type]
         if field.default is MISSING and field.default_factory is MISSING:
             table.require(field.name, _expected(hints[field.name]))
-    return kind(**{key: _value(hints[key], table, key, f"{table.where}: {key}") for key in table.data})
+    return target(**{key: _value(hints[key], table, key, f"{table.where}: {key}") for key in table.data})
 
 
 def _value(hint: Any, table: Table, key: str, where: str) -> Any:
-    """The value of a key as its type hint wants it; `where` names it, should it be a table."""
-    value, kinds = table.data[key], get_args(hint)
+    """The value of a key, converted to a type hint; `where` is its name in messages if it is a table."""
+    value, hint_arguments = table.data[key], get_args(hint)
     if get_origin(hint) is Annotated:
-        found = _value(kinds[0], table, key, where)
-        if not kinds[1].holds(found):
-            raise table.problem(key, kinds[1].expected)
-        return found
+        plain_hint, rule = hint_arguments
+        converted = _value(plain_hint, table, key, where)
+        if not rule.holds(converted):
+            raise table.problem(key, rule.expected)
+        return converted
     choices = _choices(hint)
     if choices != (hint,) and len(choices) == 1:
         return _value(choices[0], table, key, where)
@@ -176,7 +181,7 @@ def _value(hint: Any, table: Table, key: str, where: str) -> Any:
                 name: _value(get_args(choice)[1], inner, name, f"{where}.{quote_key(name)}") for name in value
             }
         if isinstance(value, list) and get_origin(choice) is tuple and get_args(choice)[-1] is Ellipsis:
-            inner = Table(where, {str(place): entry for place, entry in enumerate(value, 1)})
+            inner = Table(where, {str(number): entry for number, entry in enumerate(value, 1)})
             return tuple(_value(get_args(choice)[0], inner, n, f"{where} {n}") for n in inner.data)
         if _fits(choice, value):
             return float(value) if choice is float else tuple(value) if isinstance(value, list) else value
@@ -184,13 +189,13 @@ def _value(hint: Any, table: Table, key: str, where: str) -> Any:
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:
-    """The types of a union but None, which TOML does not have."""
+    """The types of a union, except None, which does not exist in TOML."""
     choices = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     return tuple(choice for choice in choices if choice is not NoneType)
 
 
 def _fits(hint: Any, value: Any) -> bool:
-    """Whether a value that is no table is of a type."""
+    """True if a value other than a table has a type."""
     if get_origin(hint) is Literal:
         return value in get_args(hint)
     if get_origin(hint) is tuple:
@@ -202,8 +207,14 @@ def _fits(hint: Any, value: Any) -> bool:
 
 
 def _expected(hint: Any) -> str:
-    """What a type wants, in words."""
-    words = {str: "a text", float: "a number", int: "a whole number", bool: "true or false", date: "a date"}
+    """Description of a type, for messages."""
+    descriptions = {
+        str: "a text",
+        float: "a number",
+        int: "a whole number",
+        bool: "true or false",
+        date: "a date",
+    }
     if get_origin(hint) is Annotated:
         return str(get_args(hint)[1].expected)
     if get_origin(hint) is Literal:
@@ -215,16 +226,16 @@ def _expected(hint: Any) -> str:
         return " or ".join(_expected(choice) for choice in _choices(hint))
     if get_origin(hint) is tuple:
         return "a list" if get_args(hint)[-1] is Ellipsis else f"{len(get_args(hint))} numbers"
-    return words.get(hint, "a table")
+    return descriptions.get(hint, "a table")
 
 
 def is_number(value: Any) -> bool:
-    """A finite number, and not true or false."""
+    """True for a finite number; false for true and false, which are of type int."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
 
 
 def quote_key(name: str) -> str:
-    """A key as TOML writes it."""
+    """A key in TOML syntax, quoted if it contains a dot."""
     return f'"{name}"' if "." in name else name
 
 

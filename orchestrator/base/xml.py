@@ -1,8 +1,7 @@
-"""Reading XML files: elements by their names without namespace, attributes by type, messages with file and
-line.
+"""Reads XML files: elements by local name, attributes by type, messages with file and line.
 
-Numbers and truth values are those of XML Schema. Python reads more: 1_000, digits of other scripts, Infinity.
-What another tool would read differently, or not at all, is refused.
+Numbers and booleans follow XML Schema. Python would also accept 1_000, digits of other scripts and Infinity.
+Text that other tools would read differently is refused.
 """
 
 from __future__ import annotations
@@ -21,46 +20,46 @@ Element = Any  # lxml ships no types
 
 @dataclass(frozen=True)
 class XmlElement:
-    """An element of the file `file`."""
+    """An XML element with its file, for messages."""
 
     file: Location
     element: Element
 
     @property
     def name(self) -> str:
-        """The name without namespace or prefix; empty for comments."""
+        """The local name, without namespace or prefix; empty for comments."""
         return local_name(self.element)
 
     @property
     def location(self) -> str:
-        """File and line, to begin a message."""
+        """File and line, for messages."""
         return f"{self.file}: line {self.element.sourceline}"
 
-    def problem(self, text: str) -> Problem:
-        """An error in this element."""
-        return Problem(f"{self.location}: {self.name}: {text}")
+    def problem(self, message: str) -> Problem:
+        """The Problem for an error in this element."""
+        return Problem(f"{self.location}: {self.name}: {message}")
 
     def children(self, *path: str) -> Iterator[XmlElement]:
-        """The elements at a path of names; without a path all elements directly inside."""
-        found = children(self.element, *path) if path else (e for e in self.element if local_name(e))
-        return (XmlElement(self.file, e) for e in found)
+        """The elements at a path of names; without a path all child elements."""
+        elements = children(self.element, *path) if path else (e for e in self.element if local_name(e))
+        return (XmlElement(self.file, e) for e in elements)
 
     def child(self, *path: str) -> XmlElement | None:
-        """The first element at a path of names."""
+        """The first element at a path of names, or None."""
         return next(self.children(*path), None)
 
     @property
     def attributes(self) -> Mapping[str, str]:
-        """The attributes without those of other namespaces."""
+        """The attributes, except those with a namespace."""
         return {str(n): str(text) for n, text in self.element.attrib.items() if not str(n).startswith("{")}
 
     def get(self, name: str) -> str | None:
-        """The text of an attribute."""
+        """The text of an attribute, or None."""
         text = self.element.get(name)
         return None if text is None else str(text)
 
     def required(self, name: str) -> str:
-        """The text of an attribute that has to be there."""
+        """The text of a required attribute."""
         text = self.get(name)
         if text is None:
             got = ", ".join(str(n).rpartition("}")[2] for n in self.element.attrib) or "none"
@@ -68,7 +67,7 @@ class XmlElement:
         return text
 
     def number(self, name: str, default: float | None = None) -> float:
-        """An attribute that is a finite number."""
+        """The value of an attribute, a finite number."""
         text = self.get(name)
         if text is None and default is not None:
             return default
@@ -78,7 +77,7 @@ class XmlElement:
             raise self.problem(f"expected a finite number for {name}, got {text!r}") from None
 
     def boolean(self, name: str) -> bool:
-        """An attribute that is true or false; false where it is missing."""
+        """The value of a boolean attribute; false if it is missing."""
         text = self.element.get(name, "false")
         try:
             return boolean(text)
@@ -87,12 +86,12 @@ class XmlElement:
 
 
 def read_xml(file: Location, expected: str) -> XmlElement:
-    """The root of an XML file, which must have the name `expected`."""
+    """The root of an XML file; its local name must be `expected`."""
     return XmlElement(file, parse(file, expected))
 
 
 def parse(file: Location, expected: str) -> Element:
-    """The root of an XML file as lxml has it; its name must be `expected`."""
+    """The root of an XML file as an element of lxml; its local name must be `expected`."""
     root = _root(file)
     if local_name(root) != expected:
         raise Problem(f"{file}: expected the element {expected}, got {local_name(root)}")
@@ -100,7 +99,7 @@ def parse(file: Location, expected: str) -> Element:
 
 
 def _root(file: Location) -> Element:
-    """The root of a file; a prefix without declaration is let pass, because there are files with one."""
+    """The root of a file; undeclared prefixes are accepted, because files of some tools contain them."""
     from lxml import etree
 
     text, safe = file.read(), {"resolve_entities": False, "no_network": True}
@@ -108,17 +107,17 @@ def _root(file: Location) -> Element:
     try:
         root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        if fault := _syntax_error(error, parser.error_log):
-            raise Problem(f"{file}: is not XML: {fault}") from error
+        if message := _syntax_error(error, parser.error_log):
+            raise Problem(f"{file}: is not XML: {message}") from error
         root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
-    for entity in root.iter(etree.Entity):  # entities are not resolved: their content would be missing
+    for entity in root.iter(etree.Entity):  # entities are not resolved, so their content would be missing
         message = f"expected the content itself, got the entity {entity.text}"
         raise XmlElement(file, entity.getparent()).problem(message)
     return root
 
 
 def _syntax_error(error: Exception, log: Any) -> str:
-    """The first error other than a prefix without declaration; empty if there is no other."""
+    """The first error other than an undeclared prefix; empty if there is none."""
     from lxml import etree
 
     undeclared = etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE
@@ -129,13 +128,13 @@ def _syntax_error(error: Exception, log: Any) -> str:
 
 
 def local_name(element: Element) -> str:
-    """The name without namespace or prefix; empty for comments."""
+    """The local name, without namespace or prefix; empty for comments."""
     name = str(element.tag).rpartition("}")[2] if isinstance(element.tag, str) else ""
     return name.rpartition(":")[2]
 
 
 def children(element: Element | None, *path: str) -> Iterator[Element]:
-    """Elements at a path of names."""
+    """The elements at a path of names."""
     if element is None:
         return
     if not path:
@@ -151,18 +150,13 @@ def child(element: Element | None, *path: str) -> Element | None:
     return next(children(element, *path), None)
 
 
-def flag(element: Element, name: str) -> bool:
-    """A truth value, false when missing or odd."""
-    return element.get(name) in ("true", "1")
-
-
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf|nan", re.ASCII | re.IGNORECASE)
-_WHOLE = re.compile(r"[+-]?\d{1,400}", re.ASCII)  # a float has room for no more digits
-_TRUTH = {"true": True, "1": True, "false": False, "0": False}
+_INTEGER = re.compile(r"[+-]?\d{1,400}", re.ASCII)  # the largest float has 309 digits
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
 def real(text: str) -> float:
-    """A number, also one that is not finite; ValueError for any other text."""
+    """A number, finite or not; ValueError for any other text."""
     if not _REAL.fullmatch(text.strip()):
         raise ValueError(text)
     return float(text)
@@ -178,7 +172,7 @@ def finite(text: str) -> float:
 
 def integer(text: str) -> int:
     """A whole number; ValueError for any other text."""
-    if not _WHOLE.fullmatch(text.strip()):
+    if not _INTEGER.fullmatch(text.strip()):
         raise ValueError(text)
     return int(text)
 
@@ -186,12 +180,12 @@ def integer(text: str) -> int:
 def boolean(text: str) -> bool:
     """true, false, 1 or 0; ValueError for any other text."""
     try:
-        return _TRUTH[text.strip()]
+        return _BOOLEANS[text.strip()]
     except KeyError:
         raise ValueError(text) from None
 
 
 def shortest_decimal(value: float) -> str:
-    """The shortest decimal that reads back as the same number, because tools show it as it stands."""
+    """The shortest decimal that is read back as the same number; other tools display this text."""
     short = f"{value:.15g}"
     return short if float(short) == value else repr(value)

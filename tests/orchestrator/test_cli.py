@@ -231,7 +231,7 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--out", "run.xls"], "harvester: run.xls: expected a file name ending in .csv or .parquet"),
         (
             ["run", "--out", "cycle.csv/run.csv"],
-            "harvester: cycle.csv: expected a folder, and none can be made",
+            "harvester: cycle.csv: expected a folder, which cannot be made",
         ),
         (
             ["run", "--step", "fast"],
@@ -246,14 +246,14 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--master", "euler"], "harvester: unknown master 'euler', expected one of jacobi, "),
         (
             ["run", "--master", "jacobi", "--passes", "2"],
-            "harvester: passes: only hermite computes a step again, the master is jacobi",
+            "harvester: passes: expected the master hermite, which repeats steps, got jacobi",
         ),
         (
             ["run", "--passes", "2"],
-            "harvester: passes: only hermite computes a step again, the master is gauss",
+            "harvester: passes: expected the master hermite, which repeats steps, got gauss",
         ),
         (["run", "--master", "hermite", "--passes", "0"], "harvester: passes: expected at least 1, got 0"),
-        (["run", "--control", "energy"], "harvester: control: of adaptive steps only, expected a tolerance"),
+        (["run", "--control", "energy"], "harvester: control: expected adaptive steps"),
         (
             ["run", "--order", "second"],
             "'--order': expected a whole number, got 'second'; see harvester run --help",
@@ -268,10 +268,10 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
             ["run", "--factor", "g=2", "--factor", "g=3"],
             "harvester: --factor g=3: expected one value of g, got 2 as well",
         ),
-        (["run", "--factor", "h=2"], "harvester: factor of h: no component of that name; there are g"),
+        (["run", "--factor", "h=2"], "harvester: factor of h: unknown component; there are g"),
         (
             ["validate", "--master", "jacobi", "--coupling-tolerance", "1e-3"],
-            "harvester: coupling tolerance: only hermite computes a step again, the master is jacobi",
+            "harvester: coupling tolerance: expected the master hermite, which repeats steps, got jacobi",
         ),
     ],
 )

@@ -264,7 +264,7 @@ def test_a_reference_with_its_own_units_is_compared_too():
         (["a.csv", "u.csv"], "harvester: compare: expected signals that all have, got none: a.csv has gain."),
         (["a.csv", "b.csv", "--signals", "x"], "harvester: compare: signals x: no signal that all have fits"),
         (["a.csv", "b.csv", "--start", "9"], "expected two or more samples in a common window, got 0"),
-        (["a.csv", "b.csv", "--out", "a.csv"], "harvester: a.csv: expected a folder, and none can be made"),
+        (["a.csv", "b.csv", "--out", "a.csv"], "harvester: a.csv: expected a folder, which cannot be made"),
     ],
 )
 def test_mistakes_of_a_comparison_are_one_line(capsys, arguments, message):

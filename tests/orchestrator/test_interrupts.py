@@ -46,7 +46,7 @@ def test_a_second_signal_waits_where_raising_is_of_no_use():
     steps = []
 
     def block():
-        with DeferredInterrupts(insist=False):
+        with DeferredInterrupts(second_at_once=False):
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)
             steps.append("after")

@@ -48,19 +48,25 @@ def test_a_wrong_value_is_told(choices, message):
     [
         (
             {"master": "jacobi", "passes": 8},
-            "passes: only hermite computes a step again, the master is jacobi",
+            "passes: expected the master hermite, which repeats steps, got jacobi",
         ),
         (
             {"tolerance": 1e-3},
-            "coupling tolerance: only hermite computes a step again, the master is gauss-seidel",
+            "coupling tolerance: expected the master hermite, which repeats steps, got gauss-seidel",
         ),
-        ({"master": "hermite", "passes": 1, "tolerance": 1e-3}, "coupling tolerance: it ends the passes"),
-        ({"master": "hermite", "correct": True}, "correct: expected a single pass"),
-        ({"master": "interface-jacobian", "correct": True}, "correct: interface-jacobian predicts"),
-        ({"master": "jacobi", "lag": 2}, "lag: only interface-jacobian keeps linearisations"),
-        ({"control": "error"}, "control: of adaptive steps only, expected a tolerance for them (adaptive)"),
-        ({"smallest": 1e-5}, "smallest: of adaptive steps only"),
-        ({"largest": 1e-2}, "largest: of adaptive steps only"),
+        (
+            {"master": "hermite", "passes": 1, "tolerance": 1e-3},
+            "coupling tolerance: expected more than one pass",
+        ),
+        ({"master": "hermite", "correct": True}, "correct: expected hermite with a single pass"),
+        (
+            {"master": "interface-jacobian", "correct": True},
+            "correct: expected another master, interface-jacobian predicts",
+        ),
+        ({"master": "jacobi", "lag": 2}, "lag: expected the master interface-jacobian"),
+        ({"control": "error"}, "control: expected adaptive steps (a tolerance `adaptive`), got equal ones"),
+        ({"smallest": 1e-5}, "smallest: expected adaptive steps"),
+        ({"largest": 1e-2}, "largest: expected adaptive steps"),
     ],
 )
 def test_a_choice_without_effect_is_refused(choices, message):
@@ -78,7 +84,7 @@ def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
     )
     assert merge_choices({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
     assert merge_choices({}, None) == Coupling() == Coupling("gauss-seidel")
-    with pytest.raises(Problem, match="only hermite computes a step again"):
+    with pytest.raises(Problem, match="expected the master hermite"):
         merge_choices({"passes": 2}, Coupling("jacobi"))
 
 
@@ -135,7 +141,7 @@ def test_a_name_is_a_coupling_with_defaults(oscillator):
 
 def test_a_factor_of_no_component_is_told(oscillator):
     """With the name that may have been meant, or those there are."""
-    with pytest.raises(Problem, match="factor of c: no component of that name; there are a, b"):
+    with pytest.raises(Problem, match="factor of c: unknown component; there are a, b"):
         run(oscillator, master=Coupling(factors={"c": 2}), stop=0.1)
 
 

@@ -284,7 +284,7 @@ def test_unpacked_systems_are_read_too(make, tmp_path):
         (
             [gain("a", source="resources/none.fmu")],
             [],
-            r"none.fmu is missing; the archive holds .*resources/gain.fmu",
+            r"none.fmu is missing; the archive contains .*resources/gain.fmu",
         ),
         ([gain("a")], [wire("a.y", "b.u")], r"connection to b.u: no element 'b'"),
         ([gain("a"), gain("b")], [wire("a.z", "b.u")], r"connection to a.z: .*gain.fmu has no variable 'z'"),

@@ -141,11 +141,11 @@ def test_attributes_of_other_namespaces_are_passed_over(make):
         (coupling('correct="yes"'), "Coupling: expected true or false for correct, got 'yes'"),
         (coupling('step="0"'), "Coupling: expected a positive number of seconds for step, got 0"),
         (coupling('master="euler"'), "Coupling: unknown master 'euler', expected one of jacobi, "),
-        (coupling('master="jacobi" passes="2"'), "Coupling: passes: only hermite computes a step again"),
+        (coupling('master="jacobi" passes="2"'), "Coupling: passes: expected the master hermite"),
         (coupling('control="power" adaptive="1"'), "Coupling: unknown control 'power'"),
         (
             coupling("", '<hc:Factor component="c" steps="2"/>'),
-            "Coupling: factor of c: no component of that name; there are a, b",
+            "Coupling: factor of c: unknown component; there are a, b",
         ),
         (coupling("", '<hc:Factor component="a"/>'), "Factor: expected an attribute steps, got none"),
         (

@@ -183,11 +183,11 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, name):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"step": 0.01}, ", but for what was given: step"),
-        ({"coupling": {"order": 1}}, ", but for what was given: order"),
+        ({"step": 0.01}, ", except for step"),
+        ({"coupling": {"order": 1}}, ", except for order"),
         (
             {"coupling": {"order": 1, "adaptive": 1e-3}, "step": 0.01},
-            ", but for what was given: order, adaptive, step",
+            ", except for order, adaptive, step",
         ),
         ({"coupling": {"master": "jacobi"}}, None),
         ({"master": "hermite"}, None),
@@ -209,8 +209,8 @@ def test_a_hint_for_one_component_is_named_as_such(make):
     system = load(make(in_component=HINT))
     notes = run(system).card.notes
     source = f"the annotation of libcosim in {system.source}"
-    assert f"the step is what {source} says for a; all components take it" in notes
-    assert not any(" says for " in note for note in run(system, step=0.05).card.notes)
+    assert f"all components use the step that {source} gives for a" in notes
+    assert not any("use the step" in note for note in run(system, step=0.05).card.notes)
 
 
 def test_a_hint_beside_the_same_step_is_no_other(make):
