@@ -426,7 +426,7 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     printed = capsys.readouterr()
     trace = read("new/run.csv")
     assert 0.1 < trace.time[-1] < 0.5
-    assert "the run ended early; what was recorded up to t = " in printed.out
+    assert "the run ended early; its record up to t = " in printed.out
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")
     assert "is violated" in printed.err
     assert printed.err.count("it says") == 1

@@ -1,4 +1,4 @@
-"""Algebraic loops: inputs that decide the outputs which feed them. native/algebraic_loop.c solves them."""
+"""Algebraic loops: inputs that determine the outputs which feed them. native/algebraic_loop.c solves them."""
 
 from __future__ import annotations
 
@@ -18,46 +18,49 @@ from orchestrator.fmi.calls import Call, Slave, function_type
 from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 
-VECTORS = "u g residual step before start scale unit seen"  # of the inputs
+VECTORS = (
+    "u g residual step previous initial initial_magnitude jacobian_scale magnitude"  # one value per input
+)
 
 
 class AlgebraicLoop:
-    """One algebraic loop, whose inputs and outputs stand in a bank of values.
+    """One algebraic loop: the arrays and calls that C uses to solve it, and messages about the solution.
 
-    inputs, outputs   its ports, those of one component side by side
-    made              `AlgebraicLoop` of engine.h
+    inputs, outputs   its ports, ordered by component
+    struct            `AlgebraicLoop` of engine.h
+    address           of `struct`
     """
 
     def __init__(self, binding: Binding, slaves: Mapping[str, Slave], cycle: DependencyCycle) -> None:
         self.cycle, self._slaves, self._binding = cycle, slaves, binding
-        wires = sorted(cycle.connections, key=lambda c: self._place(c.target))
-        self.inputs = [c.target for c in wires]
-        self.outputs = sorted({c.source for c in wires}, key=self._place)
+        connections = sorted(cycle.connections, key=lambda c: self._sort_key(c.target))
+        self.inputs = [c.target for c in connections]
+        self.outputs = sorted({c.source for c in connections}, key=self._sort_key)
         n, m = len(self.inputs), len(self.outputs)
         self._arrays = {name: np.zeros(n) for name in VECTORS.split()} | {
             "y": np.zeros(m),
-            "slopes": np.zeros((m, n)),
-            "matrix": np.zeros((n, n)),
-            "shares": np.zeros(3),
-            "rows": np.zeros(n, np.int32),
+            "sensitivity": np.zeros((m, n)),
+            "jacobian": np.zeros((n, n)),
+            "residual_norms": np.zeros(3),
+            "pivots": np.zeros(n, np.int32),
             "flags": np.zeros(3, np.int32),
             "counts": np.zeros(2, np.int64),
-            "source": np.array([self.outputs.index(c.source) for c in wires], np.int64),
-            "factor": np.array([c.map.factor for c in wires]),
-            "offset": np.array([c.map.offset for c in wires]),
+            "output": np.array([self.outputs.index(c.source) for c in connections], np.int64),
+            "factor": np.array([c.map.factor for c in connections]),
+            "offset": np.array([c.map.offset for c in connections]),
         }
-        self._arrays["seen"][:] = [self._nominal(p) for p in self.inputs]
-        self.made = binding.h.AlgebraicLoop(
+        self._arrays["magnitude"][:] = [self._nominal(p) for p in self.inputs]
+        self.struct = binding.h.AlgebraicLoop(
             **{name: binding.at(array) for name, array in self._arrays.items()},
-            count=n,
-            outputs=m,
-            rounds=cycle.passes,
+            input_count=n,
+            output_count=m,
+            copy_rounds=cycle.passes,
             declared=cycle.declared,
         )
         self._members = list(self._fill_members())
-        self.address = binding.checked(self.made, self)
+        self.address = binding.checked(self.struct, self)
 
-    def _place(self, port: Port) -> tuple[int, str, str]:
+    def _sort_key(self, port: Port) -> tuple[int, str, str]:
         variable = self._slaves[port.component].interface.variables[port.variable]
         return list(self._slaves).index(port.component), function_type(variable), port.variable
 
@@ -65,91 +68,93 @@ class AlgebraicLoop:
         return abs(self._slaves[port.component].interface.variables[port.variable].nominal or 0.0)
 
     def _fill_members(self) -> Iterator[Any]:
-        """Its components: how they set their inputs, read their outputs, and how these change with those."""
+        """Fill a structure for each component: calls that set inputs and read outputs, and the derivative."""
         binding, u, y = self._binding, self._arrays["u"], self._arrays["y"]
         groups = [
             (name, [p.variable for p in group])
             for name, group in groupby(self.inputs, key=lambda p: p.component)
         ]
         members = binding.array(binding.h.LoopMember, [binding.h.LoopMember()] * len(groups))
-        self.made.members, self.made.member_count = binding.pointer(members), len(groups)
+        self.struct.members, self.struct.member_count = binding.pointer(members), len(groups)
         first = first_output = 0
-        for made, (name, inputs) in zip(members, groups, strict=False):
+        for struct, (name, inputs) in zip(members, groups, strict=False):
             slave = self._slaves[name]
             outputs = [p.variable for p in self.outputs if p.component == name]
-            own_u, own_y = u[first : first + len(inputs)], y[first_output : first_output + len(outputs)]
-            made.starters = binding.program(calls_by_type(slave, inputs, own_u, slave.reader))
-            made.writers = binding.program(calls_by_type(slave, inputs, own_u, slave.writer))
-            made.readers = binding.program(calls_by_type(slave, outputs, own_y, slave.reader))
-            made.first, made.count, made.first_output, made.outputs = (
-                first,
-                len(inputs),
-                first_output,
-                len(outputs),
-            )
-            made.trusted = slave.interface.directional_derivatives
-            seed, into = np.zeros(len(inputs)), np.zeros(len(outputs))
-            call = (
-                slave.directional_derivative(outputs, inputs, seed, into) if made.trusted else _no_derivative
-            )
-            binding.fill_derivative(made.derivative, call, seed, into)
+            member_u = u[first : first + len(inputs)]
+            member_y = y[first_output : first_output + len(outputs)]
+            struct.input_reads = binding.program(calls_by_type(slave, inputs, member_u, slave.reader))
+            struct.input_writes = binding.program(calls_by_type(slave, inputs, member_u, slave.writer))
+            struct.output_reads = binding.program(calls_by_type(slave, outputs, member_y, slave.reader))
+            struct.first_input, struct.input_count = first, len(inputs)
+            struct.first_output, struct.output_count = first_output, len(outputs)
+            struct.uses_derivative = slave.interface.directional_derivatives
+            seed, result = np.zeros(len(inputs)), np.zeros(len(outputs))
+            call = _no_derivative
+            if struct.uses_derivative:
+                call = slave.directional_derivative(outputs, inputs, seed, result)
+            binding.fill_derivative(struct.derivative, call, seed, result)
             first, first_output = first + len(inputs), first_output + len(outputs)
-            yield made
+            yield struct
 
-    def bind(self, inputs: NDArray[np.int64], outputs: NDArray[np.int64]) -> None:
-        """Say where its ports stand in the bank."""
-        self.made.targets, self.made.sources = self._binding.at(inputs), self._binding.at(outputs)
+    def set_indices(self, inputs: NDArray[np.int64], outputs: NDArray[np.int64]) -> None:
+        """Set the indices of its ports in the array of Real values."""
+        self.struct.input_indices, self.struct.output_indices = (
+            self._binding.at(inputs),
+            self._binding.at(outputs),
+        )
 
     def instruction(self, binding: Binding) -> Any:
-        """The instruction that solves it."""
+        """The instruction that solves the loop."""
         return binding.h.Instruction(binding.h.LOOP, 0, self.address)
 
     @property
     def circular(self) -> bool:
-        """Is it a loop? One that nobody declares is seen by what outputs do, or when values do not settle."""
+        """Is there a loop? C detects an undeclared one by differences, or if copied values do not settle."""
         return self.cycle.declared or bool(self._arrays["flags"][self._binding.h.CIRCULAR])
 
     # ---- messages
 
     def check_status(self, status: int) -> None:
-        """Raise that there is no solution."""
+        """Raise a Problem: the loop has no solution."""
         t = max(self._slaves[p.component].log.time for p in self.inputs)
-        raise Problem(f"{self.cycle.text}: no solution at t = {t:.9g} s: {self._why(status)}")
+        raise Problem(f"{self.cycle.text}: no solution at t = {t:.9g} s: {self._reason(status)}")
 
-    def _why(self, status: int) -> str:
+    def _reason(self, status: int) -> str:
         arrays = self._arrays
         for port, y in zip(self.outputs, arrays["y"].tolist(), strict=True):
             if not isfinite(y):
                 return f"{port} is {y}"
         if status == self._binding.h.SINGULAR:
-            return "a change of its inputs comes back the same, so that no values or all of them fit"
-        size = np.maximum(arrays["seen"], np.maximum(np.abs(arrays["u"]), np.abs(arrays["g"])))
-        worst = int(np.argmax(np.abs(arrays["residual"]) / np.where(size > 0, size, 1.0)))
+            return (
+                "a change of its inputs returns unchanged, so that there is no solution, or any value is one"
+            )
+        magnitude = np.maximum(arrays["magnitude"], np.maximum(np.abs(arrays["u"]), np.abs(arrays["g"])))
+        worst = int(np.argmax(np.abs(arrays["residual"]) / np.where(magnitude > 0, magnitude, 1.0)))
         port, u, g = self.inputs[worst], arrays["u"][worst], arrays["g"][worst]
         return f"{port} is set to {u:.6g} and would become {g:.6g}, a residual of {u - g:.3g}"
 
     @property
     def note(self) -> str:
-        """What it is and how it was solved."""
+        """A remark for the user: the loop, and how it was solved."""
         h, counts, text = self._binding.h, self._arrays["counts"], self.cycle.text
         often = f"{counts[h.EVALUATIONS] / max(int(counts[h.SOLVES]), 1):.2g} evaluations each"
         if not self.circular:
-            return f"{text}; their values are carried round until nothing changes, {often}"
-        ways = {"directional derivatives" if m.trusted else "differences" for m in self._members}
+            return f"{text}; their values are copied along the connections until nothing changes, {often}"
+        ways = {"directional derivatives" if m.uses_derivative else "differences" for m in self._members}
         how = f"solved at every communication point by Newton's method with {' and '.join(sorted(ways))}"
-        worst = self._arrays["shares"][h.WORST]
+        worst = self._arrays["residual_norms"][h.WORST]
         return f"{text}: {how}, {often}, residual at most {worst:.0e} of the magnitude"
 
 
 def _no_derivative() -> None:
-    """Stands where an FMU has no directional derivatives; never called."""
+    """Placeholder for an FMU without directional derivatives; never called."""
 
 
 def solver(slaves: Mapping[str, Slave], cycle: DependencyCycle) -> Call:
-    """What solves a loop by itself, again and again: for initialisation."""
+    """A call that solves one loop without a network, for initialisation."""
     binding = Binding()
     loop = AlgebraicLoop(binding, slaves, cycle)
     n, m = len(loop.inputs), len(loop.outputs)
-    binding.simulation.real = binding.at(np.zeros(n + m))
-    loop.bind(np.arange(n), np.arange(n, n + m))
-    return lambda: binding.call("loop_solve", ctypes.byref(loop.made))
+    binding.simulation.reals = binding.at(np.zeros(n + m))
+    loop.set_indices(np.arange(n), np.arange(n, n + m))
+    return lambda: binding.call("loop_solve", ctypes.byref(loop.struct))

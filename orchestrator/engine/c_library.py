@@ -1,6 +1,6 @@
-"""The engine in C: compiled on first use, its structures read from native/engine.h, its calls into Python.
+"""Binding of the C engine: the compiled library, its structures from native/engine.h, and callbacks.
 
-The compiler is that of the package `ziglang`; what was compiled is kept in the user's cache.
+The library is compiled on first use, by the compiler of the package `ziglang`, and kept in the user's cache.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ FOLDER = Path(__file__).parent / "native"
 FLAGS = (
     *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
-    "-ffp-contract=off",  # the same numbers on each processor
-    "-mcpu=baseline",  # the cache may be shared by machines whose processors know different instructions
+    "-ffp-contract=off",  # bit-identical results on each processor
+    "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
 )
 TYPES = {
     "double": ctypes.c_double,
@@ -43,23 +43,23 @@ def sources() -> list[str]:
 
 @cache
 def library() -> ctypes.CDLL:
-    """The compiled code; a Problem where there is none."""
+    """The compiled library; raises Problem if it cannot be compiled or loaded."""
     code = {path.name: path.read_bytes() for path in FOLDER.glob("*.[ch]")}
     try:
-        found = ctypes.CDLL(str(shared_library(f"engine{SUFFIX}", code, [*FLAGS, *sources()])))
+        engine = ctypes.CDLL(str(shared_library(f"engine{SUFFIX}", code, [*FLAGS, *sources()])))
     except (OSError, Problem) as error:
-        how = "install the Python package ziglang, whose compiler makes it (pip install ziglang)"
-        raise Problem(f"the engine is not compiled: {error}; {how}") from None
+        advice = "install the Python package ziglang, whose compiler makes it (pip install ziglang)"
+        raise Problem(f"the engine is not compiled: {error}; {advice}") from None
     for name in re.findall(r"EXPORT double (\w+)\(", _header()):
-        getattr(found, name).restype = ctypes.c_double
-    return found
+        getattr(engine, name).restype = ctypes.c_double
+    return engine
 
 
 # ---- structures
 
 
 class Struct(ctypes.Structure):
-    """A structure of engine.h; it has its fields and nothing else."""
+    """A structure of engine.h; other attributes than its fields are refused."""
 
     __slots__ = ()
 
@@ -73,37 +73,39 @@ def _header() -> str:
 @cache
 def engine_h() -> Any:
     """All structures and constants of engine.h, by name; a pointer is an address."""
-    found: dict[str, Any] = {}
+    names_of_header: dict[str, Any] = {}
     for names in re.findall(r"enum \{([^}]*)\}", _header()):
         value = -1
         for entry in names.split(","):
-            name, _, given = (part.strip() for part in entry.partition("="))
-            value = int(given) if given else value + 1
-            found[name] = value
+            name, _, number = (part.strip() for part in entry.partition("="))
+            value = int(number) if number else value + 1
+            names_of_header[name] = value
     for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", _header(), flags=re.DOTALL):
-        fields = [field for line in body.split(";") if line.strip() for field in _fields(line, found)]
-        found[name] = type(name, (Struct,), {"_fields_": fields, "__slots__": ()})
-    return SimpleNamespace(**found)
+        fields = [
+            field for line in body.split(";") if line.strip() for field in _fields(line, names_of_header)
+        ]
+        names_of_header[name] = type(name, (Struct,), {"_fields_": fields, "__slots__": ()})
+    return SimpleNamespace(**names_of_header)
 
 
-def _fields(declaration: str, known: dict[str, Any]) -> Iterable[tuple[str, Any]]:
+def _fields(declaration: str, header: dict[str, Any]) -> Iterable[tuple[str, Any]]:
     """The fields of one declaration, such as `const double *a, b[DEGREE + 1]`."""
-    kind, names = declaration.replace("const ", "").strip().split(None, 1)
+    type_name, names = declaration.replace("const ", "").strip().split(None, 1)
     for name in (part.strip() for part in names.split(",")):
         size = re.search(r"\[(\w+) \+ 1\]", name)
         if name.startswith("*"):
             yield name.lstrip("*"), ctypes.c_void_p
         elif size:
-            yield name[: size.start()], (TYPES.get(kind) or known[kind]) * (known[size[1]] + 1)
+            yield name[: size.start()], (TYPES.get(type_name) or header[type_name]) * (header[size[1]] + 1)
         else:
-            yield name, TYPES.get(kind) or known[kind]
+            yield name, TYPES.get(type_name) or header[type_name]
 
 
-# ---- what C calls, and what calls Python
+# ---- one simulation
 
 
-class Checks(Protocol):
-    """Raises what there is to say about a status."""
+class StatusCheck(Protocol):
+    """Raises the Problem that a status means."""
 
     def check_status(self, status: int, /) -> None: ...
 
@@ -113,13 +115,13 @@ PYTHON = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes
 
 
 class Binding:
-    """A `Simulation` of engine.h, and what it is filled with: addresses, instructions, and calls into Python.
+    """A `Simulation` of engine.h: makes addresses and instructions for its members, handles its callbacks.
 
     simulation   the structure
-    components   what C asks to step, save and restore, or whose steps it reports, see `RunningComponent`
-    withdraw     called when a step is going to be repeated
+    components   the `RunningComponent` of each index, for callbacks about a component
+    withdraw     called before a step is repeated
 
-    It keeps alive what C has the addresses of.
+    All Python objects whose addresses C has are kept alive.
     """
 
     def __init__(self) -> None:
@@ -127,7 +129,7 @@ class Binding:
         self.simulation = self.h.Simulation()
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
-        self._checks: dict[int, Checks] = {}
+        self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
         self._problem: BaseException | None = None
         callbacks = CHECK(self._check_status), PYTHON(self._call_python)
@@ -136,7 +138,7 @@ class Binding:
             setattr(self.simulation, name, ctypes.cast(callback, ctypes.c_void_p).value)
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Call a function of the engine on this simulation; raises what ended it."""
+        """Call a function of the engine on this simulation; raises the exception that ended the run."""
         verdict = getattr(library(), function)(ctypes.byref(self.simulation), *arguments)
         if verdict:
             raise self._problem or Problem("the run stopped")
@@ -154,11 +156,11 @@ class Binding:
         """The addresses of arrays that are attributes of the same names."""
         return {name: self.at(getattr(owner, name)) for name in names.split()}
 
-    def array(self, kind: Any, values: Sequence[Any]) -> Any:
-        """Structures of one kind side by side, as a ctypes array; C gets its address."""
-        found = (kind * max(len(values), 1))(*values)
-        self._alive.append(found)
-        return found
+    def array(self, struct_type: Any, values: Sequence[Any]) -> Any:
+        """A ctypes array of structures of one type."""
+        structures = (struct_type * max(len(values), 1))(*values)
+        self._alive.append(structures)
+        return structures
 
     def pointer(self, structure: Any) -> int:
         """The address of a structure."""
@@ -168,82 +170,83 @@ class Binding:
     # ---- calls
 
     def program(self, calls: Sequence[Call]) -> Any:
-        """Calls as instructions; C makes those of FMUs itself and asks Python for the others."""
+        """Calls as a program for C, which makes calls of FMI functions itself and others through Python."""
         instructions = self.array(self.h.Instruction, [self._instruction(call) for call in calls])
         return self.h.Program(len(calls), ctypes.addressof(instructions))
 
     def _instruction(self, call: Call) -> Any:
         if isinstance(call, Access):
             return self.h.Instruction(self.h.ACCESS, 0, self._access(call))
-        instruction = getattr(call, "instruction", None)  # a `Link` or an `AlgebraicLoop`
+        instruction = getattr(call, "instruction", None)  # a `ConnectionCopy` or an `AlgebraicLoop`
         if instruction is not None:
             return instruction(self)
-        return self.h.Instruction(self.h.PYTHON, self._in_python(call), None)
+        return self.h.Instruction(self.h.PYTHON, self._register(call), None)
 
-    def _in_python(self, call: Call) -> int:
+    def _register(self, call: Call) -> int:
         self._calls.append(call)
         return len(self._calls) - 1
 
     def _access(self, call: Access) -> int:
-        made = self.h.Access(
+        struct = self.h.Access(
             function=call.address,
             instance=call.component,
             references=self.at(call.references),
             orders=None if call.orders is None else self.at(call.orders),
-            own=self.at(call.fmu_values),
+            fmu_values=self.at(call.fmu_values),
             values=self.at(call.values),
             count=len(call.names),
             fmi=call.fmi,
             type=ELEMENTS.index(call.fmu_values.dtype),
-            bank=self.bank(call.values),
+            array=self.array_of(call.values),
             sets=call.sets,
         )
-        return self.checked(made, call)
+        return self.checked(struct, call)
 
-    def bank(self, values: NDArray[Any]) -> int:
-        """Whether an array is one of Real values or of whole numbers."""
-        return cast(int, self.h.REAL if values.dtype == np.float64 else self.h.WHOLE)
+    def array_of(self, values: NDArray[Any]) -> int:
+        """REAL or INTEGER, the array of the run that values belong to."""
+        return cast(int, self.h.REAL if values.dtype == np.float64 else self.h.INTEGER)
 
-    def checked(self, structure: Any, by: Checks) -> int:
-        """The address of a structure whose statuses are to be judged `by` something."""
-        self._checks[ctypes.addressof(structure)] = by
+    def checked(self, structure: Any, check: StatusCheck) -> int:
+        """The address of a structure; `check` judges the statuses of its calls."""
+        self._checks[ctypes.addressof(structure)] = check
         return self.pointer(structure)
 
-    def fill_derivative(self, made: Any, call: Call, seed: NDArray[Any], into: NDArray[Any]) -> None:
-        """Fill a `Derivative`, which stays where it is; `seed` and `into` are those of the call."""
-        made.seed, made.into, made.count, made.outputs = self.at(seed), self.at(into), len(seed), len(into)
+    def fill_derivative(self, struct: Any, call: Call, seed: NDArray[Any], result: NDArray[Any]) -> None:
+        """Fill a `Derivative` inside another structure; `seed` and `result` are the arrays of the call."""
+        struct.seed, struct.result = self.at(seed), self.at(result)
+        struct.known_count, struct.unknown_count = len(seed), len(result)
         if isinstance(call, DirectionalDerivative):
-            made.function, made.instance, made.fmi = call.address, call.component, call.fmi
-            made.of, made.by = self.at(call.unknowns), self.at(call.knowns)
-            self.checked(made, call)
+            struct.function, struct.instance, struct.fmi = call.address, call.component, call.fmi
+            struct.unknowns, struct.knowns = self.at(call.unknowns), self.at(call.knowns)
+            self.checked(struct, call)
         else:
-            made.index = self._in_python(call)
+            struct.index = self._register(call)
 
     # ---- called from C
 
-    def _check_status(self, where: int | None, component: int, status: int) -> int:
-        """What to do after a status that is not OK."""
+    def _check_status(self, call: int | None, component: int, status: int) -> int:
+        """The verdict on a status that is not OK; see CheckStatus in engine.h."""
 
         def check() -> None:
             if status == self.h.WITHDRAWN:
                 self.withdraw()
-            elif where in self._checks:
-                self._checks[where].check_status(status)
+            elif call in self._checks:
+                self._checks[call].check_status(status)
             else:
-                self.components[component].check_status(where, status)
+                self.components[component].check_status(call, status)
 
         return self._verdict(check)
 
-    def _call_python(self, what: int, index: int, t: float, h: float) -> int:
-        if what == self.h.CALL:
+    def _call_python(self, request: int, index: int, t: float, h: float) -> int:
+        if request == self.h.CALL:
             return self._verdict(self._calls[index])
         component = self.components[index]
-        if what == self.h.STEP:
+        if request == self.h.STEP:
             return self._verdict(lambda: component.slave.step(t, h))
-        return self._verdict(component.save if what == self.h.SAVE else component.restore)
+        return self._verdict(component.save if request == self.h.SAVE else component.restore)
 
     def _verdict(self, call: Call) -> int:
-        """What C is to do after a call; an exception waits until C has returned."""
+        """Make a call and return the verdict for C; `call` raises the exception after C has returned."""
         try:
             call()
         except Discarded as problem:

@@ -1,4 +1,4 @@
-"""Which inputs move inside a communication step, and what each of them follows.
+"""Coupling inputs: the inputs that vary inside a communication step, with source, degree and order of each.
 
 native/coupling_input.c makes their polynomials at every step.
 """
@@ -18,46 +18,46 @@ from orchestrator.ssp.system import Connection, Port
 
 
 class CouplingInputs:
-    """The inputs of a network that move as a plan says, or are watched.
+    """The inputs of a network that the plan varies inside a step, or watches to estimate the error.
 
-    ports         of the inputs, those of one component side by side
-    inputs        what each of them follows: `CouplingInput` of engine.h
-    moving        ports that the master moves, without those that are watched only
-    self_moving   ports that FMUs move by themselves, from a rate input or as one
-    sloped        outputs whose slopes the FMUs give, and their places; those of one component side by side
-    slopes        those slopes, shape (n,)
+    ports           of the inputs, ordered by component
+    inputs          `CouplingInput` of engine.h for each port
+    varying         ports that the master varies, without those that are only watched
+    rate_driven     ports that an FMU varies itself from its rate input, and rate inputs themselves
+    slope_outputs   outputs whose slopes the FMUs give, ordered by component -> index of the slope
+    slopes          those slopes, shape (n,)
     """
 
     def __init__(self, network: Network, plan: Plan) -> None:
         self._network, self._plan = network, plan
         self._h = engine_h()
-        self.driven = network.scenario.moving if network.scenario else []
-        self._moved = {c.target for c in plan.moved}
-        found = self._found()
-        self.self_moving = self._find_self_moving({c.target for c in found})
-        self._wired = {c.target: c for c in found if c.target not in self.self_moving}
-        self.moving = {*self._wired} & self._moved | {*self.driven}
-        self.sloped = {p: i for i, p in enumerate(self._find_sloped())}
-        self.slopes = np.zeros(len(self.sloped))
+        self.driven = network.driven.continuous if network.driven else []
+        self._varied = {c.target for c in plan.varying}
+        connections = self._candidates()
+        self.rate_driven = self._find_rate_driven({c.target for c in connections})
+        self._connections = {c.target: c for c in connections if c.target not in self.rate_driven}
+        self.varying = {*self._connections} & self._varied | {*self.driven}
+        self.slope_outputs = {p: i for i, p in enumerate(self._find_slope_outputs())}
+        self.slopes = np.zeros(len(self.slope_outputs))
         self.ports = [
-            p for name in network.slaves for p in (*self._wired, *self.driven) if p.component == name
+            p for name in network.slaves for p in (*self._connections, *self.driven) if p.component == name
         ]
         self.inputs = [self._input(p) for p in self.ports]
         self._connect_components()
 
     def array(self, binding: Binding) -> Any:
-        """The inputs side by side, for C."""
+        """The inputs as an array of structures."""
         return binding.array(self._h.CouplingInput, self.inputs)
 
     @property
     def bonds(self) -> list[tuple[int, int]]:
-        """Of each power bond the numbers of its effort and its flow, where both move."""
-        place, bonds = {p: i for i, p in enumerate(self.ports)}, find_bonds(self._network.system)
-        return [(place[b.effort], place[b.flow]) for b in bonds if b.effort in place and b.flow in place]
+        """For each power bond of two coupling inputs the indices of its effort and its flow."""
+        index, bonds = {p: i for i, p in enumerate(self.ports)}, find_bonds(self._network.system)
+        return [(index[b.effort], index[b.flow]) for b in bonds if b.effort in index and b.flow in index]
 
     @property
     def power(self) -> int:
-        """The power of the step that the estimate of the error goes with."""
+        """The power of the step to which the estimated error is proportional."""
         if self._plan.passes > 1:
             return self._plan.degree + 1
         order = max((s.order for s in self.inputs), default=0)
@@ -65,134 +65,151 @@ class CouplingInputs:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the master has to do without."""
-        if not self._plan.sloped:
+        """Remarks on abilities that the master would use but the FMUs lack."""
+        if not self._plan.needs_slopes:
             return ()
-        names, h = {i: str(p) for p, i in self._network.real.index.items()}, self._h
-        wired = [s for s in self.inputs if s.source_component != h.DRIVEN and s.wanted]
-        asked = [self._plan.asks(name) for name in self._network.slaves]
-        differences = [s.source for s in wired if s.slope_index == h.NO_SLOPE and asked[s.source_component]]
+        names, h = {i: str(p) for p, i in self._network.reals.index.items()}, self._h
+        connected = [s for s in self.inputs if s.source_component != h.DRIVEN and s.requested_degree]
+        needed = [self._plan.needs_slopes_of(name) for name in self._network.slaves]
+        differences = [
+            s.source for s in connected if s.slope_index == h.NO_SLOPE and needed[s.source_component]
+        ]
         notes = {
             "slopes from differences of values, because the FMUs give none": differences,
             "inputs held at their mean over a step, because the FMUs take no slopes": [
-                s.target for s in wired if s.degree == 0
+                s.target for s in connected if s.fmu_degree == 0
             ],
             "inputs moved at straight lines, because the FMUs take no curves": [
-                s.target for s in wired if 0 < s.degree < s.wanted
+                s.target for s in connected if 0 < s.fmu_degree < s.requested_degree
             ],
         }
-        return tuple(f"{what}: {listed([names[i] for i in which])}" for what, which in notes.items() if which)
+        return tuple(
+            f"{note}: {listed([names[i] for i in indices])}" for note, indices in notes.items() if indices
+        )
 
-    # ---- which
+    # ---- selection
 
-    def _found(self) -> list[Connection]:
-        """The connections that may move their inputs, or whose inputs are watched."""
+    def _candidates(self) -> list[Connection]:
+        """The connections between continuous variables whose inputs the plan varies or watches."""
         plan, network = self._plan, self._network
         variable = network.system.variable
-        known = network.system.connections if plan.watches else plan.moved
-        found = [c for c in known if variable(c.target).is_continuous and variable(c.source).is_continuous]
-        return [c for c in found if variable(c.target).causality == "input" and network.matters(c.target)]
+        return [
+            c
+            for c in (network.system.connections if plan.watches else plan.varying)
+            if variable(c.target).is_continuous and variable(c.source).is_continuous
+            if variable(c.target).causality == "input" and network.influences_outputs(c.target)
+        ]
 
-    def _find_self_moving(self, moved: set[Port]) -> set[Port]:
-        """Inputs that move by themselves, with a rate input, or that merely are the rate of a moved one."""
+    def _find_rate_driven(self, candidates: set[Port]) -> set[Port]:
+        """Inputs that an FMU varies from a connected rate input, and rate inputs of candidates."""
         network = self._network
-        fed = {c.target for c in network.connections}
+        connected = {c.target for c in network.connections}
         power = {p for bond in find_bonds(network.system) for p in (bond.effort, bond.flow)}
-        found = set[Port]()
+        rate_driven = set[Port]()
         for name, slave in network.slaves.items():
             for u, rate in slave.interface.rate_inputs.items():
-                port, speed = Port(name, u), Port(name, rate)
-                if u not in slave.interface.ramp_inputs and speed in fed:
-                    found.add(port)
-                if port in moved and port not in found and speed not in power:
-                    found.add(speed)
-        return found
+                port, rate_port = Port(name, u), Port(name, rate)
+                if u not in slave.interface.ramp_inputs and rate_port in connected:
+                    rate_driven.add(port)
+                if port in candidates and port not in rate_driven and rate_port not in power:
+                    rate_driven.add(rate_port)
+        return rate_driven
 
     # ---- slopes of their sources
 
-    def _find_sloped(self) -> Iterable[Port]:
-        """The outputs whose slopes are wanted and given, component by component."""
-        sources = dict.fromkeys(c.source for c in self._wired.values() if self._plan.asks(c.source.component))
+    def _find_slope_outputs(self) -> Iterable[Port]:
+        """The outputs whose slopes the plan needs and the FMUs give, ordered by component."""
+        connections = self._connections.values()
+        sources = dict.fromkeys(
+            c.source for c in connections if self._plan.needs_slopes_of(c.source.component)
+        )
         slaves = self._network.slaves
-        inputs = (*self._wired, *self.driven)
+        inputs = (*self._connections, *self.driven)
         held = {p for p in inputs if not slaves[p.component].input_degree(p.variable, 1)}
         for name, slave in slaves.items():
-            mine = [p for p in sources if p.component == name and not self._blind(p, held)]
-            given = set(slave.outputs_with_derivatives([p.variable for p in mine]) if mine else ())
-            yield from (p for p in mine if p.variable in given)
+            ports = [p for p in sources if p.component == name and not self._depends_on_held(p, held)]
+            given = set(slave.outputs_with_derivatives([p.variable for p in ports]) if ports else ())
+            yield from (p for p in ports if p.variable in given)
 
-    def _blind(self, output: Port, held: set[Port]) -> bool:
-        """Would its FMU give a slope without that of an input, because it takes none?"""
+    def _depends_on_held(self, output: Port, held: set[Port]) -> bool:
+        """Does an output depend on a held input? Its slope would lack the contribution of that input."""
         depends = self._network.slaves[output.component].interface.direct_inputs(output.variable)
         return any(Port(output.component, u) in held for u in depends)
 
-    # ---- what they follow
+    # ---- their structures
 
     def _input(self, port: Port) -> Any:
-        wire = self._wired.get(port)
+        connection = self._connections.get(port)
         nominal = self._network.system.variable(port).nominal or 1.0  # 1 if not declared, by the standard
-        target = self._network.real.index[port]
+        target = self._network.reals.index[port]
         return self._h.CouplingInput(
             target=target,
             scale=abs(nominal),
-            **(self._follow(port, wire) if wire else self._follow_scenario(port)),
+            **(self._from_output(port, connection) if connection else self._from_scenario(port)),
         )
 
-    def _follow_scenario(self, port: Port) -> dict[str, Any]:
+    def _from_scenario(self, port: Port) -> dict[str, Any]:
         degree = self._network.slaves[port.component].input_degree(port.variable, 1)
-        driven, none = self._h.DRIVEN, self._h.NO_SLOPE
-        return {"source": -1, "source_component": driven, "slope_index": none, "degree": degree, "wanted": 1}
-
-    def _follow(self, port: Port, wire: Connection) -> dict[str, Any]:
-        network, plan, moved = self._network, self._plan, port in self._moved
-        slave, source = network.slaves[port.component], wire.source
-        rate = Port(port.component, slave.interface.rate_inputs.get(port.variable, ""))
-        rated = any(c.target == rate for c in network.connections)  # then it moves by itself, at a line
-        wanted = max(plan.extrapolation, plan.degree, int(plan.corrected)) if moved else 0
         return {
-            "source": network.real.index[source],
-            "factor": wire.map.factor,
-            "offset": wire.map.offset,
+            "source": -1,
+            "source_component": self._h.DRIVEN,
+            "slope_index": self._h.NO_SLOPE,
+            "fmu_degree": degree,
+            "requested_degree": 1,
+        }
+
+    def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
+        network, plan, varied = self._network, self._plan, port in self._varied
+        slave, source = network.slaves[port.component], connection.source
+        rate = Port(port.component, slave.interface.rate_inputs.get(port.variable, ""))
+        has_rate = any(
+            c.target == rate for c in network.connections
+        )  # then the FMU itself varies it linearly
+        degree = max(plan.extrapolation, plan.degree, int(plan.corrected)) if varied else 0
+        return {
+            "source": network.reals.index[source],
+            "factor": connection.map.factor,
+            "offset": connection.map.offset,
             "source_component": list(network.slaves).index(source.component),
-            "slope_index": self.sloped.get(source, self._h.NO_SLOPE),
-            "degree": slave.input_degree(port.variable, wanted),
-            "wanted": wanted,
-            "order": plan.extrapolation if moved else min(1, plan.extrapolation + rated),
+            "slope_index": self.slope_outputs.get(source, self._h.NO_SLOPE),
+            "fmu_degree": slave.input_degree(port.variable, degree),
+            "requested_degree": degree,
+            "order": plan.extrapolation if varied else min(1, plan.extrapolation + has_rate),
             "autonomous": not network.system.components[source.component].interface.of("input"),
         }
 
     # ---- the components
 
     def _connect_components(self) -> None:
-        """Let the components set their inputs, and read the slopes of their outputs."""
+        """Make the calls by which components set their coupling inputs and read slopes of outputs."""
         first = 0
         for name, component in self._network.components.items():
-            mine = [p.variable for p in self.ports if p.component == name]
-            inputs = self.inputs[first : first + len(mine)]
-            component.follow(first, mine, inputs, self._plan.corrected)
-            first += len(mine)
-            outputs = {p.variable: i for p, i in self.sloped.items() if p.component == name}
+            names = [p.variable for p in self.ports if p.component == name]
+            inputs = self.inputs[first : first + len(names)]
+            component.set_coupling_inputs(first, names, inputs, self._plan.corrected)
+            first += len(names)
+            outputs = {p.variable: i for p, i in self.slope_outputs.items() if p.component == name}
             if outputs:
-                rows = [*outputs.values()]
-                into = self.slopes[rows[0] : rows[-1] + 1]
-                component.slope_reads = [component.slave.output_derivative_reader(list(outputs), into)]
+                indices = [*outputs.values()]
+                slopes = self.slopes[indices[0] : indices[-1] + 1]
+                component.slope_reads = [component.slave.output_derivative_reader(list(outputs), slopes)]
 
     def held(self, order: Sequence[int]) -> list[list[Connection]]:
-        """Of each component the connections from earlier ones whose inputs do not move."""
-        names, moving = list(self._network.slaves), self.moving | self.self_moving
-        found: list[list[Connection]] = [[] for _ in names]
+        """For each component the connections to held inputs from components that step before it."""
+        names, varying = list(self._network.slaves), self.varying | self.rate_driven
+        held: list[list[Connection]] = [[] for _ in names]
         for i, k in enumerate(order):
-            early = {names[j] for j in order[:i]}
-            fed = [c for c in self._network.connections if c.target.component == names[k]]
-            found[k] = [c for c in fed if c.source.component in early and c.target not in moving]
-        return found
+            before = {names[j] for j in order[:i]}
+            incoming = [c for c in self._network.connections if c.target.component == names[k]]
+            held[k] = [c for c in incoming if c.source.component in before and c.target not in varying]
+        return held
 
 
-SHOWN = 4  # names in a list
+MAX_NAMES = 4
 
 
 def listed(names: Iterable[str]) -> str:
-    """The first names, each once, and how many more there are."""
-    found = list(dict.fromkeys(names))
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return f"{', '.join(found[:SHOWN])}{more}"
+    """The first MAX_NAMES names, each once, and the number of further names."""
+    unique = list(dict.fromkeys(names))
+    more = f" and {len(unique) - MAX_NAMES} more" if len(unique) > MAX_NAMES else ""
+    return f"{', '.join(unique[:MAX_NAMES])}{more}"

@@ -1,4 +1,4 @@
-"""Initialisation: start values, then consistent outputs and inputs in initialisation mode."""
+"""Initialisation of a system: start values, then consistent outputs and inputs in initialisation mode."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def initialise(
     span: tuple[float, float],
     tolerance: float | None = None,
 ) -> None:
-    """Bring all slaves from instantiated to ready for the first step.
+    """Initialise all FMUs, which are instantiated.
 
     driven   input -> value at the start time, for inputs that a scenario drives
     span     start and stop time [s]
     """
     for name, slave in slaves.items():
-        slave.setup(span[0], _end(slave.interface, span[1]), tolerance)
+        slave.setup(span[0], _announced_stop(slave.interface, span[1]), tolerance)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
-    _set(slaves, driven)  # for FMUs that compute their start when they enter initialisation
+    _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
     for slave in slaves.values():
         slave.enter()
     _set(slaves, driven)
@@ -38,8 +38,8 @@ def initialise(
         slave.exit()
 
 
-def _end(interface: FmuInterface, stop: float) -> float:
-    """The stop time to announce [s]: the sum of equal steps may be past the true one by its rounding."""
+def _announced_stop(interface: FmuInterface, stop: float) -> float:
+    """The stop time for the FMU [s]: rounding may carry the sum of equal steps beyond the true one."""
     return stop if interface.variable_step else stop + 4.0 * math.ulp(stop)
 
 
@@ -49,45 +49,51 @@ def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
 
 
 def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
-    """Carry outputs to the inputs they feed, in the order of the dependencies in initialisation mode.
+    """Copy outputs to the inputs that they feed, in the order of the dependencies in initialisation mode.
 
     Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
-    flow = Feedthrough(system, initially=True)
-    fed: dict[Port, list[Connection]] = {}
+    feedthrough = Feedthrough(system, initially=True)
+    connections: dict[Port, list[Connection]] = {}
     for c in system.connections:
-        fed.setdefault(c.source, []).append(c)
-    for group in strongly_connected(flow.graph):
-        known, cycle = [y for y in group if y in fed], flow.cycle(group)
+        connections.setdefault(c.source, []).append(c)
+    for group in strongly_connected(feedthrough.graph):
+        outputs, cycle = [y for y in group if y in connections], feedthrough.cycle(group)
         if cycle:
-            _solve(slaves, cycle, {y: [c for c in fed[y] if c not in cycle.connections] for y in known})
+            others = {y: [c for c in connections[y] if c not in cycle.connections] for y in outputs}
+            _solve(slaves, cycle, others)
         else:
-            for y in known:
-                _carry(slaves, y, fed[y])
+            for y in outputs:
+                _copy(slaves, y, connections[y])
 
 
-def _solve(slaves: Mapping[str, Slave], cycle: DependencyCycle, fed: Mapping[Port, list[Connection]]) -> None:
-    """Solve for the Real signals of a cycle; where it has others, again and again until nothing changes."""
+def _solve(
+    slaves: Mapping[str, Slave], cycle: DependencyCycle, others: Mapping[Port, list[Connection]]
+) -> None:
+    """Solve for the Real signals of a cycle; repeat until its other signals do not change any more.
+
+    others   output of the cycle -> its connections that are not solved for
+    """
     solve = solver(slaves, cycle) if cycle.connections else None
     previous: dict[Port, Value] = {}
-    for _ in range(1 if cycle.rounds == 1 else len(fed) + 1):
+    for _ in range(1 if cycle.rounds == 1 else len(others) + 1):
         if solve:
             solve()
-        current = {y: _carry(slaves, y, connections) for y, connections in fed.items()}
-        if previous and all(_same(previous[y], value) for y, value in current.items()):
+        current = {y: _copy(slaves, y, connections) for y, connections in others.items()}
+        if previous and all(_equal(previous[y], value) for y, value in current.items()):
             return
         previous = current
     if cycle.rounds > 1 and cycle.declared:
         raise Problem(f"initialisation does not settle: {cycle.text}")
 
 
-def _same(old: Value, new: Value) -> bool:
-    """Equal up to the rounding of an FMU that iterates inside."""
+def _equal(old: Value, new: Value) -> bool:
+    """Whether two values are equal, except for the tolerance of an FMU that iterates inside."""
     return old == new or (isinstance(new, float) and math.isclose(float(old), new, rel_tol=1e-10))
 
 
-def _carry(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:
-    """Read one output and set the inputs it feeds; returns the output's value."""
+def _copy(slaves: Mapping[str, Slave], source: Port, connections: list[Connection]) -> Value:
+    """Read one output and set the inputs that it feeds; returns the value of the output."""
     value = slaves[source.component].get(source.variable)
     if isinstance(value, str) or math.isnan(value):
         raise Problem(f"{source}: expected a number in initialisation mode, got {value!r}")

@@ -1,7 +1,7 @@
-"""Linear prediction of the inputs over a step, by the interface Jacobian: the preparation of a run.
+"""Preparation of the linear prediction of inputs by the interface Jacobian.
 
-Directional derivatives of the FMUs linearise the components, their connections join them to one system.
-native/linear_prediction.c has the equations, and solves them at every step.
+Directional derivatives of the FMUs linearise the components; the connections join the linearised components
+to one system. native/linear_prediction.c has the equations and solves them at every step.
 """
 
 from __future__ import annotations
@@ -23,114 +23,118 @@ from orchestrator.ssp.system import Port
 
 
 @dataclass(frozen=True)
-class Column:
-    """A directional derivative along several knowns that share no unknown, so that one call gives all.
+class JacobianColumn:
+    """A directional derivative with respect to several knowns, no two of which affect the same unknown.
 
-    call      puts into `into` how the unknowns `rows` change when the knowns move along `seed`
-    entries   pairs of an unknown and the known that it changes with, by number
+    call      writes the change of the unknowns `rows` to `result`, if the knowns change along `seed`
+    entries   indices (unknown, known) of the elements of the Jacobian that one call gives
     """
 
     call: Call
     seed: Buffer
-    into: Buffer
+    result: Buffer
     rows: Sequence[int]
     entries: Sequence[tuple[int, int]]
 
 
 class Linearisation:
-    """A component linearised at a communication point, by its directional derivatives.
+    """A component linearised at a communication point by its directional derivatives.
 
-    Unknowns are time derivatives of the states, then outputs; knowns are the states, then inputs.
+    Unknowns are the time derivatives of the states, then the outputs. Knowns are the states, then the inputs.
 
-    rates     calls that read the time derivatives of the states into `f`, shape (n,)
-    values    calls that read the states into `x`, shape (n,)
-    columns   all directional derivatives
+    rate_reads    calls that read the time derivatives of the states into `f`, shape (n,)
+    state_reads   calls that read the states into `x`, shape (n,)
+    columns       all directional derivatives
     """
 
     def __init__(
         self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str], f: Buffer, x: Buffer
     ) -> None:
-        face = slave.interface
-        self.states, self.inputs, self.outputs = list(face.states), inputs, outputs
-        rates = list(face.states.values())
-        self.rates = calls_by_type(slave, rates, f, slave.reader)
-        self.values = calls_by_type(slave, self.states, x, slave.reader)
+        states = slave.interface.states
+        self.states, self.inputs, self.outputs = list(states), inputs, outputs
+        rates = list(states.values())
+        self.rate_reads = calls_by_type(slave, rates, f, slave.reader)
+        self.state_reads = calls_by_type(slave, self.states, x, slave.reader)
         self._knowns, self._unknowns = [*self.states, *inputs], [*rates, *outputs]
         self.columns = [self._column(slave, group) for group in self._groups(slave)]
 
     def matrix(self) -> Buffer:
-        """All changes now, shape (unknowns, knowns); raises Problem where the FMU gives none."""
-        found = np.zeros((len(self._unknowns), len(self._knowns)))
+        """The Jacobian at this point, shape (unknowns, knowns); raises Problem if the FMU refuses a call."""
+        jacobian = np.zeros((len(self._unknowns), len(self._knowns)))
         for column in self.columns:
             column.call()
             for i, j in column.entries:
-                found[i, j] = column.into[column.rows.index(i)]
-        return found
+                jacobian[i, j] = column.result[column.rows.index(i)]
+        return jacobian
 
     def _groups(self, slave: Slave) -> list[list[tuple[int, int]]]:
-        """Entries of each column: a known joins others as long as no unknown depends on two of them."""
-        declared = [slave.interface.dependencies.get(name) for name in self._unknowns]
+        """Entries of each column; knowns are in one column if no unknown depends on two of them."""
+        dependencies = [slave.interface.dependencies.get(name) for name in self._unknowns]
         groups: list[list[tuple[int, int]]] = []
         for j, known in enumerate(self._knowns):
-            mine = [i for i, on in enumerate(declared) if on is None or known in on]
-            room = [group for group in groups if not {i for i, _ in group} & set(mine)]
-            if not room and mine:
+            dependent = [i for i, names in enumerate(dependencies) if names is None or known in names]
+            free = [group for group in groups if not {i for i, _ in group} & set(dependent)]
+            if not free and dependent:
                 groups.append([])
-                room = groups[-1:]
-            for group in room[:1]:
-                group += [(i, j) for i in mine]
+                free = groups[-1:]
+            for group in free[:1]:
+                group += [(i, j) for i in dependent]
         return groups
 
-    def _column(self, slave: Slave, entries: list[tuple[int, int]]) -> Column:
-        rows, knowns = sorted({i for i, _ in entries}), sorted({j for _, j in entries})
-        of, by = [self._unknowns[i] for i in rows], [self._knowns[j] for j in knowns]
-        seed, into = np.ones(len(by)), np.zeros(len(rows))
-        return Column(slave.directional_derivative(of, by, seed, into), seed, into, rows, entries)
+    def _column(self, slave: Slave, entries: list[tuple[int, int]]) -> JacobianColumn:
+        rows, columns = sorted({i for i, _ in entries}), sorted({j for _, j in entries})
+        unknowns, knowns = [self._unknowns[i] for i in rows], [self._knowns[j] for j in columns]
+        seed, result = np.ones(len(knowns)), np.zeros(len(rows))
+        return JacobianColumn(slave.directional_derivative(unknowns, knowns, seed, result), seed, result, rows, entries)
 
 
-VECTORS = "f x f0 x0 q"  # of the states
-MATRICES = "slopes k kc closed inverse course felt push v stages w w0 rows"
-STAGES = 7  # vectors of the states that C works with
+STATE_VECTORS = "f x f0 x0 q"
+OTHER_ARRAYS = "matrices k kc closed_loop inverse course response forcing v stages w w0 pivots"
+STAGES = 7  # vectors of the states that C uses as working memory
 
 
 class JoinedSystem:
-    """The arrays of n states and m inputs; matrices are (columns, rows), filled up to multiples of BLOCK.
+    """The arrays of a linear system with n states and m inputs.
 
-    slopes    A, B, C and D one after the other; a, b, c, d: views of it
-    through   outputs depend on inputs directly: D is not 0
+    Matrices have the shape (columns, rows); the rows are padded to a multiple of BLOCK.
+
+    matrices          A, B, C and D one after the other; a, b, c, d are views of it
+    has_feedthrough   outputs depend on inputs directly: D is not 0
 
     The other arrays are those of `LinearPrediction` in engine.h.
     """
 
     def __init__(self, n: int, m: int) -> None:
         block = engine_h().BLOCK
-        self.n, self.m, self.through = n, m, False
-        self.wide, self.broad = wide, broad = -(-n // block) * block, -(-m // block) * block
+        self.n, self.m, self.has_feedthrough = n, m, False
+        self.n_padded = wide = -(-n // block) * block
+        self.m_padded = broad = -(-m // block) * block
         self._ends = np.cumsum([n * wide, m * wide, n * broad, m * broad])
-        self.slopes = np.zeros(self._ends[-1])
-        a, b, c, d, _ = np.split(self.slopes, self._ends)
+        self.matrices = np.zeros(self._ends[-1])
+        a, b, c, d, _ = np.split(self.matrices, self._ends)
         shapes = (a, n, wide), (b, m, wide), (c, n, broad), (d, m, broad)
-        self.a, self.b, self.c, self.d = (part.reshape(columns, rows) for part, columns, rows in shapes)
+        self.a, self.b, self.c, self.d = (part.reshape(shape) for part, *shape in shapes)
         self.k, self.kc = np.zeros((m, broad)), np.zeros((n, broad))
-        self.closed, self.inverse = np.zeros((n, wide)), np.zeros((n, wide))
+        self.closed_loop, self.inverse = np.zeros((n, wide)), np.zeros((n, wide))
         self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
         self.w, self.w0 = np.zeros(broad), np.zeros(broad)
-        self.course, self.felt, self.v = (np.zeros((3, broad)) for _ in range(3))
-        self.push, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
-        self.rows = np.zeros(max(n, m), np.int32)
+        self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
+        self.forcing, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
+        self.pivots = np.zeros(max(n, m), np.int32)
 
-    def place(self, of_input: bool, column: int, to_input: bool, row: int) -> int:
-        """Where in `slopes` the change of a state or an input (`to_input`) with one (`of_input`) stands."""
+    def matrix_index(self, of_input: bool, column: int, to_input: bool, row: int) -> int:
+        """Index in `matrices` of the effect of a state or an input (`of_input`) on one (`to_input`)."""
         part = 2 * to_input + of_input
         first = int(self._ends[part - 1]) if part else 0
-        return first + column * int(self.broad if to_input else self.wide) + row
+        return first + column * int(self.m_padded if to_input else self.n_padded) + row
 
-    def made(self, binding: Binding, **more: Any) -> Any:
-        """`LinearPrediction` of engine.h, with these arrays and `more`."""
+    def struct(self, binding: Binding, **members: Any) -> Any:
+        """`LinearPrediction` of engine.h with these arrays and further members."""
+        sizes = ("n", "m", "n_padded", "m_padded", "has_feedthrough")
         return binding.h.LinearPrediction(
-            **binding.all_at(self, f"{VECTORS} {MATRICES}"),
-            **{name: getattr(self, name) for name in ("n", "m", "wide", "broad", "through")},
-            **more,
+            **binding.all_at(self, f"{STATE_VECTORS} {OTHER_ARRAYS}"),
+            **{name: getattr(self, name) for name in sizes},
+            **members,
         )
 
 
@@ -141,74 +145,73 @@ NO_DERIVATIVES = "gives no directional derivatives, so its outputs are extrapola
 class LinearInput:
     """One input of the linear system.
 
-    maker    number of the component that feeds it, or DRIVEN
-    number   among the coupling inputs; None for an input that the FMU moves by itself
+    source_component   index of the component that feeds it, or DRIVEN
+    coupling_input     its index among the coupling inputs; None if the FMU varies it by a rate input
     """
 
     target: Port
     source: Port | None
     factor: float
-    maker: int
-    number: int | None
+    source_component: int
+    coupling_input: int | None
 
 
 class LinearPrediction:
-    """The inputs of a network that are predicted, and the components that it takes.
+    """The linear system that predicts inputs of a network: its inputs, components, and structures for C.
 
-    leads   so many components step first
-    rows    all inputs of the linear system, and `kinds`: of each of them
+    inputs   all inputs of the linear system
+    kinds    PREDICTED, BY_SCENARIO, LEADING or EXTRAPOLATED for each of them
     """
 
     def __init__(
         self, network: Network, inputs: CouplingInputs, plan: Prediction, order: Sequence[int]
     ) -> None:
-        self._network, self._inputs, self._plan, self._h = network, inputs, plan, engine_h()
-        self.leads = plan.leads
-        self._first, self._others = list(order[: plan.leads]), list(order[plan.leads :])
+        self._network, self._coupling, self._plan, self._h = network, inputs, plan, engine_h()
+        self._leading, self._others = list(order[: plan.leading_count]), list(order[plan.leading_count :])
         self._names, self._components = list(network.slaves), [*network.components.values()]
-        self.rows = [row for row in self._found() if row.target in plan.relevant]
-        self.kinds = np.zeros(len(self.rows), np.int32)
+        self.inputs = [u for u in self._candidates() if u.target in plan.relevant]
+        self.kinds = np.zeros(len(self.inputs), np.int32)
         self._linearised: list[Linearisation] = []
-        self._columns: list[tuple[Column, list[tuple[int, int, float]]]] = []
-        self.joined = JoinedSystem(0, len(self.rows))
+        self._columns: list[tuple[JacobianColumn, list[tuple[int, int, float]]]] = []
+        self.joined = JoinedSystem(0, len(self.inputs))
         self.notes: tuple[str, ...] = ()
 
-    def _found(self) -> Iterator[LinearInput]:
-        """All continuous inputs of the components that do not lead."""
+    def _candidates(self) -> Iterator[LinearInput]:
+        """All continuous inputs of the components that are not leading."""
         network = self._network
-        ports = {place: port for port, place in network.real.index.items()}
+        ports = {index: port for port, index in network.reals.index.items()}
         for k in self._others:
             for i in self._components[k].inputs:
-                s = self._inputs.inputs[i]
-                if s.wanted:
+                s = self._coupling.inputs[i]
+                if s.requested_degree:
                     yield LinearInput(ports[s.target], ports.get(s.source), s.factor, s.source_component, i)
             for c in network.connections:
-                if c.target.component == self._names[k] and c.target in self._inputs.self_moving:
-                    yield LinearInput(
-                        c.target, c.source, c.map.factor, self._names.index(c.source.component), None
-                    )
+                if c.target.component == self._names[k] and c.target in self._coupling.rate_driven:
+                    source_component = self._names.index(c.source.component)
+                    yield LinearInput(c.target, c.source, c.map.factor, source_component, None)
 
     def begin(self) -> list[int]:
         """Linearise the components, which are initialised; returns the order in which all step.
 
-        First come those that lead, then those without directional derivatives; then the fastest, because what
-        it does is predicted worst, and all after it know better.
+        The order is: leading components, components without directional derivatives, then the others from the
+        fastest to the slowest. The prediction is worst for the fastest, and the components that follow it get
+        its actual outputs.
         """
-        speeds = {k: speed for k in self._others if (speed := self._speed(k)) is not None}
+        speeds = {k: speed for k in self._others if (speed := self._fastest_rate(k)) is not None}
         self._join(list(speeds))
-        closed = [k for k in self._others if k not in speeds]
-        makers = {row.maker for row in self.rows}
-        self.notes = tuple(f"{self._names[k]} {NO_DERIVATIVES}" for k in closed if k in makers)
-        return [*self._first, *closed, *sorted(speeds, key=lambda k: -speeds[k])]
+        extrapolated = [k for k in self._others if k not in speeds]
+        sources = {u.source_component for u in self.inputs}
+        self.notes = tuple(f"{self._names[k]} {NO_DERIVATIVES}" for k in extrapolated if k in sources)
+        return [*self._leading, *extrapolated, *sorted(speeds, key=lambda k: -speeds[k])]
 
-    def _speed(self, k: int) -> float | None:
-        """The largest rate [1/s] at which a component changes by itself; None without derivatives."""
+    def _fastest_rate(self, k: int) -> float | None:
+        """The largest magnitude [1/s] of an eigenvalue of component k; None without derivatives."""
         if self._names[k] not in self._plan.linearised:
             return None
-        n = self._size(k)
+        n = self._state_count(k)
         linear = self._linearisation(k, np.zeros(n), np.zeros(n))
         try:
-            for call in (*linear.rates, *linear.values):
+            for call in (*linear.rate_reads, *linear.state_reads):
                 call()
             matrix = linear.matrix()
         except Problem:
@@ -217,75 +220,83 @@ class LinearPrediction:
             return None
         return float(np.max(np.abs(np.linalg.eigvals(matrix[:n, :n])), initial=0.0))
 
-    def _size(self, k: int) -> int:
+    def _state_count(self, k: int) -> int:
         return len(self._components[k].slave.interface.states)
 
     def _linearisation(self, k: int, f: Buffer, x: Buffer) -> Linearisation:
-        inputs = [row.target.variable for row in self.rows if row.target.component == self._names[k]]
-        fed = dict.fromkeys(row.source.variable for row in self.rows if row.source and row.maker == k)
-        return Linearisation(self._components[k].slave, inputs, list(fed), f, x)
+        inputs = [u.target.variable for u in self.inputs if u.target.component == self._names[k]]
+        outputs = dict.fromkeys(
+            u.source.variable for u in self.inputs if u.source and u.source_component == k
+        )
+        return Linearisation(self._components[k].slave, inputs, list(outputs), f, x)
 
-    def _join(self, open_: Sequence[int]) -> None:
-        """Make one system of the components with directional derivatives."""
-        for i, row in enumerate(self.rows):
-            self.kinds[i] = self._kind(row.maker, open_)
-            if row.number is not None:
-                known = self.kinds[i] not in (self._h.OPEN, self._h.CLOSED)
-                self._inputs.inputs[row.number].predicted = not known
-        self.joined = joined = JoinedSystem(sum(map(self._size, open_)), len(self.rows))
+    def _join(self, predicted: Sequence[int]) -> None:
+        """Join the components with directional derivatives to one system."""
+        for i, u in enumerate(self.inputs):
+            self.kinds[i] = self._kind(u.source_component, predicted)
+            if u.coupling_input is not None:
+                by_prediction = self.kinds[i] in (self._h.PREDICTED, self._h.EXTRAPOLATED)
+                self._coupling.inputs[u.coupling_input].predicted = by_prediction
+        self.joined = joined = JoinedSystem(sum(map(self._state_count, predicted)), len(self.inputs))
         first = 0
-        for k in open_:
-            last = first + self._size(k)
+        for k in predicted:
+            last = first + self._state_count(k)
             linear = self._linearisation(k, joined.f[first:last], joined.x[first:last])
             self._linearised.append(linear)
             self._columns += [(c, list(self._entries(k, linear, c, first))) for c in linear.columns]
             first = last
-        direct = joined.place(True, 0, True, 0)
-        joined.through = any(to >= direct for _, entries in self._columns for _, to, _ in entries)
+        start_of_d = joined.matrix_index(True, 0, True, 0)
+        joined.has_feedthrough = any(to >= start_of_d for _, entries in self._columns for _, to, _ in entries)
 
-    def _kind(self, maker: int, open_: Sequence[int]) -> int:
+    def _kind(self, source_component: int, predicted: Sequence[int]) -> int:
         h = self._h
-        kind = h.BY_SCENARIO if maker == h.DRIVEN else h.OPEN if maker in open_ else h.CLOSED
-        return int(h.LEADING if maker in self._first else kind)
+        if source_component == h.DRIVEN:
+            return int(h.BY_SCENARIO)
+        if source_component in self._leading:
+            return int(h.LEADING)
+        return int(h.PREDICTED if source_component in predicted else h.EXTRAPOLATED)
 
     def _entries(
-        self, k: int, linear: Linearisation, column: Column, first: int
+        self, k: int, linear: Linearisation, column: JacobianColumn, first: int
     ) -> Iterator[tuple[int, int, float]]:
-        """Where a column belongs whose component's states begin at `first`: from, to, and a factor."""
-        own, targets = len(linear.states), [row.target for row in self.rows]
+        """Entries of a column: index in its result, index in `matrices`, factor.
+
+        first   index of the first state of component k
+        """
+        n, targets = len(linear.states), [u.target for u in self.inputs]
         for i, j in column.entries:
-            of_input, at, start = j >= own, first + j, column.rows.index(i)
+            of_input, known, result = j >= n, first + j, column.rows.index(i)
             if of_input:
-                at = targets.index(Port(self._names[k], linear.inputs[j - own]))
-            if i < own:
-                yield start, self.joined.place(of_input, at, False, first + i), 1.0
+                known = targets.index(Port(self._names[k], linear.inputs[j - n]))
+            if i < n:
+                yield result, self.joined.matrix_index(of_input, known, False, first + i), 1.0
                 continue
-            source = Port(self._names[k], linear.outputs[i - own])
-            for r, row in enumerate(self.rows):
-                if row.source == source:
-                    yield start, self.joined.place(of_input, at, True, r), row.factor
+            source = Port(self._names[k], linear.outputs[i - n])
+            for row, u in enumerate(self.inputs):
+                if u.source == source:
+                    yield result, self.joined.matrix_index(of_input, known, True, row), u.factor
 
     def fill(self, binding: Binding) -> None:
-        """Give the linear system to C."""
+        """Fill the C structures of the linear system."""
         h, at, lag = binding.h, binding.at, self._plan.lag
-        columns = binding.array(h.SlopeColumn, [h.SlopeColumn()] * len(self._columns))
-        for made, (column, entries) in zip(columns, self._columns, strict=False):
-            binding.fill_derivative(made.derivative, column.call, column.seed, column.into)
-            start, to, factor = zip(*entries, strict=True)
-            made.to, made.factor = at(np.array(to, np.int64)), at(np.array(factor, float))
-            setattr(made, "from", at(np.array(start, np.int32)))
-            made.entries = len(entries)
-        numbers = [-1 if row.number is None else row.number for row in self.rows]
-        made = self.joined.made(
+        columns = binding.array(h.JacobianColumn, [h.JacobianColumn()] * len(self._columns))
+        for struct, (column, entries) in zip(columns, self._columns, strict=False):
+            binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
+            from_, to, factor = zip(*entries, strict=True)
+            struct.to, struct.factor = at(np.array(to, np.int64)), at(np.array(factor, float))
+            setattr(struct, "from", at(np.array(from_, np.int32)))  # `from` is a keyword of Python
+            struct.entries = len(entries)
+        coupling_inputs = [-1 if u.coupling_input is None else u.coupling_input for u in self.inputs]
+        struct = self.joined.struct(
             binding,
-            rates=binding.program([call for linear in self._linearised for call in linear.rates]),
-            values=binding.program([call for linear in self._linearised for call in linear.values]),
+            rate_reads=binding.program([call for linear in self._linearised for call in linear.rate_reads]),
+            state_reads=binding.program([call for linear in self._linearised for call in linear.state_reads]),
             columns=binding.pointer(columns),
             column_count=len(self._columns),
             kinds=at(self.kinds),
-            inputs=at(np.array(numbers, np.int32)),
-            leads=self.leads,
+            inputs=at(np.array(coupling_inputs, np.int32)),
+            leading_count=self._plan.leading_count,
             lag=lag,
             age=lag,
         )
-        binding.simulation.prediction = binding.pointer(made)
+        binding.simulation.prediction = binding.pointer(struct)

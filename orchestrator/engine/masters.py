@@ -1,11 +1,11 @@
-"""Masters: how the components take a communication step together. Each makes a `Plan` of a system.
+"""Co-simulation masters: each is a function that makes a `Plan` for a system.
 
-    Jacobi               all components take the step with what is known at its start
+    Jacobi               all components step with inputs extrapolated from the start of the step
     Gauss-Seidel         components step one after the other, later ones with the new outputs of earlier ones
-    Hermite              the step is repeated until every input is the cubic between the ends of its source
-    Interface-Jacobian   linearisations of the components, joined, predict all inputs over the step
+    Hermite              the step is repeated until every input is the cubic between both ends of its source
+    FmuInterface-Jacobian   linearised components, joined to one system, predict all inputs over the step
 
-native/communication_step.c takes the step as the plan says; docs/coupling.md has equations and measurements.
+native/communication_step.c carries out a step of any plan; docs/coupling.md has equations and measurements.
 """
 
 from __future__ import annotations
@@ -15,22 +15,21 @@ from dataclasses import dataclass
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.fmi.description import FmuInterface
-from orchestrator.ssp.dependencies import gauss_seidel_order
 from orchestrator.ssp.system import Connection, Port, System
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a linear prediction works with.
+    """The part of a plan for the linear prediction of inputs.
 
-    leads        so many components step first: their future depends on no other component
-    linearised   components that declare directional derivatives of states and outputs
-    complete     there are no others, but for those that lead
-    relevant     inputs that a state depends on, or an output that feeds another component
-    lag          steps for which a linearisation is kept
+    leading_count   number of components that step first, because they depend on no other component
+    linearised      names of the components that declare directional derivatives of states and outputs
+    complete        all components are leading, linearised, or feed no other
+    relevant        inputs that influence a state, or an output that feeds another component
+    lag             number of steps for which a linearisation is kept
     """
 
-    leads: int
+    leading_count: int
     linearised: frozenset[str]
     complete: bool
     relevant: frozenset[Port]
@@ -39,25 +38,24 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Plan:
-    """One way to take all components over a step.
+    """How all components take a communication step.
 
-    order        the components, by number, in the order in which they step
-    moved        the connections whose inputs move inside the step; the others are held
-    extrapolation   degree at which a source is extrapolated that has not stepped yet
-    degree       degree at which both ends of a source are connected that has
-    sequential   the inputs of a component know what the sources before it in the order have done
-    passes       how often the step is computed at most; more than once needs rollback
-    tolerance    a further pass is made while the last one changed a signal by more, as a share of its
-                 magnitude
-    corrected    extrapolated inputs get back what they lost, see input_correct in native/coupling_input.c
-    watches      the inputs that do not move are watched too, for the estimate of the error
-    repeated     the components, by number, that further passes compute again
-    notes        for the card of the run
-    prediction   inputs are predicted from linearisations
+    order           indices of the components in the order in which they step
+    varying         connections whose inputs vary inside the step; the others are held
+    extrapolation   degree of extrapolation for a source that has not stepped yet
+    degree          degree of interpolation for a source that has stepped
+    sequential      components step one after the other, with the new outputs of those before
+    passes          how often the step is computed at most; more than once requires rollback
+    tolerance       passes end when the last one changed no signal by more, relative to its magnitude
+    corrected       extrapolated inputs are corrected by input_correct of native/coupling_input.c
+    watches         held inputs are watched too, to estimate the error
+    repeated        indices of the components that further passes compute again
+    notes           remarks for the accuracy card
+    prediction      inputs are predicted from linearisations
     """
 
     order: Sequence[int]
-    moved: Sequence[Connection]
+    varying: Sequence[Connection]
     extrapolation: int
     degree: int
     sequential: bool = False
@@ -70,60 +68,103 @@ class Plan:
     prediction: Prediction | None = None
 
     @property
-    def sloped(self) -> bool:
-        """Are the slopes of sources wanted?"""
+    def needs_slopes(self) -> bool:
+        """Does the master use slopes of outputs?"""
         return self.extrapolation > 0 or self.degree > 1 or self.corrected or self.watches
 
-    def asks(self, component: str) -> bool:
-        """Are the slopes of the outputs of this component wanted?"""
+    def needs_slopes_of(self, component: str) -> bool:
+        """Does the master use slopes of the outputs of this component?"""
         prediction = self.prediction
         predicted = prediction is not None and prediction.complete and component in prediction.linearised
-        return self.sloped and not predicted
+        return self.needs_slopes and not predicted
 
 
-def order_of_components(system: System) -> list[int]:
-    """The order, by number, in which components step one after the other."""
-    places = {name: i for i, name in enumerate(system.components)}
-    return [places[name] for name in gauss_seidel_order(system)]
+def gauss_seidel_order(system: System) -> list[str]:
+    """Names of the components in the order in which Gauss-Seidel steps them.
 
-
-def unsettled(system: System, order: Sequence[int]) -> frozenset[int]:
-    """The components, by number, that a second pass can change when they step in this order.
-
-    These are fed by one that does not step before them, or by one that a second pass changes.
+    The next component is the one with the fewest inputs that have feed-through to its outputs and whose
+    source
+    has not stepped yet. Among equal ones it is the one with the fewest inputs whose source has not stepped
+    yet, then one that holds its inputs before one that interpolates them (which gains from a later position),
+    then the first in the system.
     """
-    names, wires = list(system.components), system.connections
-    turn = {names[k]: i for i, k in enumerate(order)}
-    found = {c.target.component for c in wires if turn[c.source.component] >= turn[c.target.component]}
-    while more := {c.target.component for c in wires if c.source.component in found} - found:
-        found |= more
-    return frozenset(map(names.index, found))
+    with_feedthrough = {
+        Port(c.name, u)
+        for c in system.components.values()
+        for y in c.interface.of("output")
+        for u in c.interface.direct_inputs(y.name)
+    }
+    remaining, order = list(system.components), list[str]()
+
+    def waiting_inputs(name: str) -> tuple[int, int, bool]:
+        targets = [
+            c.target
+            for c in system.connections
+            if c.target.component == name and c.source.component in remaining and c.source.component != name
+        ]
+        interpolates = bool(system.components[name].interface.ramp_inputs)
+        return sum(t in with_feedthrough for t in targets), len(targets), interpolates
+
+    while remaining:
+        order.append(min(remaining, key=waiting_inputs))
+        remaining.remove(order[-1])
+    return order
+
+
+def _gauss_seidel_indices(system: System) -> list[int]:
+    return [*map(list(system.components).index, gauss_seidel_order(system))]
+
+
+def unsettled_components(system: System, order: Sequence[int]) -> frozenset[int]:
+    """Indices of the components that a second pass can change if they step in this order.
+
+    A component is one of them if it is fed by a component that does not step before it, or by one of them.
+    """
+    names, connections = list(system.components), system.connections
+    position = {names[k]: i for i, k in enumerate(order)}
+    unsettled = {
+        c.target.component
+        for c in connections
+        if position[c.source.component] >= position[c.target.component]
+    }
+    while fed := {c.target.component for c in connections if c.source.component in unsettled} - unsettled:
+        unsettled |= fed
+    return frozenset(map(names.index, unsettled))
 
 
 def jacobi_plan(system: System, coupling: Coupling) -> Plan:
-    """Sources are extrapolated over the step at degree `order`; order of convergence: one more.
+    """Sources are extrapolated over the step at degree `order`; the order of convergence is `order` + 1.
 
-    At order 0 inputs are held, unless an FMU moves them itself by a rate input.
+    At order 0 inputs are held, unless an FMU varies them itself by a rate input.
     """
     order = coupling.extrapolation
-    moved = system.connections if order or coupling.correct else ()
-    watches = coupling.estimates_error
-    everybody = range(len(system.components))
-    return Plan(everybody, moved, order, degree=order, corrected=coupling.correct, watches=watches)
+    return Plan(
+        range(len(system.components)),
+        system.connections if order or coupling.correct else (),
+        order,
+        degree=order,
+        corrected=coupling.correct,
+        watches=coupling.estimates_error,
+    )
 
 
 def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
     """Sources that have stepped are interpolated at degree `order` + 1, others extrapolated at `order`.
 
-    Order of convergence: `order` + 1. At order 0 inputs from components that step later are held, unless an
-    FMU moves them itself by a rate input. The order of the components follows from the dependencies.
+    The order of convergence is `order` + 1. At order 0 inputs from components that step later are held,
+    unless
+    an FMU varies them itself by a rate input. Components step in the order that follows from their
+    dependencies.
     """
     order, names = coupling.extrapolation, list(system.components)
-    turn = {names[k]: i for i, k in enumerate(order_of_components(system))}
-    early = [c for c in system.connections if turn[c.source.component] < turn[c.target.component]]
+    components = _gauss_seidel_indices(system)
+    position = {names[k]: i for i, k in enumerate(components)}
+    from_earlier = [
+        c for c in system.connections if position[c.source.component] < position[c.target.component]
+    ]
     return Plan(
-        order_of_components(system),
-        system.connections if order or coupling.correct else early,
+        components,
+        system.connections if order or coupling.correct else from_earlier,
         order,
         degree=min(order + 1, 3),
         sequential=True,
@@ -133,58 +174,58 @@ def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
 
 
 def hermite_plan(system: System, coupling: Coupling) -> Plan:
-    """At most `passes` passes, fewer when one changes all signals by less than the tolerance.
+    """At most `passes` passes; they end early if one changes all signals by less than the tolerance.
 
-    Values and slopes at both ends of a step make a cubic. In the first pass the far end is not known yet, and
-    sources are extrapolated as Gauss-Seidel does it; each further pass starts again from the saved states,
-    with the cubics to where the pass before it ended. When passes change nothing any more the input of every
-    component is its source up to h^4, so the order of convergence is 4.
+    Values and slopes at both ends of a step make a cubic. In the first pass the end is not available yet, and
+    sources are extrapolated as by Gauss-Seidel. Each further pass starts again from the saved states, with
+    cubics to the ends of the previous pass. If passes change nothing any more, the input of every component
+    equals its source up to h^4, so the order of convergence is 4.
 
-    A component whose sources have all stepped before it is right in the first pass already. When all others
-    can go back to a saved state the step is repeated, else it is computed once.
+    The first pass is final for a component whose sources have all stepped before it. The step is repeated if
+    all other components can go back to a saved state. Otherwise it is computed once.
     """
-    order = order_of_components(system)
-    repeated, components = unsettled(system, order), list(system.components.values())
-    stuck = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
-    note = f"hermite computes every step once: {', '.join(stuck)} cannot go back to a saved state"
+    order = _gauss_seidel_indices(system)
+    repeated, components = unsettled_components(system, order), list(system.components.values())
+    cannot = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
+    note = f"hermite computes every step once: {', '.join(cannot)} cannot go back to a saved state"
     return Plan(
         order,
         system.connections,
         coupling.extrapolation,
         degree=3,
         sequential=True,
-        passes=1 if stuck else coupling.max_passes,
+        passes=1 if cannot else coupling.max_passes,
         tolerance=coupling.pass_tolerance,
         corrected=coupling.correct,
         watches=coupling.estimates_error,
         repeated=repeated,
-        notes=(note,) if stuck and coupling.max_passes > 1 else (),
+        notes=(note,) if cannot and coupling.max_passes > 1 else (),
     )
 
 
 def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
-    """All inputs are predicted; those from components that have stepped are bent to where they arrived.
+    """All inputs are predicted; a source that has stepped replaces the end of the prediction by its value.
 
-    One pass, no rollback. Components whose future does not depend on others step first, and are followed as
-    they went.
+    There is one pass and no rollback. Components that do not depend on others step first, and the inputs that
+    they feed are interpolated.
     """
-    relevant = _relevant(system)
-    leads = _leads(system, relevant)
-    needed = _needed(system, leads, relevant)
+    relevant = _relevant_inputs(system)
+    leading = _leading_components(system, relevant)
+    needed = _components_to_predict(system, leading, relevant)
     linearised = frozenset(name for name in needed if _linearisable(system.components[name].interface))
     return Plan(
-        sorted(order_of_components(system), key=lambda k: k not in leads),
+        sorted(_gauss_seidel_indices(system), key=lambda k: k not in leading),
         system.connections,
         coupling.extrapolation,
         degree=3,
         sequential=True,
         watches=coupling.estimates_error,
-        prediction=Prediction(len(leads), linearised, linearised == needed, relevant, coupling.lag),
+        prediction=Prediction(len(leading), linearised, linearised == needed, relevant, coupling.lag),
     )
 
 
-def _relevant(system: System) -> frozenset[Port]:
-    """Inputs that a state depends on, or an output that feeds another component."""
+def _relevant_inputs(system: System) -> frozenset[Port]:
+    """Inputs that influence a state, or an output that feeds another component."""
     sources: dict[str, set[str]] = {name: set() for name in system.components}
     for c in system.connections:
         if c.target.variable not in system.components[c.target.component].interface.unused_inputs:
@@ -193,43 +234,43 @@ def _relevant(system: System) -> frozenset[Port]:
         Port(name, v.name)
         for name, component in system.components.items()
         for v in component.interface.of("input")
-        if _changes_something(component.interface, v.name, sources[name])
+        if _has_influence(component.interface, v.name, sources[name])
     )
 
 
-def _changes_something(face: FmuInterface, variable: str, outputs: Iterable[str]) -> bool:
-    if variable in face.unused_inputs:
+def _has_influence(interface: FmuInterface, variable: str, outputs: Iterable[str]) -> bool:
+    if variable in interface.unused_inputs:
         return False
-    if not (face.states or face.stateless):
+    if not (interface.states or interface.stateless):
         return True
-    declared = [face.dependencies.get(rate) for rate in face.states.values()]
-    moves = any(known is None or variable in known for known in declared)
-    return moves or any(variable in face.direct_inputs(y) for y in outputs)
+    dependencies = [interface.dependencies.get(rate) for rate in interface.states.values()]
+    on_states = any(names is None or variable in names for names in dependencies)
+    return on_states or any(variable in interface.direct_inputs(y) for y in outputs)
 
 
-def _leads(system: System, relevant: frozenset[Port]) -> set[int]:
-    """Components that depend on nobody but each other: sources, and what merely follows sources."""
-    names, found = list(system.components), set[int]()
-    wires = [(c.source.component, c.target.component) for c in system.connections if c.target in relevant]
+def _leading_components(system: System, relevant: frozenset[Port]) -> set[int]:
+    """Indices of the components that depend on no other components than these, in an order without cycles."""
+    names, leading = list(system.components), set[int]()
+    edges = [(c.source.component, c.target.component) for c in system.connections if c.target in relevant]
     while True:
-        done = {names[k] for k in found}
-        waiting = {target for source, target in wires if source == target or source not in done}
-        more = {k for k, name in enumerate(names) if name not in waiting}
-        if more == found:
-            return found
-        found = more
+        leading_names = {names[k] for k in leading}
+        dependent = {target for source, target in edges if source == target or source not in leading_names}
+        independent = {k for k, name in enumerate(names) if name not in dependent}
+        if independent == leading:
+            return leading
+        leading = independent
 
 
-def _needed(system: System, leads: set[int], relevant: frozenset[Port]) -> frozenset[str]:
-    """Components whose future is to be predicted: they do not lead, and feed one that does not."""
-    others = {name for k, name in enumerate(system.components) if k not in leads}
-    wires = [c for c in system.connections if c.target in relevant and c.target.component in others]
-    return frozenset({c.source.component for c in wires} & others)
+def _components_to_predict(system: System, leading: set[int], relevant: frozenset[Port]) -> frozenset[str]:
+    """Names of the components that are not leading, and feed one that is not leading."""
+    others = {name for k, name in enumerate(system.components) if k not in leading}
+    connections = [c for c in system.connections if c.target in relevant and c.target.component in others]
+    return frozenset({c.source.component for c in connections} & others)
 
 
-def _linearisable(face: FmuInterface) -> bool:
-    """Does a component declare directional derivatives, of all its states and outputs?"""
-    return face.directional_derivatives and bool(face.states or face.stateless)
+def _linearisable(interface: FmuInterface) -> bool:
+    """Does a component declare directional derivatives of all its states and outputs?"""
+    return interface.directional_derivatives and bool(interface.states or interface.stateless)
 
 
 MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {
@@ -238,8 +279,3 @@ MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {
     "hermite": hermite_plan,
     "interface-jacobian": interface_jacobian_plan,
 }
-
-
-def plan(system: System, coupling: Coupling) -> Plan:
-    """The plan of the chosen master."""
-    return MASTERS[coupling.master](system, coupling)

@@ -1,9 +1,10 @@
-"""The running system: where its values stand, and the calls that exchange them at a communication point.
+"""The values of all signals of a running system, and the calls that exchange them at a communication point.
 
-All Real variables that are exchanged or recorded stand in one float64 array, all others in one int32 array.
-A component's variables that are read (or set) together stand side by side, so that each get or set is one
-call into the FMU on a slice. The exchange at a communication point runs through the stages of
-`dependencies.output_order`: read the outputs that are known, carry them over, set the inputs they feed.
+All Real variables that are exchanged or recorded are in one float64 array, all Integer, Enumeration and
+Boolean variables in one int32 array. A component's variables that are read (or set) together are contiguous,
+so that each get or set is one call into the FMU on a slice. The exchange at a communication point runs
+through the stages of `dependencies.output_order`: read the outputs of the stage, copy them along the
+connections, set the inputs that they feed.
 """
 
 from __future__ import annotations
@@ -18,25 +19,32 @@ from numpy.typing import NDArray
 from orchestrator.engine.algebraic_loop import AlgebraicLoop
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import RunningComponent
-from orchestrator.engine.scenario import Scenario
+from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Buffer, Call, Slave, function_type
 from orchestrator.ssp.dependencies import OutputOrder, output_order
 from orchestrator.ssp.system import Connection, Port, System
 
+SCENARIO_STAGE = -1  # stage of the inputs that a scenario sets, before all others
+LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
+
 
 @dataclass(frozen=True)
 class Block:
-    """Variables of one component and one kind that are read or set in the same stages; a slice of a bank."""
+    """A slice of an array: variables of one component and one FMI type with the same stages of the exchange.
+
+    access   name of the type in the FMI function
+    first    index of the first variable
+    """
 
     component: str
-    kind: str
+    access: str
     stages: tuple[int, ...]
     ports: tuple[Port, ...]
     first: int
 
 
-class Bank:
-    """One array of values and where each port stands in it."""
+class SignalArray:
+    """An array of signal values, and the index of each port in it."""
 
     def __init__(self, dtype: Any) -> None:
         self.blocks: list[Block] = []
@@ -46,67 +54,65 @@ class Bank:
     def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
         """Append ports, grouped into blocks."""
         groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
-        for port, when in stages.items():
-            groups.setdefault((port.component, function_type(system.variable(port)), when), []).append(port)
-        added = []
-        for (component, kind, when), ports in groups.items():
-            added.append(Block(component, kind, when, tuple(ports), len(self.index)))
+        for port, port_stages in stages.items():
+            group = port.component, function_type(system.variable(port)), port_stages
+            groups.setdefault(group, []).append(port)
+        blocks = []
+        for group, ports in groups.items():
+            blocks.append(Block(*group, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
-        self.blocks += added
+        self.blocks += blocks
         self.values = np.zeros(len(self.index), self.values.dtype)
-        return added
+        return blocks
 
     def slice(self, block: Block) -> Buffer:
         """The values of one block, as a view."""
         return self.values[block.first : block.first + len(block.ports)]
 
-    def places(self, ports: Iterable[Port]) -> NDArray[np.int64]:
-        """Positions of ports in `values`."""
+    def indices(self, ports: Iterable[Port]) -> NDArray[np.int64]:
+        """The indices of ports, shape (n,)."""
         return np.array([self.index[p] for p in ports], dtype=np.int64)
 
 
-class Link:
-    """Connections that carry values from outputs to inputs within a bank; calling it does so."""
+Blocks = list[tuple[SignalArray, Block]]
 
-    def __init__(self, bank: Bank, connections: Sequence[Connection]) -> None:
-        self.source = bank.places(c.source for c in connections)
-        self.target = bank.places(c.target for c in connections)
-        self.values = bank.values
-        self.factor = np.array([c.map.factor for c in connections]).astype(bank.values.dtype)
-        self.offset = np.array([c.map.offset for c in connections]).astype(bank.values.dtype)
+
+class ConnectionCopy:
+    """Copies values along connections, from outputs to inputs within one array."""
+
+    def __init__(self, array: SignalArray, connections: Sequence[Connection]) -> None:
+        self.source = array.indices(c.source for c in connections)
+        self.target = array.indices(c.target for c in connections)
+        self.values = array.values
+        self.factor = np.array([c.map.factor for c in connections]).astype(array.values.dtype)
+        self.offset = np.array([c.map.offset for c in connections]).astype(array.values.dtype)
 
     def __call__(self) -> None:
         self.values[self.target] = self.values[self.source] * self.factor + self.offset
 
     def instruction(self, binding: Binding) -> Any:
-        """The same for C, where factors of 1 with offsets of 0 are left out."""
-        h = binding.h
-        plain = np.all(self.factor == 1) and np.all(self.offset == 0)
-        made = h.Link(
-            **binding.all_at(self, "source target" if plain else "source target factor offset"),
+        """The instruction for C; it has no factors and offsets if all are 1 and 0."""
+        identity = np.all(self.factor == 1) and np.all(self.offset == 0)
+        struct = binding.h.ConnectionCopy(
+            **binding.all_at(self, "source target" if identity else "source target factor offset"),
             count=len(self.source),
-            bank=binding.bank(self.values),
+            array=binding.array_of(self.values),
         )
-        return h.Instruction(h.LINK, 0, binding.pointer(made))
-
-
-FIRST = -1  # the stage of inputs that a scenario sets, before all others
-TIED = -2  # from here on downwards: the stages of ports that algebraic loops read and set
-
-Blocks = list[tuple[Bank, Block]]
+        return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
 
 class Network:
-    """FMUs, the banks of their values, and the calls of an exchange.
+    """The FMUs of a system, the arrays of their values, and the calls of an exchange.
 
-    binding          what C works with
+    binding          the C library and the objects that it refers to
     components       by name
-    scenario         the inputs that a scenario drives
-    real, whole      banks of the Real values and of all others (Integer, Enumeration, Boolean)
-    used             shape (2, real values): what moving inputs were at both ends of a step, else not a number
-    connections      those that feed inputs
-    loops            what may be algebraic loops
-    exchange_calls   all calls of one exchange, in order, but for those that a scenario makes first
+    driven           the inputs that a scenario drives
+    reals, integers  arrays of the Real values, and of all others (Integer, Enumeration, Boolean)
+    input_ends       shape (2, Real values): coupling inputs at both ends of a step; NaN for other signals
+    connections      connections to inputs
+    loops            potential algebraic loops
+    exchange_calls   all calls of one exchange, in order, except those for the driven inputs, which are set
+                     before
     """
 
     def __init__(
@@ -114,171 +120,136 @@ class Network:
         system: System,
         slaves: Mapping[str, Slave],
         scenario: Scenario | None = None,
-        probes: Iterable[Port] | None = None,
-        factors: Mapping[str, int] | None = None,
+        recorded: Iterable[Port] | None = None,
+        substeps: Mapping[str, int] | None = None,
     ) -> None:
-        """probes: what is wanted besides what connections carry; default: all outputs, all that is exposed.
+        """recorded: ports that are recorded, connected or not; default: all outputs and all exposed inputs.
 
-        factors: how many steps components take in one communication step.
+        substeps: how many steps components take in one communication step; default: 1.
         """
         self.system, self.slaves, self.binding = system, slaves, Binding()
         self.components = {
-            name: RunningComponent(s, (factors or {}).get(name, 1)) for name, s in slaves.items()
+            name: RunningComponent(slave, (substeps or {}).get(name, 1)) for name, slave in slaves.items()
         }
         self.order: OutputOrder = output_order(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
-        self.real, self.whole = Bank(np.float64), Bank(np.int32)
-        reads, writes = self._place(probes, scenario.columns if scenario else ())
-        self.used = np.full((2, len(self.real.values)), np.nan)
+        self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
+        output_blocks, input_blocks = self._allocate(recorded, scenario.columns if scenario else ())
+        self.input_ends = np.full((2, len(self.reals.values)), np.nan)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
-        self.exchange_calls = self._exchange(reads, writes)
-        self.scenario = DrivenInputs(self, scenario) if scenario else None
-
-    def matters(self, port: Port) -> bool:
-        """Does anything that others use depend on this input?"""
-        face = self.slaves[port.component].interface
-        used = {c.source.variable for c in self.connections if c.source.component == port.component}
-        return port.variable not in face.unused_inputs and face.may_affect(port.variable, used)
-
-    def bank(self, port: Port) -> Bank:
-        """The bank that holds this port's value."""
-        return self.real if self.system.variable(port).is_real else self.whole
-
-    def reader(self, bank: Bank, block: Block) -> Call:
-        """The call that reads a block."""
-        return self.slaves[block.component].reader([p.variable for p in block.ports], bank.slice(block))
-
-    def writer(self, bank: Bank, block: Block) -> Call:
-        """The call that sets a block."""
-        return self.slaves[block.component].writer([p.variable for p in block.ports], bank.slice(block))
-
-    def output_reads(self, component: str) -> list[Call]:
-        """Calls that read all connected outputs of a component, for sequential masters."""
-        sources = {c.source for c in self.connections}
-        return [
-            self.reader(bank, b)
-            for bank in (self.real, self.whole)
-            for b in bank.blocks
-            if b.component == component and sources & set(b.ports)
-        ]
-
-    def input_writes(self, connections: Sequence[Connection]) -> list[Call]:
-        """Calls that carry the values of connections over and set the inputs."""
-        calls: list[Call] = []
-        for bank in (self.real, self.whole):
-            links = [c for c in connections if self.bank(c.target) is bank]
-            calls += [Link(bank, links)] if links else []
-        return calls + self.writers({c.target for c in connections})
-
-    def writers(self, ports: set[Port]) -> list[Call]:
-        """Calls that set the blocks which hold these ports."""
-        blocks = [(bank, b) for bank in (self.real, self.whole) for b in bank.blocks]
-        return [self.writer(bank, b) for bank, b in blocks if ports & set(b.ports)]
+        self.exchange_calls = self._exchange(output_blocks, input_blocks)
+        self.driven: DrivenInputs | None = None
+        if scenario:
+            calls = self.set_calls(set(scenario.columns))
+            self.driven = DrivenInputs(scenario, system, self.reals.index, self.integers.index, calls)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to say about the exchange after a run."""
+        """Remarks on the exchange for the user."""
         return self.order.notes + tuple(loop.note for loop in self.loops)
 
-    def fill(self) -> None:
-        """Give C the components, the values, their exchange, and the scenario."""
-        binding, sim, h = self.binding, self.binding.simulation, self.binding.h
-        saved = self.real.values.copy(), self.whole.values.copy()
-        binding.components = [*self.components.values()]
-        made = binding.array(h.Component, [h.Component()] * len(self.components))
-        for one, component in zip(made, binding.components, strict=False):
-            component.fill(binding, one)
-        sim.components, sim.component_count = binding.pointer(made), len(self.components)
-        sim.real, sim.whole = binding.at(self.real.values), binding.at(self.whole.values)
-        sim.real_saved, sim.whole_saved = (binding.at(values) for values in saved)
-        sim.reals, sim.wholes, sim.used = len(saved[0]), len(saved[1]), binding.at(self.used)
-        sim.exchange = binding.program(self.exchange_calls)
-        sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
-        sim.loop_count, sim.rounds_at_start = len(self.loops), self.order.count + 1
+    def influences_outputs(self, port: Port) -> bool:
+        """Does a connected output of its component, or a state, depend on this input?"""
+        interface = self.slaves[port.component].interface
+        connected = {c.source.variable for c in self.connections if c.source.component == port.component}
+        return port.variable not in interface.unused_inputs and interface.may_affect(port.variable, connected)
 
-    def forget(self) -> None:
-        """Free the states that were saved."""
-        for component in self.components.values():
-            component.forget()
+    # ---- calls
 
-    # ---- building
+    def get_output_calls(self, component: str) -> list[Call]:
+        """Calls that read all connected outputs of a component, for sequential masters."""
+        sources = {c.source for c in self.connections}
+        blocks = [(array, b) for array, b in self._blocks() if b.component == component]
+        return [self._get_call(array, b) for array, b in blocks if sources & set(b.ports)]
 
-    def _place(self, probes: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
-        """Give every output, probe and fed input its place; returns the blocks to read and to set."""
-        last = max(self.order.count - 1, 0)
-        wanted = set(self.order.stages if probes is None else probes) | {c.source for c in self.connections}
-        numeric = {p for p in wanted if self.system.variable(p).kind != "String"}
-        outputs = {p: s for p, s in self.order.stages.items() if p in numeric}
+    def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Call]:
+        """Calls that copy values along connections and set the inputs."""
+        return self._copies(connections) + self.set_calls({c.target for c in connections})
+
+    def set_calls(self, ports: set[Port]) -> list[Call]:
+        """Calls that set the blocks with these ports."""
+        return [self._set_call(array, b) for array, b in self._blocks() if ports & set(b.ports)]
+
+    def _blocks(self) -> Blocks:
+        return [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
+
+    def _array(self, port: Port) -> SignalArray:
+        return self.reals if self.system.variable(port).is_real else self.integers
+
+    def _get_call(self, array: SignalArray, block: Block) -> Call:
+        return self.slaves[block.component].reader([p.variable for p in block.ports], array.slice(block))
+
+    def _set_call(self, array: SignalArray, block: Block) -> Call:
+        return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
+
+    def _copies(self, connections: Iterable[Connection]) -> list[Call]:
+        by_array = [
+            (array, [c for c in connections if self._array(c.source) is array])
+            for array in (self.reals, self.integers)
+        ]
+        return [ConnectionCopy(array, group) for array, group in by_array if group]
+
+    def _allocate(self, recorded: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
+        """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""
+        last_stage = max(self.order.count - 1, 0)
+        requested = set(self.order.stages if recorded is None else recorded)
+        requested |= {c.source for c in self.connections}
+        numeric = {p for p in requested if self.system.variable(p).kind != "String"}
+        outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        for i, (cycle, _) in enumerate(self.order.cycles):  # in blocks of their own, which no stage touches
-            outputs |= {c.source: (TIED - i,) for c in cycle.connections}
-            inputs |= {c.target: (TIED - i,) for c in cycle.connections}
-        inputs |= {p: (FIRST,) for p in driven}
-        more = self.system.exposed if probes is None else probes
-        outputs |= {p: (last,) for p in more if p not in outputs and p not in inputs}
-        reads, writes = Blocks(), Blocks()
-        for bank in (self.real, self.whole):
-            for stages, blocks in ((outputs, reads), (inputs, writes)):
-                own = {p: s for p, s in stages.items() if self.bank(p) is bank}
-                blocks += [(bank, b) for b in bank.add(self.system, own)]
-        return reads, writes
+        for i, (cycle, _) in enumerate(
+            self.order.cycles
+        ):  # blocks of a loop take part in no stage of the exchange
+            outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
+            inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
+        inputs |= {p: (SCENARIO_STAGE,) for p in driven}
+        others = self.system.exposed if recorded is None else recorded
+        outputs |= {p: (last_stage,) for p in others if p not in outputs and p not in inputs}
+        output_blocks, input_blocks = Blocks(), Blocks()
+        for array in (self.reals, self.integers):
+            for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
+                of_array = {p: s for p, s in stages.items() if self._array(p) is array}
+                blocks += [(array, b) for b in array.add(self.system, of_array)]
+        return output_blocks, input_blocks
 
-    def _exchange(self, reads: Blocks, writes: Blocks) -> list[Call]:
+    def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Call]:
         """All calls of one exchange, in order."""
         calls: list[Any] = []
-        tied = {c.target for loop in self.loops for c in loop.cycle.connections}
+        loop_inputs = {c.target for loop in self.loops for c in loop.cycle.connections}
+        connections = [c for c in self.connections if c.target not in loop_inputs]
         for loop in self.loops:
-            loop.bind(self.real.places(loop.inputs), self.real.places(loop.outputs))
+            loop.set_indices(self.reals.indices(loop.inputs), self.reals.indices(loop.outputs))
         for stage in range(max(self.order.count, 1)):
-            calls += [self.reader(bank, b) for bank, b in reads if stage in b.stages]
-            solved = zip(self.loops, self.order.cycles, strict=True)
-            calls += [loop for loop, (_, stages) in solved if stage in stages]
-            for bank in (self.real, self.whole):
-                links = [c for c in self.connections if stage in self.order.stages[c.source]]
-                links = [c for c in links if self.bank(c.source) is bank and c.target not in tied]
-                calls += [Link(bank, links)] if links else []
-            calls += [self.writer(bank, b) for bank, b in writes if stage in b.stages]
+            calls += [self._get_call(array, b) for array, b in output_blocks if stage in b.stages]
+            loops_with_stages = zip(self.loops, self.order.cycles, strict=True)
+            calls += [loop for loop, (_, stages) in loops_with_stages if stage in stages]
+            calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
+            calls += [self._set_call(array, b) for array, b in input_blocks if stage in b.stages]
         return calls
 
+    # ---- C
 
-class DrivenInputs:
-    """The inputs that a scenario drives, for native/scenario.c.
+    def fill(self) -> None:
+        """Fill the C structures: components, values, exchange and algebraic loops."""
+        binding, sim = self.binding, self.binding.simulation
+        saved_reals, saved_integers = self.reals.values.copy(), self.integers.values.copy()
+        binding.components = [*self.components.values()]
+        structs = binding.array(binding.h.Component, [binding.h.Component()] * len(self.components))
+        for struct, component in zip(structs, binding.components, strict=False):
+            component.fill(binding, struct)
+        sim.components, sim.component_count = binding.pointer(structs), len(self.components)
+        sim.reals, sim.integers = binding.at(self.reals.values), binding.at(self.integers.values)
+        sim.saved_reals, sim.saved_integers = binding.at(saved_reals), binding.at(saved_integers)
+        sim.real_count, sim.integer_count = len(saved_reals), len(saved_integers)
+        sim.input_ends = binding.at(self.input_ends)
+        sim.exchange = binding.program(self.exchange_calls)
+        sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
+        sim.loop_count = len(self.loops)
+        sim.initial_rounds = (
+            self.order.count + 1
+        )  # slopes of outputs of each stage need those of the one before
 
-    moving    those that are continuous, which move at a straight line over a step; other Real ones are steady
-              and keep the value of the last sample, as those do that are no Real numbers and are held
-    """
-
-    def __init__(self, network: Network, scenario: Scenario) -> None:
-        kinds = {port: network.system.variable(port) for port in scenario.columns}
-        moving = self.moving = [p for p, v in kinds.items() if v.is_continuous]
-        held = [p for p, v in kinds.items() if not v.is_real]
-        steady = [p for p in kinds if p not in moving and p not in held]
-        self.table, self.writers = scenario.table, network.writers(set(kinds))
-        self.targets, self.steady = network.real.places(moving), network.real.places(steady)
-        self.held = network.whole.places(held)
-        columns = scenario.columns
-        self.columns, self.steady_columns, self.held_columns = (
-            np.array([columns[p][0] for p in ports], dtype=np.int64) for ports in (moving, steady, held)
-        )
-        maps = [[columns[p][1] for p in ports] for ports in (moving, steady)]
-        self.factor, self.steady_factor = (np.array([m.factor for m in each]) for each in maps)
-        self.offset, self.steady_offset = (np.array([m.offset for m in each]) for each in maps)
-        self.coming, self.middle = np.zeros(len(moving)), np.zeros(len(moving))
-
-    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
-        """Give them to C; inputs: the numbers of the moving ones among the coupling inputs."""
-        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
-        made = binding.h.Scenario(
-            **{name: binding.at(array) for name, array in arrays},
-            **binding.all_at(self, "columns targets factor offset steady_columns steady held_columns held"),
-            **binding.all_at(self, "steady_factor steady_offset coming middle"),
-            samples=len(self.table.arrays[0]),
-            width=self.table.arrays[1].shape[1],
-            inputs=binding.at(np.array(inputs, np.int32)),
-            count=len(self.moving),
-            steady_count=len(self.steady),
-            held_count=len(self.held),
-            when=np.nan,
-            writers=binding.program(self.writers),
-        )
-        binding.simulation.scenario = binding.pointer(made)
+    def free_saved_states(self) -> None:
+        """Free the states that were saved for a rollback."""
+        for component in self.components.values():
+            component.free_saved_state()

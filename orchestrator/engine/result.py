@@ -1,7 +1,7 @@
-"""What a run leaves behind, also when it ends early: the trace, the accuracy card, and its metadata.
+"""The result of a run, also of one that ends early: trace, accuracy card, messages and metadata.
 
-The card says how fast a run was, and how far its result can be trusted. The metadata, units among them, stand
-in trace.run.json next to trace.csv, which has no room for them; `harvester compare` reads them from there.
+The accuracy card contains the speed of the run and estimates of its errors. The metadata, with the units of
+the signals, are in trace.run.json next to trace.csv; `harvester compare` reads them from there.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Result:
-    """What a run leaves behind.
+    """The result of a run.
 
-    trace      all outputs, fed inputs and inputs of the system (or the chosen signals) at each recorded point
+    trace      all outputs, connected inputs and inputs of the system (or the selected signals) at each
+               recorded point
     card       the accuracy card
-    messages   what the FMUs logged
-    coupling   all choices about it
-    complete   False when the run ended early; the trace then holds what was recorded until there. A run that
-               an FMU asked to end is complete, and has a note that says so
+    messages   messages that the FMUs logged
+    coupling   all choices about the coupling
+    complete   False if the run ended early; the trace then ends there. A run that an FMU asked to end is
+               complete, and has a note about it
     """
 
     system: System
@@ -57,14 +58,14 @@ class Result:
         return self.trace[signal]
 
     def to_pandas(self) -> pd.DataFrame:
-        """One column for each recorded signal, over the time [s]."""
+        """A data frame with one column for each recorded signal; the index is the time [s]."""
         import pandas as pd
 
         return pd.DataFrame(dict(self.trace.signals), index=pd.Index(self.trace.time, name="time"))
 
 
 class RunFailed(Problem):
-    """A run that ended early because of a problem; `result` holds what was recorded."""
+    """A run that ended early because of a problem; `result` has its record."""
 
     def __init__(self, problem: Problem, result: Result) -> None:
         super().__init__(str(problem))
@@ -72,32 +73,37 @@ class RunFailed(Problem):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run that the user stopped; `result` holds what was recorded."""
+    """A run that the user interrupted; `result` has its record."""
 
     def __init__(self, result: Result) -> None:
         super().__init__()
         self.result = result
 
 
-ESTIMATE = "change when the step is halved; at order p the error is 2^p / (2^p - 1) of it"
-ADAPTIVE = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that"
-STILL = 1e-6  # of the nominal value: what moves less stands still
-ALIKE, FLOOR = 1e-9, 1e-12  # without nominal value: of the largest range in the same unit; in any unit
-IDLE, REST = 1e-9, 1e-12  # of the busiest bond, [J]: what exchanges less is at rest
-TOO_MUCH = 0.05  # of the energy exchanged: no more a small error of the coupling
-LITTLE = 1e-2  # of the busiest bond: of what exchanges less the residual counts, not its share
+EQUAL_STEPS = "change when the step is halved; at order p the error is 2^p / (2^p - 1) of it"
+ADAPTIVE_STEPS = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that"
+# A signal is constant if its range is below
+CONSTANT = 1e-6  # of its nominal value,
+CONSTANT_IN_UNIT = 1e-9  # or, without a nominal value, of the largest range of a signal in the same unit,
+FLOOR = 1e-12  # or, without a nominal value, in any unit
+# A bond exchanges no energy if its exchange is below
+NO_EXCHANGE = 1e-9  # of the largest exchange of a bond,
+NO_EXCHANGE_ENERGY = 1e-12  # or [J]
+SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
+UNRELIABLE = 0.05  # relative residual above which a result is not reliable
 
 
 @dataclass(frozen=True)
 class SignalError:
-    """What halving the step changes of one signal; its error at order p is 2^p / (2^p - 1) times that.
+    """Change of one signal when the step is halved; at order p the error is 2^p / (2^p - 1) times the change.
 
-    Of an adaptive run what a tenth of the tolerance changes. An error in proportion to the tolerance is 1.1
-    times that; one in proportion to its root, of hermite where FMUs hold inputs, is 1.5 times that.
+    For an adaptive run the change at a tenth of the tolerance. An error proportional to the tolerance is 1.1
+    times the change. An error proportional to its root (hermite, if FMUs hold inputs) is 1.5 times the
+    change.
 
-    largest, rms   over the signal's range
-    change         the largest, in `unit`
-    order          measured order of convergence, from a third run at twice the step; None when unknown
+    largest, rms   largest and RMS change over the range of the signal
+    change         largest change, in `unit`
+    order          measured order of convergence, from a third run at twice the step; None if unknown
     """
 
     name: str
@@ -110,16 +116,16 @@ class SignalError:
 
 @dataclass(frozen=True)
 class Card:
-    """The accuracy card of one run. Times in [s].
+    """The accuracy card of one run: speed, energy errors, error estimates, notes and warnings. Times in [s].
 
-    step        communication step, of adaptive runs the mean
-    steps       that were taken and stand
-    passes      over all components, in all steps
-    repeated    steps that did not stand
-    lengths     shortest and longest step
-    adaptive    tolerance of an adaptive run; None: all steps are equal
-    record_step 0: every communication point
-    inside      component -> time in its steps, the rest of the wall time is coupling and recording
+    step          communication step, of adaptive runs the mean
+    record_step   0: every communication point
+    steps         number of accepted steps
+    passes        number of passes over the components in accepted steps
+    repeated      number of rejected steps
+    lengths       shortest and longest step
+    adaptive      tolerance of an adaptive run; None: all steps are equal
+    inside        component -> wall time in its steps; the remaining wall time is coupling and recording
     """
 
     master: str
@@ -145,7 +151,7 @@ class Card:
 
     @property
     def worst(self) -> list[SignalError]:
-        """The largest change of each unit, in the order in which the signals were declared."""
+        """The largest change of a signal in each unit."""
         worst: dict[str, SignalError] = {}
         for e in self.errors:
             if e.unit not in worst or e.change > worst[e.unit].change:
@@ -153,33 +159,34 @@ class Card:
         return list(worst.values())
 
     def _steps(self) -> str:
-        """How many steps, how long, and how often they were computed."""
+        """Number and length of the steps, and number of passes and rejected steps."""
         if self.adaptive is None:
             text = f"step {self.step:.6g} s, {self.steps} steps"
         else:
             shortest, longest = (f"{1e3 * length:.3g}" for length in self.lengths)
             text = f"tolerance {self.adaptive:g}, {self.steps} steps of {shortest} to {longest} ms"
-        if (each := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
-            text += f", {each} passes each"
+        if (passes := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
+            text += f", {passes} passes each"
         return text + (f", {self.repeated} repeated" if self.repeated else "")
 
     def _unreliable(self) -> list[str]:
-        """A warning of each bond whose energy error is too large for the result to be reliable."""
+        """A warning for each bond whose energy error is too large for a reliable result."""
         most = max((b.exchanged for b in self.bonds), default=0.0)
-        wrong = [b for b in self.bonds if b.exchanged >= LITTLE * most > 0 and abs(b.relative) > TOO_MUCH]
+        relevant = [b for b in self.bonds if b.exchanged >= SMALL_EXCHANGE * most > 0]
         return [
             f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
             " reliable, take shorter steps"
-            for b in wrong
+            for b in relevant
+            if abs(b.relative) > UNRELIABLE
         ]
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy error of the coupling [J], energy exchanged [J], and their ratio."""
         most = max(b.exchanged for b in self.bonds)
-        if bond.exchanged <= max(REST, IDLE * most):
+        if bond.exchanged <= max(NO_EXCHANGE_ENERGY, NO_EXCHANGE * most):
             return "", "", "no exchange"
-        share = f"{bond.relative:.1e}" if bond.exchanged >= LITTLE * most else "-"
-        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", share
+        relative = f"{bond.relative:.1e}" if bond.exchanged >= SMALL_EXCHANGE * most else "-"
+        return f"{bond.residual:.3g}", f"{bond.exchanged:.4g}", relative
 
     def text(self) -> str:
         """The card as lines of text."""
@@ -188,17 +195,17 @@ class Card:
             f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
         ]
         if self.inside:
-            each = (f"{name} {spent:.2g} s" for name, spent in self.inside.items())
-            lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(each)}"]
-        if busy := [row for b in self.bonds if (row := [b.name, *self.bond(b)])[1]]:
-            lines += ["", *TextTable(["power bond", "residual [J]", "exchanged [J]", "share"], busy).lines()]
+            times = (f"{name} {time:.2g} s" for name, time in self.inside.items())
+            lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(times)}"]
+        if rows := [row for b in self.bonds if (row := [b.name, *self.bond(b)])[1]]:
+            lines += ["", *TextTable(["power bond", "residual [J]", "exchanged [J]", "share"], rows).lines()]
         elif self.bonds:
             lines += ["", "no power bond exchanges energy"]
         if self.errors:
             head = ["worst signal of each unit", "change", "", "of range", "order"]
-            title, shown = (ESTIMATE, 5) if self.adaptive is None else (ADAPTIVE, 4)  # no order
-            rows = [_error_row(e)[:shown] for e in self.worst]
-            lines += ["", title, *TextTable(head[:shown], rows).lines()]
+            title, columns = (EQUAL_STEPS, 5) if self.adaptive is None else (ADAPTIVE_STEPS, 4)  # no order
+            rows = [_error_row(e)[:columns] for e in self.worst]
+            lines += ["", title, *TextTable(head[:columns], rows).lines()]
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         warnings = [*self._unreliable(), *self.warnings]
         lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
@@ -213,13 +220,14 @@ def compare(
 ) -> tuple[SignalError, ...]:
     """Error estimates for `trace` from a run at half its step and, for the order, one at twice its step.
 
-    Compared are the points that both runs recorded. Signals that stand still, measured by the magnitudes
-    `nominals`, are left out; those whose change is at the level of rounding get no order.
+    Runs are compared at the points that both recorded. Constant signals (see `nominals` and CONSTANT) are
+    left
+    out. A signal whose change is at the level of rounding has no order.
     """
     errors = []
     changes = _changes(fine, trace)
     before = _changes(trace, coarse.select(trace.signals)) if coarse else {}
-    for name, span in _moving(fine.select(trace.signals), nominals or {}).items():
+    for name, span in _ranges(fine.select(trace.signals), nominals or {}).items():
         largest, rms = float(np.max(np.abs(changes[name]))), _rms(changes[name])
         larger = _rms(before[name]) if name in before else 0.0  # the change from 2h to h
         order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
@@ -227,22 +235,24 @@ def compare(
     return tuple(errors)
 
 
-def _moving(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
-    """The range of each signal that moves."""
+def _ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
+    """The range of each signal that is not constant."""
     spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
     widest: dict[str, float] = {}
     for name, span in spans.items():
         unit = trace.units.get(name, "")
         widest[unit] = max(span, widest.get(unit, 0.0))
     least = {
-        name: STILL * nominal if (nominal := nominals.get(name)) else max(ALIKE * widest[unit], FLOOR)
+        name: CONSTANT * nominal
+        if (nominal := nominals.get(name))
+        else max(CONSTANT_IN_UNIT * widest[unit], FLOOR)
         for name, unit in ((name, trace.units.get(name, "")) for name in spans)
     }
     return {name: span for name, span in spans.items() if span > abs(least[name])}
 
 
 def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:
-    """What the finer run changes of each signal; halving a step leaves the common times equal bit by bit."""
+    """Finer less coarser run, for each signal; halving a step keeps the common times bit-identical."""
     _, a, b = np.intersect1d(fine.time, trace.time, assume_unique=True, return_indices=True)
     return {name: fine[name][a] - values[b] for name, values in trace.signals.items()}
 
@@ -261,17 +271,15 @@ SUFFIX = ".run.json"
 
 @dataclass(frozen=True)
 class RunMetadata:
-    """One run. Times in [s].
+    """Metadata of one run, as written next to its trace. Times in [s].
 
-    step      communication step, of adaptive runs the mean
-    coupling  all choices about it that have an effect, by name
-    steps     that were taken and stand; `passes`: over all components, in all of them; `repeated`: steps that
-              did not stand; `lengths`: the shortest and the longest step
-    fmus      component -> model name of its FMU
-    swapped   component -> file of the FMU in its place
-    given     what the user asked for beyond the defaults
-    wall      of the whole run; `inside`: of the steps of each component
-    units     of the signals; `inputs`: which of them are inputs of components
+    step, simulated, wall, inside        as in `Card`
+    steps, passes, repeated, lengths     as in `Card`
+    coupling                             all choices about the coupling that have an effect, by name
+    fmus                                 component -> model name of its FMU
+    swapped                              component -> file of the FMU that replaces the one of the system
+    given                                the user's options that differ from the defaults
+    units                                units of the signals; `inputs`: signals that are inputs of components
     """
 
     system: str
@@ -294,12 +302,12 @@ class RunMetadata:
 
     @property
     def adaptive(self) -> bool:
-        """Did the run choose its steps?"""
+        """Did the run have adaptive steps?"""
         return "adaptive" in self.coupling
 
 
 def metadata(result: Result, given: Mapping[str, Any] | None = None) -> RunMetadata:
-    """What is written down of a run; given: what the user asked for."""
+    """The metadata of a run; given: the user's options."""
     system, card = result.system, result.card
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
@@ -323,12 +331,12 @@ def metadata(result: Result, given: Mapping[str, Any] | None = None) -> RunMetad
 
 
 def metadata_file(trace: Path) -> Path:
-    """The file that belongs to a trace."""
+    """The metadata file of a trace."""
     return trace.with_suffix(SUFFIX)
 
 
 def write_metadata(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
-    """Write the metadata of a run next to its trace, which is there already."""
+    """Write the metadata of a run next to its trace, which exists."""
     text = json.dumps(
         {"sha256": _digest(trace)} | asdict(metadata(result, given)),
         indent=1,
@@ -340,19 +348,19 @@ def write_metadata(result: Result, trace: Path, given: Mapping[str, Any] | None 
 
 
 def _digest(trace: Path) -> str:
-    """By this the metadata belong to their trace, also when both have got another name."""
+    """The checksum that relates metadata to their trace, also if both are renamed."""
     return hashlib.sha256(trace.read_bytes()).hexdigest()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:
-    """The metadata of the run that made a trace; None where there are none or they are of another trace."""
+    """The metadata of the run that made a trace; None if there are none, or those of another trace."""
     file = metadata_file(path)
     if not file.is_file():
         return None
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
         digest = data.pop("sha256")
-        found = RunMetadata(**{**data, "inputs": tuple(data["inputs"])})
+        loaded = RunMetadata(**{**data, "inputs": tuple(data["inputs"])})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
-    return found if digest == _digest(path) else None
+    return loaded if digest == _digest(path) else None

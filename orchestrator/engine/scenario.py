@@ -1,8 +1,8 @@
-"""A scenario: which inputs it drives, their values over time, and what it takes the place of."""
+"""A scenario: the inputs that it drives, their values over time, and the connections that it replaces."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +11,18 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import LinearTransformation
 from orchestrator.data.trace import Trace
-from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.engine.c_library import Binding
+from orchestrator.fmi.calls import Call
+from orchestrator.fmi.description import Value, FmuVariable
 from orchestrator.ssp.system import Port, System
 
-LARGEST = 2**31 - 1  # of whole numbers in a run
-MUCH, LEAST = 1e-3, 1e-6  # of the range of a column: change of its slope, times the gap between samples
-SHARPER = 10.0  # times as much as at the samples around it
+MAX_INTEGER = 2**31 - 1
+# Change of slope at a sample, times the shorter interval next to it, over the range of the column:
+ALWAYS_CORNER = 1e-3  # above this value the sample is a corner
+NEVER_CORNER = 1e-6  # below this value the sample is not a corner
+CORNER_RATIO = (
+    10.0  # between them it is a corner if the change exceeds those at both neighbours by this factor
+)
 
 
 class ScenarioTable:
@@ -25,7 +31,7 @@ class ScenarioTable:
     def __init__(self, time: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
         """time: shape (n,) [s], strictly increasing. columns: shape (n, k).
 
-        arrays   times, and of each interval values at its anchor, slopes and the anchor [s]
+        arrays   for C: times [s]; of each interval the values at its anchor, the slopes, and the anchor [s]
         """
         slopes = np.diff(columns, axis=0) / np.diff(time)[:, None]
         hold = np.zeros((1, columns.shape[1]))
@@ -34,40 +40,42 @@ class ScenarioTable:
         anchor = np.concatenate([time[:1], time]).astype(np.float64)
         self.arrays = time.astype(np.float64), self._base, self._slopes, anchor
 
-    def row(self, t: float) -> int:
-        """The interval that holds t, counted from 0 = before the first sample."""
+    def interval(self, t: float) -> int:
+        """Index of the interval that contains t; interval 0 is before the first sample."""
         return int(np.searchsorted(self.arrays[0], t, side="right"))
 
     def at(self, t: float) -> NDArray[np.float64]:
         """All columns at time t [s], shape (k,)."""
-        row = self.row(t)
-        values: NDArray[np.float64] = self._base[row] + (t - self.arrays[3][row]) * self._slopes[row]
+        k = self.interval(t)
+        values: NDArray[np.float64] = self._base[k] + (t - self.arrays[3][k]) * self._slopes[k]
         return values
 
     def corners(self) -> list[float]:
-        """Times [s] at which a column changes its slope by much, or by more than around it.
+        """Times [s] at which the slope of a column jumps.
 
-        Rows of a curve that was sampled are no corners; the ends of its ramps are.
+        The ends of ramps are corners. Samples of a smooth curve are not, because the slope changes by similar
+        amounts at all of them.
         """
-        turns = np.abs(np.diff(self._slopes, axis=0))  # at each sample
-        gaps = np.diff(self.arrays[0])
-        near = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf))
-        size = np.ptp(self._base, axis=0)
-        share = near[:, None] * turns / np.where(size > 0, size, np.inf)
-        around = np.pad(share, ((1, 1), (0, 0)))
-        sharp = (share > SHARPER * np.maximum(around[:-2], around[2:])) & (share > LEAST)
-        found = ((share > MUCH) | sharp).any(axis=1)
-        return [float(t) for t in self.arrays[0][found]]
+        jumps = np.abs(np.diff(self._slopes, axis=0))  # at each sample
+        intervals = np.diff(self.arrays[0])
+        shorter = np.minimum(np.append(intervals, np.inf), np.insert(intervals, 0, np.inf))
+        ranges = np.ptp(self._base, axis=0)
+        relative = shorter[:, None] * jumps / np.where(ranges > 0, ranges, np.inf)
+        padded = np.pad(relative, ((1, 1), (0, 0)))
+        neighbours = np.maximum(padded[:-2], padded[2:])
+        isolated = (relative > CORNER_RATIO * neighbours) & (relative > NEVER_CORNER)
+        is_corner = ((relative > ALWAYS_CORNER) | isolated).any(axis=1)
+        return [float(t) for t in self.arrays[0][is_corner]]
 
     def sample(self, t: float) -> NDArray[np.float64]:
-        """The last sample at or before t, for inputs that are not continuous; shape (k,)."""
-        values: NDArray[np.float64] = self._base[self.row(t)]
+        """The last sample at or before t, for inputs that are not continuous, shape (k,)."""
+        values: NDArray[np.float64] = self._base[self.interval(t)]
         return values
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Which input follows which column of a table, through which linear map."""
+    """Inputs and the columns of a table that drive them: input -> column and linear map."""
 
     table: ScenarioTable
     columns: Mapping[Port, tuple[int, LinearTransformation]]
@@ -75,54 +83,60 @@ class Scenario:
     def released(self, system: System) -> System:
         """The system without the connections that the scenario replaces.
 
-        A component without inputs is a scenario itself: driving one of the inputs it feeds silences it as a
-        whole, so that the others rest at their start values. The declared rate input of a driven input goes
-        with it; one that is not declared may stay, because the slope that a run gives goes before it.
+        A component without inputs is a scenario itself: if the scenario drives one of the inputs that it
+        feeds,
+        all its connections are removed, and the other inputs keep their start values. A connection to the
+        declared
+        rate input of a driven input is removed too. A connection to an undeclared rate input stays: the slope
+        that
+        the run sets takes precedence over it.
         """
-        gone = {*self.columns, *self._rates(system)}
-        direct = [c for c in system.connections if c.target in gone]
-        sources = dict.fromkeys(c.source.component for c in direct)
-        silent = [name for name in sources if not system.components[name].interface.of("input")]
-        notes = [self._replaced(system, component) for component in silent]
-        others = [str(c) for c in direct if c.source.component not in silent]
+        targets = {*self.columns, *self._rates(system)}
+        replaced = [c for c in system.connections if c.target in targets]
+        sources = dict.fromkeys(c.source.component for c in replaced)
+        signal_sources = [name for name in sources if not system.components[name].interface.of("input")]
+        notes = [self._replacement_note(system, component) for component in signal_sources]
+        others = [str(c) for c in replaced if c.source.component not in signal_sources]
         notes += [f"the scenario replaces {', '.join(others)}"] if others else []
-        kept = (c for c in system.connections if c not in direct and c.source.component not in silent)
+        kept = (
+            c for c in system.connections if c not in replaced and c.source.component not in signal_sources
+        )
         return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
 
     def _rates(self, system: System) -> Iterator[Port]:
-        """The inputs that are declared as time derivatives of driven ones."""
+        """The inputs that are declared as time derivatives of driven inputs."""
         for port in self.columns:
             rates = system.components[port.component].interface.rate_inputs
             if port.variable in rates:
                 yield Port(port.component, rates[port.variable])
 
     def _slopes(self, system: System) -> Iterator[Port]:
-        """The inputs that are rates of driven ones by their names, where a run gives the slope itself."""
+        """The rate inputs, by name, of driven inputs whose slope is set by the run."""
         for port in self.columns:
             if port.variable in system.components[port.component].interface.ramp_inputs:
                 yield Port(port.component, f"{port.variable}_rate")
 
-    def _replaced(self, system: System, component: str) -> str:
-        fed = [c.target for c in system.connections if c.source.component == component]
-        followed = {*self.columns, *self._rates(system), *self._slopes(system)}
-        left = ", ".join(str(port) for port in fed if port not in followed)
-        rest = f"; without it these keep their start values: {left}" if left else ""
-        return f"the scenario replaces {component}{rest}"
+    def _replacement_note(self, system: System, component: str) -> str:
+        targets = [c.target for c in system.connections if c.source.component == component]
+        covered = {*self.columns, *self._rates(system), *self._slopes(system)}
+        uncovered = ", ".join(str(port) for port in targets if port not in covered)
+        consequence = f"; without it these keep their start values: {uncovered}" if uncovered else ""
+        return f"the scenario replaces {component}{consequence}"
 
     def initial(self, system: System, t: float) -> dict[Port, Value]:
         """Values of the driven inputs at the start."""
-        now, held = self.table.at(t), self.table.sample(t)
+        interpolated, sampled = self.table.at(t), self.table.sample(t)
         values: dict[Port, Value] = {}
         for port, (column, linear) in self.columns.items():
             variable = system.variable(port)
             if variable.is_real:
-                values[port] = linear(float((now if variable.is_continuous else held)[column]))
+                values[port] = linear(float((interpolated if variable.is_continuous else sampled)[column]))
             else:
-                values[port] = round(float(held[column]))
+                values[port] = round(float(sampled[column]))
         return values
 
     def overruled(self, system: System, start: Mapping[str, Value | str]) -> tuple[str, ...]:
-        """What to say about start values of driven inputs."""
+        """Notes on start values that have no effect, because the scenario drives the input."""
         names = [name for name in start if any(port in self.columns for port, _ in system.targets(name))]
         return tuple(
             f"{n} is driven by the scenario: the start value {start[n]} has no effect" for n in names
@@ -130,7 +144,7 @@ class Scenario:
 
 
 def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
-    """Match the columns of a scenario with inputs, named as `System.targets` knows them."""
+    """The scenario in a trace, whose columns have names that `System.targets` accepts."""
     columns: dict[Port, tuple[int, LinearTransformation]] = {}
     for k, name in enumerate(trace.signals):
         for port, linear in _targets(system, name, label):
@@ -139,16 +153,16 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():
-        _whole(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
+        _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
     return Scenario(ScenarioTable(trace.time, table), columns)
 
 
-def _whole(variable: FmuVariable, values: NDArray[np.float64], where: str) -> None:
-    """Refuse what a run cannot keep as a whole number."""
-    wrong = ~(np.abs(values) <= LARGEST)
-    if not variable.is_real and wrong.any():
-        found = values[np.argmax(wrong)]
-        raise Problem(f"{where}: expected whole numbers up to {LARGEST}, got {found:.17g}")
+def _check_integers(variable: FmuVariable, values: NDArray[np.float64], where: str) -> None:
+    """Refuse values for an Integer, Enumeration or Boolean variable that do not fit into 32 bits."""
+    too_large = ~(np.abs(values) <= MAX_INTEGER)
+    if not variable.is_real and too_large.any():
+        value = values[np.argmax(too_large)]
+        raise Problem(f"{where}: expected whole numbers up to {MAX_INTEGER}, got {value:.17g}")
 
 
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearTransformation], ...]:
@@ -159,10 +173,11 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         if isinstance(problem, Unsupported) or name in {p.variable for p in system.ports("input")}:
             raise Problem(f"{label}: column {problem}") from None
         inputs = system.ports("input")
-        bare = dict.fromkeys([*system.inputs, *(p.variable for p in inputs)])
-        near = suggest(name, [*bare, *map(str, inputs)])
+        names = dict.fromkeys([*system.inputs, *(p.variable for p in inputs)])
+        suggestion = suggest(name, [*names, *map(str, inputs)])
         raise Problem(
-            f"{label}: column {name!r} is no input of the system{near}; inputs: {', '.join(bare) or 'none'}"
+            f"{label}: column {name!r} is not an input of the system{suggestion};"
+            f" inputs: {', '.join(names) or 'none'}"
         ) from None
     for port, _ in () if name in system.inputs else targets:
         variable = system.variable(port)
@@ -171,3 +186,60 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
                 f"{label}: column {name!r}: expected an input, got a {variable.kind} {variable.causality}"
             )
     return targets
+
+
+# ---- for the engine in C
+
+
+class DrivenInputs:
+    """The inputs that a scenario drives, for native/scenario.c.
+
+    continuous   continuous Real inputs, which follow a straight line over a step; discrete Real inputs, and
+                 Integer, Enumeration and Boolean inputs, keep the value of the last sample
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        system: System,
+        reals: Mapping[Port, int],
+        integers: Mapping[Port, int],
+        set_calls: Sequence[Call],
+    ) -> None:
+        """reals, integers: index of each port in the arrays of values; set_calls: set the driven inputs."""
+        columns, variables = scenario.columns, {port: system.variable(port) for port in scenario.columns}
+        self.continuous = [p for p, v in variables.items() if v.is_continuous]
+        discrete = [p for p, v in variables.items() if v.is_real and not v.is_continuous]
+        others = [p for p, v in variables.items() if not v.is_real]
+        self.table, self.set_calls = scenario.table, set_calls
+        self.targets, self.discrete, self.integers = (
+            np.array([index[p] for p in ports], dtype=np.int64)
+            for index, ports in ((reals, self.continuous), (reals, discrete), (integers, others))
+        )
+        self.columns, self.discrete_columns, self.integer_columns = (
+            np.array([columns[p][0] for p in ports], dtype=np.int64)
+            for ports in (self.continuous, discrete, others)
+        )
+        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete)]
+        self.factor, self.discrete_factor = (np.array([m.factor for m in group]) for group in maps)
+        self.offset, self.discrete_offset = (np.array([m.offset for m in group]) for group in maps)
+        self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
+
+    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
+        """Fill the C structure; inputs: index of each continuous input among the coupling inputs."""
+        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
+        struct = binding.h.Scenario(
+            **{name: binding.at(array) for name, array in arrays},
+            **binding.all_at(self, "columns targets factor offset discrete_columns discrete"),
+            **binding.all_at(self, "discrete_factor discrete_offset integer_columns integers"),
+            **binding.all_at(self, "at_end at_midpoint"),
+            samples=len(self.table.arrays[0]),
+            width=self.table.arrays[1].shape[1],
+            inputs=binding.at(np.array(inputs, np.int32)),
+            count=len(self.continuous),
+            discrete_count=len(self.discrete),
+            integer_count=len(self.integers),
+            evaluated_at=np.nan,
+            input_writes=binding.program(self.set_calls),
+        )
+        binding.simulation.scenario = binding.pointer(struct)

@@ -1,7 +1,7 @@
-"""A run in progress: what the loop in C works with, and blocks of its steps.
+"""The loop over communication steps: fills the C structures for it and runs it in blocks of recorded points.
 
-native/simulation_loop.c goes from communication point to communication point, native/communication_step.c
-takes one communication step as the plan of the master says.
+native/simulation_loop.c has the loop, native/communication_step.c takes one communication step according to
+the plan of the master.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from orchestrator.engine.network import Network
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 
-SAMPLE = 20  # steps after which it is known what the components cost
-WORTH = 2e-5  # [s] per step: less than that is not worth waking threads, which takes some 5e-6 s
-CORES = os.cpu_count() or 1  # for the components of one run
-PATIENCE = 0.1  # [s], the longest time between two looks for an interrupt
+TIMED_STEPS = 20  # number of steps whose times decide about threads
+MIN_SAVING = 2e-5  # [s] of wall time per step; with less, threads are not used: waking one takes about 5e-6 s
+CORES = os.cpu_count() or 1  # number of threads for the components of one run, at most
+CHECK_INTERVAL = 0.1  # [s] of wall time between two checks for an interrupt, at most
 
 
 @dataclass(frozen=True)
 class StepControl:
-    """How steps follow from their estimated error.
+    """Parameters of adaptive steps, whose length follows from their estimated error.
 
-    first       step to try first [s]
-    smallest    a step is not made shorter than this [s]; an error above the tolerance then stands
-    largest     nor longer than this [s], but for the rounding of times: a share of 1e-9
-    tolerance   of the error, a share of the magnitude of each signal; by_energy: of the power of each bond
-    repeats     the components can go back
+    first       first step to try [s]
+    smallest    shortest step [s]; it is accepted with any error
+    largest     longest step [s], except for the rounding of times: 1e-9 of it
+    tolerance   of the error, relative to the magnitude of each signal; by_energy: to the power of each bond
+    repeats     the components can go back to the beginning of a step
     """
 
     first: float
@@ -51,8 +51,9 @@ class StepControl:
 class SimulationLoop:
     """A run from its start to its end, in blocks of recorded points.
 
-    state   `Simulation` of engine.h: time t [s], steps, passes, ...; who looks in between may raise `total`
-    look    called between blocks; ends the run if the user wants that
+    state                `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may
+                         increase `total`
+    check_interrupts     called between blocks; raises if the user interrupts the run
     """
 
     def __init__(
@@ -66,104 +67,105 @@ class SimulationLoop:
         energy: EnergyMonitor,
         control: StepControl | None = None,
     ) -> None:
-        """All FMUs are initialised; control: None where all steps are equal."""
+        """network: all FMUs are initialised; control: None if all steps are equal."""
         self._network, self._plan, self._inputs = network, plan, inputs
         self._recorder, self._control = recorder, control
         self._binding, self.state = network.binding, network.binding.simulation
         self._components = [*network.components.values()]
-        self.look: Callable[[], None] = lambda: None
-        self._decides = not plan.sequential and len(self._components) > 1
+        self.check_interrupts: Callable[[], None] = lambda: None
+        self._threads_undecided = not plan.sequential and len(self._components) > 1
         self._fill_times(times)
         self._plan_rollback(times)
         network.fill()
-        if network.scenario:
-            network.scenario.fill(self._binding, [inputs.ports.index(p) for p in network.scenario.moving])
+        if driven := network.driven:
+            driven.fill(self._binding, [inputs.ports.index(p) for p in driven.continuous])
         order = self._begin_prediction(prediction, times.start) if prediction else plan.order
         self._fill_plan(order, prediction)
-        for part in (recorder, energy):
-            part.fill(self._binding)
-        self._binding.withdraw = self._withdraw
+        recorder.fill(self._binding)
+        energy.fill(self._binding)
+        self._binding.withdraw = self._withdraw_messages
 
     # ---- the run
 
     def begin(self) -> None:
-        """Make everything known at the start, and record it."""
+        """Exchange all values at the start, and record them."""
         self._binding.call("simulation_begin")
-        self._recorder.settle()
+        self._recorder.collect()
 
     def advance(self) -> None:
-        """Go on until as many points are recorded as fit into a block, for PATIENCE, or to the end."""
-        self.look()
+        """Step until a block of points is full, for CHECK_INTERVAL, or to the end."""
+        self.check_interrupts()
         self._binding.call("simulation_advance")
-        self._recorder.settle()
-        if self._decides and self.state.steps >= SAMPLE:
-            self._use_threads()
+        self._recorder.collect()
+        if self._threads_undecided and self.state.steps >= TIMED_STEPS:
+            self._decide_about_threads()
 
-    def _use_threads(self) -> None:
-        """Let the components step at the same time if that saves more than it costs."""
-        self._decides = False
-        each = [c.busy / self.state.steps for c in self._components]
-        if sum(each) - max(each) > WORTH and all(c.in_c for c in self._components):
-            self.state.threads = min(CORES, len(each))
+    def _decide_about_threads(self) -> None:
+        """Use threads for the components if they save more time than they cost."""
+        self._threads_undecided = False
+        times = [c.busy / self.state.steps for c in self._components]
+        if sum(times) - max(times) > MIN_SAVING and all(c.stepped_in_c for c in self._components):
+            self.state.threads = min(CORES, len(times))
 
     def close(self) -> None:
-        """End the threads, free the states that were saved."""
+        """End the threads and free saved states."""
         self._binding.call("simulation_close")
-        self._network.forget()
+        self._network.free_saved_states()
 
     @property
     def busy(self) -> dict[str, float]:
-        """Time in the steps of each component [s]."""
+        """Wall time in the steps of each component [s]."""
         return {name: component.busy for name, component in self._network.components.items()}
 
-    def _withdraw(self) -> None:
-        """Forget what the FMUs said and returned in the step that is going to be repeated."""
+    def _withdraw_messages(self) -> None:
+        """Withdraw messages and statuses of the FMUs in a step that is going to be repeated."""
         for slave in self._network.slaves.values():
             slave.log.time = self.state.t
             slave.after_rollback()
 
-    # ---- what C works with
+    # ---- structures for C
 
     def _fill_times(self, times: Grid) -> None:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
-        sim.free, sim.patience, sim.shortest = times.free, PATIENCE, np.inf
+        sim.free, sim.patience, sim.shortest = times.free, CHECK_INTERVAL, np.inf
         sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
         if c := self._control:
             first = min(max(c.first, c.smallest), c.largest)
-            size = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": c.repeats}
-            made = self._binding.h.StepSize(**size, power=self._inputs.power)
-            sim.step_size, sim.error_tolerance = self._binding.pointer(made), c.tolerance
+            limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": c.repeats}
+            struct = self._binding.h.StepSize(**limits, power=self._inputs.power)
+            sim.step_size, sim.error_tolerance = self._binding.pointer(struct), c.tolerance
             sim.by_energy = c.by_energy
 
     def _plan_rollback(self, times: Grid) -> None:
-        """Which components have to go back, and whether all can."""
+        """Decide which components save their states, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
         saves = iterates or (self._control is not None and self._control.repeats)
         for c in self._components:
-            face = c.slave.interface
-            c.rollback = saves and face.rollback
-            c.even = 0.0 if face.variable_step else times.step / c.factor
+            interface = c.slave.interface
+            c.rollback = saves and interface.rollback
+            c.fixed_step = 0.0 if interface.variable_step else times.step / c.substeps
         self.state.saves = saves
-        self.state.rollback = all(c.rollback and not c.even for c in self._components)
+        self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
 
     def _begin_prediction(self, prediction: LinearPrediction, t: float) -> list[int]:
-        """Linearise the components, with their outputs up to date; returns the order in which they step."""
+        """Exchange all values, linearise the components; returns the order in which they step."""
         self._binding.call("simulation_exchange", c_double(t))
         order = prediction.begin()
         prediction.fill(self._binding)
         return order
 
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
-        """The plan, and what components exchange when they step one by one."""
+        """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
         sim, plan, network, inputs = self.state, self._plan, self._network, self._inputs
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
-            last = prediction is not None and k == order[-1]  # nobody waits for it
-            component.held_inputs = network.input_writes(held[k])
-            component.output_reads = network.output_reads(name) if plan.sequential and not last else []
+            last = prediction is not None and k == order[-1]  # no component follows that uses its outputs
+            component.held_inputs = network.copy_and_set_calls(held[k])
+            reads_outputs = plan.sequential and not last
+            component.output_reads = network.get_output_calls(name) if reads_outputs else []
             component.fill_calls(self._binding)
-            component.made.repeated = k in plan.repeated
+            component.struct.repeated = k in plan.repeated
         at = self._binding.at
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count, sim.slopes = len(inputs.inputs), at(inputs.slopes)
@@ -174,12 +176,12 @@ class SimulationLoop:
 
 
 class ProgressBar:
-    """Shows how much of `total` [s] is simulated; silent when not wanted or when the run is short."""
+    """Shows how much of `total` [s] is simulated, if `enabled` and the run takes longer than `delay`."""
 
-    shown_after = 1.0  # [s]
+    delay = 1.0  # [s] of wall time
 
-    def __init__(self, total: float, wanted: bool) -> None:
-        self._total, self._wanted = total, wanted
+    def __init__(self, total: float, enabled: bool) -> None:
+        self._total, self._enabled = total, enabled
         self._began = time.perf_counter()
         self._bar: Any = None
         self._task: Any = None
@@ -188,18 +190,18 @@ class ProgressBar:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+        self, type_: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
 
-    def update(self, done: float) -> None:
-        """`done` [s] are simulated now."""
-        if not self._wanted or (self._bar is None and time.perf_counter() - self._began < self.shown_after):
+    def update(self, simulated: float) -> None:
+        """Show that `simulated` [s] are simulated."""
+        if not self._enabled or (self._bar is None and time.perf_counter() - self._began < self.delay):
             return
         if self._bar is None:
             self._open()
-        self._bar.update(self._task, completed=done)
+        self._bar.update(self._task, completed=simulated)
 
     def _open(self) -> None:
         from rich.console import Console

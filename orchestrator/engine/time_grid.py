@@ -1,4 +1,4 @@
-"""Communication points: an integer step count times the step, and which of them are recorded."""
+"""Communication points of a run: an integer count times the step, and which points are recorded."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import System
 
-STEP = 1e-3  # [s], when nobody suggests one
-NEAR = 1e-9  # of the record step: a step that short is noise
-RESOLVED = 1000  # of the smallest differences of times: equal steps are equal to 0.1 %
-MOST = 10**12  # steps: some weeks of the fastest FMUs
-RECORD = 5e-3  # [s], record interval of the command line: 200 Hz, the sampling rate of the paper
+DEFAULT_STEP = 1e-3  # [s], without any suggestion
+SAME_TIME = 1e-9  # times closer than this fraction of the step are equal
+RESOLUTION = 1000  # shortest step over the rounding unit of the times, so that steps are equal to 0.1 %
+MAX_STEPS = 10**12  # some weeks of the fastest FMUs
+RECORD_STEP = 5e-3  # [s], of the command line: 200 Hz, the sampling rate of the paper
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Point n is start + n * step, n = 0..steps; every `every`-th and the last are recorded. Times in [s].
+    """Point n is start + n * step, n = 0..steps; each `every`-th and the last are recorded. Times in [s].
 
-    A run with steps of its own choice hits all points and events; `first` is the step that it tries first.
+    An adaptive run hits all points and events; `first` is the step that it tries first.
 
-    free      it has points nowhere else: every communication point is recorded
-    events    times at which a scenario has a corner, increasing
-    least     the shortest step that its times can tell [s]; 0: unknown
+    free            every communication point is recorded, also between points of the grid
+    events          increasing times at which the slope of a scenario jumps
+    shortest_step   the shortest step that can be represented [s]; 0: unknown
     """
 
     start: float
@@ -38,7 +38,7 @@ class Grid:
     first: float = 0.0
     free: bool = False
     events: tuple[float, ...] = ()
-    least: float = 0.0
+    shortest_step: float = 0.0
 
     @property
     def stop(self) -> float:
@@ -46,18 +46,18 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """How many points are recorded."""
+        """Number of recorded points."""
         return self.steps // self.every + 1 + (self.steps % self.every > 0)
 
     def finer(self) -> Grid:
-        """Half the step, the same points recorded."""
+        """The grid with half the step and the same recorded points."""
         points = replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
-        return divided(points, self.events)
+        return with_events(points, self.events)
 
     def coarser(self) -> Grid:
-        """Twice the step, recorded at as many of the same points as it has, and at its own last one."""
+        """The grid with twice the step; recorded are the same points if it has them, and its last one."""
         every = self.every if self.every % 2 else self.every // 2
-        return divided(replace(self, step=2 * self.step, steps=self.steps // 2, every=every), self.events)
+        return with_events(replace(self, step=2 * self.step, steps=self.steps // 2, every=every), self.events)
 
 
 def grid(
@@ -68,13 +68,17 @@ def grid(
     stop: float | None,
     record_step: float | None = None,
 ) -> Grid:
-    """The communication points from what the user gave and, where nothing was given, what is suggested."""
+    """The communication points of equal steps; default values are suggestions of the system and its FMUs."""
     begin, end = _span(system, scenario, start, stop)
-    with _with_place(system, step):
+    with _naming_suggestion(system, step):
         step = step_length(system, step)
         points = _whole_steps(begin, end, step)
-    points = replace(points, every=_every(record_step, step))
-    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
+    points = replace(points, every=_steps_per_record(record_step, step))
+    return (
+        points
+        if scenario is None
+        else replace(points, notes=points.notes + _scenario_notes(points, scenario))
+    )
 
 
 def free_grid(
@@ -86,32 +90,37 @@ def free_grid(
     record_step: float | None,
     events: Iterable[float],
 ) -> Grid:
-    """The points that a run with steps of its own choice has to hit; `first` [s]: the step to try first."""
+    """The points that an adaptive run has to hit; `first` [s]: the step to try first."""
     begin, end = _span(system, scenario, start, stop)
-    whole = _whole_steps(begin, end, end - begin)
-    points = whole if record_step is None else _whole_steps(begin, end, record_step, "record step")
-    inside = tuple(_apart((t for t in events if begin < t < points.stop), points))
+    if record_step is None:
+        points = _whole_steps(begin, end, end - begin)
+    else:
+        points = _whole_steps(begin, end, record_step, "record step")
+    points = with_events(points, events)
     first = step_length(system, first)
     _positive("step", first)
     if system.coupling is not None:
         _check_steps("largest step", begin, end, system.coupling.step_limits[1])
-    points = replace(points, first=first, free=record_step is None, events=inside)
-    return points if scenario is None else replace(points, notes=points.notes + _held(points, scenario))
-
-
-def divided(points: Grid, corners: Iterable[float]) -> Grid:
-    """Equal steps, but for those that have a corner inside."""
-    return replace(
-        points, events=tuple(_apart((t for t in corners if points.start < t < points.stop), points))
+    points = replace(points, first=first, free=record_step is None)
+    return (
+        points
+        if scenario is None
+        else replace(points, notes=points.notes + _scenario_notes(points, scenario))
     )
 
 
-def _apart(events: Iterable[float], points: Grid) -> Iterator[float]:
-    """Without those that are a point of the grid or the event before, but for rounding."""
-    least, last = NEAR * points.step, points.start
+def with_events(points: Grid, events: Iterable[float]) -> Grid:
+    """The grid with events inside its time span; steps are divided there."""
+    inside = (t for t in events if points.start < t < points.stop)
+    return replace(points, events=tuple(_distinct(inside, points)))
+
+
+def _distinct(events: Iterable[float], points: Grid) -> Iterator[float]:
+    """The events that differ from all points of the grid and from the previous event."""
+    tolerance, last = SAME_TIME * points.step, points.start
     for t in events:
         nearest = points.start + round((t - points.start) / points.step) * points.step
-        if abs(t - nearest) > least and t - last > least:
+        if abs(t - nearest) > tolerance and t - last > tolerance:
             yield t
             last = t
 
@@ -140,19 +149,21 @@ def _span(
 
 
 def step_length(system: System, step: float | None) -> float:
-    """The step [s] given, else what the system suggests, else the smallest that an FMU does, else 1 ms."""
+    """The given step [s], else the suggestion of the system, else the smallest one of an FMU, else 1 ms."""
     if step is not None:
         return step
     if system.refusal:
         raise Problem(f"{system.refusal}; {OVERRIDE_HINT}")
     if system.step is not None:
         return system.step
-    return min((c.interface.step for c in system.components.values() if c.interface.step), default=STEP)
+    return min(
+        (c.interface.step for c in system.components.values() if c.interface.step), default=DEFAULT_STEP
+    )
 
 
 @contextmanager
-def _with_place(system: System, step: float | None) -> Iterator[None]:
-    """A Problem with the step names its place in the file that suggests it."""
+def _naming_suggestion(system: System, step: float | None) -> Iterator[None]:
+    """Add to a Problem with a suggested step the file and line that suggest it."""
     try:
         yield
     except Problem as problem:
@@ -162,20 +173,20 @@ def _with_place(system: System, step: float | None) -> Iterator[None]:
         raise Problem(f"{place}: {problem}; {OVERRIDE_HINT}") from None
 
 
-def _least(start: float, stop: float) -> float:
-    """The shortest step [s] that times from start to stop can tell."""
-    return RESOLVED * ulp(max(abs(start), abs(stop)))
+def _shortest_step(start: float, stop: float) -> float:
+    """The shortest step [s] that can be represented at times from start to stop."""
+    return RESOLUTION * ulp(max(abs(start), abs(stop)))
 
 
-def thinned(step: float) -> float | None:
-    """Record interval [s] of the command line: the most steps that fit into 5 ms; None: every step."""
-    if not 0 < step < RECORD:
+def record_interval(step: float) -> float | None:
+    """Record step [s] of the command line: the largest multiple of the step up to 5 ms; None: every step."""
+    if not 0 < step < RECORD_STEP:
         return None
-    return int(RECORD / step + 1e-6) * step
+    return int(RECORD_STEP / step + 1e-6) * step
 
 
-def _every(record_step: float | None, step: float) -> int:
-    """How many steps lie between recorded points."""
+def _steps_per_record(record_step: float | None, step: float) -> int:
+    """Number of steps between two recorded points."""
     if record_step is None:
         return 1
     ratio = record_step / step
@@ -185,8 +196,8 @@ def _every(record_step: float | None, step: float) -> int:
     return every
 
 
-def _held(points: Grid, scenario: Trace) -> tuple[str, ...]:
-    """What to say when the run is longer than its scenario."""
+def _scenario_notes(points: Grid, scenario: Trace) -> tuple[str, ...]:
+    """Notes on a run that is longer than its scenario."""
     first, last = float(scenario.time[0]), float(scenario.time[-1])
     notes = []
     if points.start < first - points.step:
@@ -205,23 +216,24 @@ def _positive(name: str, step: float) -> None:
 
 def _check_steps(name: str, start: float, end: float, step: float) -> None:
     """Refuse steps that are too short for the times of a run, or too many."""
-    resolved, fewest = _least(start, end), (end - start) / MOST
-    if step < resolved:
-        least = f"expected at least {resolved:.3g} s, the times of the run can tell no less"
-        raise Problem(f"{name}: {least}, got {step:g} s")
-    if step < fewest:
-        raise Problem(f"{name}: expected at least {fewest:.3g} s, for at most {MOST:g} steps, got {step:g} s")
+    resolution, shortest = _shortest_step(start, end), (end - start) / MAX_STEPS
+    if step < resolution:
+        expected = f"expected at least {resolution:.3g} s, the resolution of the times of the run"
+        raise Problem(f"{name}: {expected}, got {step:g} s")
+    if step < shortest:
+        expected = f"expected at least {shortest:.3g} s, for at most {MAX_STEPS:g} steps"
+        raise Problem(f"{name}: {expected}, got {step:g} s")
 
 
 def _whole_steps(start: float, end: float, step: float, name: str = "step") -> Grid:
+    """The grid of the steps that fit between start and end."""
     _positive(name, step)
     _check_steps(name, start, end, step)
     steps = int((end - start) / step + 1e-6)
     if steps < 1:
         raise Problem(f"{name}: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
-    reached = start + steps * step
-    points = Grid(start, step, steps, least=_least(start, end))
-    if abs(end - reached) > 1e-6 * step:
-        note = f"{end - start:g} s is no multiple of the {name}: the run ends at {reached:.9g} s"
+    points = Grid(start, step, steps, shortest_step=_shortest_step(start, end))
+    if abs(end - points.stop) > 1e-6 * step:
+        note = f"{end - start:g} s is not a multiple of the {name}: the run ends at {points.stop:.9g} s"
         return replace(points, notes=(note,))
     return points

@@ -67,9 +67,9 @@ class PlantComponent:
         """Bind the calls to the arrays of the plant."""
         f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
         self._tangent = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
-        self.starts = [*self._tangent.values, *self._rows(self.slave.reader, self.inputs, v)]
+        self.starts = [*self._tangent.state_reads, *self._rows(self.slave.reader, self.inputs, v)]
         self.writes = self._rows(self.slave.writer, self.inputs, v)
-        self.reads = [*self._tangent.rates, *self._rows(self.slave.reader, self.outputs, y)]
+        self.reads = [*self._tangent.rate_reads, *self._rows(self.slave.reader, self.outputs, y)]
         self._plant = plant
 
     def _rows(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:

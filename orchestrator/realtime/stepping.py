@@ -194,17 +194,17 @@ class RestDelay:
 class LatestRecorder(Recorder):
     """Keeps only the values of the latest communication point: `values`, in the order of the ports."""
 
-    def __init__(self, network: Network, times: Grid, chosen: Sequence[Port] | None = None) -> None:
-        super().__init__(network, replace(times, steps=1), chosen)
+    def __init__(self, network: Network, times: Grid, selected: Sequence[Port] | None = None) -> None:
+        super().__init__(network, replace(times, steps=1), selected)
         self.values = np.zeros(len(self._ports))
-        self._reals = np.array([self._ports.index(p) for p in self._real], dtype=np.intp)
-        self._wholes = np.array([self._ports.index(p) for p in self._whole], dtype=np.intp)
+        self._real_targets = np.array([self._ports.index(p) for p in self._reals], dtype=np.intp)
+        self._integer_targets = np.array([self._ports.index(p) for p in self._integers], dtype=np.intp)
 
-    def _keep(self) -> None:
-        if last := self.made.filled:
-            self.values[self._reals] = self.fresh.reals[last - 1]
-            self.values[self._wholes] = self.fresh.wholes[last - 1]
-            self.made.filled = 0
+    def _collect_finite(self) -> None:
+        if last := self.struct.filled:
+            self.values[self._real_targets] = self.block.reals[last - 1]
+            self.values[self._integer_targets] = self.block.integers[last - 1]
+            self.struct.filled = 0
 
 
 class FrameStepper:

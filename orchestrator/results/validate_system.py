@@ -21,7 +21,7 @@ from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
 from orchestrator.data.trace import Trace, write
 from orchestrator.engine.result import Card, Result, write_metadata
-from orchestrator.engine.run import contents, given, simulated
+from orchestrator.engine.run import file_summary, requested_options, run_or_save
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
@@ -229,7 +229,7 @@ def validate_system(
     shown = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
-    result = simulated(system, scenario or commands, trace, **options, everywhere=False)
+    result = run_or_save(system, scenario or commands, trace, **options, every_point=False)
     # a reference of the usual system knows signals that a swapped FMU has not
     gone = lost(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
     against = against.select([name for name in against.signals if name not in gone])
@@ -247,7 +247,7 @@ def validate_system(
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
     write(result.trace, trace)
-    write_metadata(result, trace, given(scenario=scenario, **options))
+    write_metadata(result, trace, requested_options(scenario=scenario, **options))
     if not layout:
         named = shown.title if reference is None and scenario is None else ""
         title = named or f"{(scenario or system).stem} against {against.heading}"
@@ -255,7 +255,7 @@ def validate_system(
     facts = _facts(system, scenario, against.heading, card, **options)
     validation, html, data = judge(replace(result, trace=recorded), against, shown, out, facts, rate)
     Console().print(summary(validation))
-    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {contents(result, trace)}")
+    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file_summary(result, trace)}")
     return validation.passed
 
 

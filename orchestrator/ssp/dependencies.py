@@ -82,39 +82,6 @@ def output_order(system: System) -> OutputOrder:
     return OutputOrder(stages, tuple(notes), tuple(cycles))
 
 
-def gauss_seidel_order(system: System) -> list[str]:
-    """Components in the order in which Gauss-Seidel steps them.
-
-    Next comes the component with the fewest inputs that feed through to its outputs and wait for a component
-    not yet stepped; then the one with the fewest waiting inputs; then one that holds its inputs before one
-    that interpolates them (which gains from coming later); then the given order.
-    """
-    direct = {
-        Port(c.name, u)
-        for c in system.components.values()
-        for y in c.interface.of("output")
-        for u in c.interface.direct_inputs(y.name)
-    }
-    left, order = list(system.components), list[str]()
-
-    def waiting(name: str) -> tuple[int, int, bool]:
-        targets = [
-            c.target
-            for c in system.connections
-            if c.target.component == name and c.source.component in left and c.source.component != name
-        ]
-        return (
-            sum(t in direct for t in targets),
-            len(targets),
-            bool(system.components[name].interface.ramp_inputs),
-        )
-
-    while left:
-        order.append(min(left, key=waiting))
-        left.remove(order[-1])
-    return order
-
-
 class Feedthrough:
     """Direct dependencies of a system.
 

@@ -47,7 +47,7 @@ def _free(candidate: tuple[tuple[str, ...], Connection, Connection], taken: set[
     return candidate[1].target not in taken and candidate[2].target not in taken
 
 
-def named_bond(system: System, effort: str, flow: str) -> Bond:
+def bond_of(system: System, effort: str, flow: str) -> Bond:
     """A bond given by the names of its two inputs."""
     fed = {c.target: c for c in system.connections}
     ports = system.port(effort), system.port(flow)

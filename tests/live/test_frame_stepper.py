@@ -131,7 +131,7 @@ def test_units_of_axes_and_signals(drift):
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"axes": (Axis("w", 1, 1),)}, "axes: column 'w' is no input of the system; inputs: u, u_rate"),
+        ({"axes": (Axis("w", 1, 1),)}, "axes: column 'w' is not an input of the system; inputs: u, u_rate"),
         (
             {"signals": ("drift.z",)},
             "unknown variable 'drift.z'; did you mean drift.y, drift.u, drift.u_rate?",

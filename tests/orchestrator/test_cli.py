@@ -301,7 +301,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
     assert main(["run", str(fmus["fails"]), *options]) == 2
     printed = capsys.readouterr()
     assert len(read("o.csv").time) == 6
-    assert "the run ended early; what was recorded up to t = 0.5 s is kept in o.csv" in printed.out
+    assert "the run ended early; its record up to t = 0.5 s is in o.csv" in printed.out
     assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
 
@@ -310,12 +310,12 @@ import os, signal, sys
 from orchestrator.__main__ import main
 from orchestrator.engine.recorder import Recorder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-settle = Recorder.settle
+collect = Recorder.collect
 def interrupt(self):
-    settle(self)
+    collect(self)
     if self.points > 1000:
         os.kill(os.getpid(), signal.SIGINT)
-Recorder.settle = interrupt
+Recorder.collect = interrupt
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -327,7 +327,7 @@ def test_ctrl_c_leaves_the_record(fmus):
     arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
     ended = python(INTERRUPTED, *arguments)
     assert ended.returncode == 130, ended.stderr
-    assert "is kept in o.parquet" in ended.stdout
+    assert "is in o.parquet" in ended.stdout
     assert "Traceback" not in ended.stderr
     assert len(read("o.parquet").time) > 1000
 

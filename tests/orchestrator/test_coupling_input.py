@@ -46,29 +46,31 @@ def shifted(c, by):
 
 def interpolated(degree, value, slope, value_end, slope_end, h):
     ends = {"value": value, "slope": slope, "value_end": value_end, "slope_end": slope_end}
-    made = CouplingInput(known=3, **ends)
-    call("input_interpolate", ctypes.byref(made), degree, h, 1.0)
-    return tuple(made.c)
+    struct = CouplingInput(history_order=3, **ends)
+    call("input_interpolate", ctypes.byref(struct), degree, h, 1.0)
+    return tuple(struct.c)
 
 
 def extrapolated(order, value, slope, before, chord, length):
     past = {"value": value, "slope": slope, "slope_before": before, "chord_before": chord}
-    made = CouplingInput(known=3, order=order, **past)
-    call("input_extrapolate", ctypes.byref(made), 1.0, length)
-    return tuple(made.c)
+    struct = CouplingInput(history_order=3, order=order, **past)
+    call("input_extrapolate", ctypes.byref(struct), 1.0, length)
+    return tuple(struct.c)
 
 
 class Input:
     """A coupling input of the engine."""
 
     def __init__(self, **fields):
-        self.made = CouplingInput(**{"factor": 1.0, "source_component": 1, "degree": 3, "wanted": 3} | fields)
+        self.struct = CouplingInput(
+            **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3} | fields
+        )
 
     def __getattr__(self, name):
         """A value, or a function of the engine on this input."""
         if hasattr(CouplingInput, name):
-            return getattr(self.made, name)
-        return lambda *arguments: call(f"input_{name}", ctypes.byref(self.made), *arguments)
+            return getattr(self.struct, name)
+        return lambda *arguments: call(f"input_{name}", ctypes.byref(self.struct), *arguments)
 
 
 numbers = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-9 else 0.0)  # far from underflow
@@ -129,7 +131,7 @@ def test_interpolation_is_exact_up_to_its_degree(c, h, degree):
 
 
 @given(cubics, lengths, degrees)
-def test_interpolation_meets_its_data(c, h, degree):
+def test_interpolation_passes_through_its_data(c, h, degree):
     """Values at both ends; from degree 2 on the slope at the beginning; with 3 that at the end."""
     value, slope, value1, slope1 = c
     found, magnitude = interpolated(degree, *c, h), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
@@ -172,12 +174,12 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
 
     It was continued at `order`; `slopes` says whether its source gives them.
     """
-    s = Input(slope_index=0 if slopes else NO_SLOPE, degree=degree, order=order)
+    s = Input(slope_index=0 if slopes else NO_SLOPE, fmu_degree=degree, order=order)
     s.begin(c[0], c[1] if slopes else 0.0)
     t, steps = 0.0, (0.0, 0.0)
     for n, h in enumerate(lengths):
         s.extrapolate(h, steps[0])
-        s.arrive(at(c, t + h), slope_at(c, t + h), h, *steps)
+        s.set_end(at(c, t + h), slope_at(c, t + h), h, *steps)
         if n < len(lengths) - 1:
             s.accept(h, steps[0])
             t, steps = t + h, (h, steps[0])
@@ -215,8 +217,8 @@ def test_a_held_line_is_off_by_its_way(value, slope, before, h):
 
 
 @given(cubics, st.integers(0, 1), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
-def test_what_was_lost_is_given_back(c, order, before, h):
-    """Of a polynomial one degree above the continuation all of the mean, at any lengths of steps."""
+def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
+    """Exactly for a polynomial one degree above the extrapolation, at any lengths of steps."""
     c = cut(c, order + 1)
     s, t, (step, _) = watched(c, [before, h], order=order)
     s.extrapolate(h, step)
@@ -238,7 +240,7 @@ def test_only_an_autonomous_source_may_have_corners():
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
         s = Input(autonomous=free)
         s.begin(0.0, 1.0)
-        s.arrive(1.0, 0.0, 1.0, 0.0, 0.0)  # the slope at the end is that of what follows the corner
+        s.set_end(1.0, 0.0, 1.0, 0.0, 0.0)  # the slope at the end is that of what follows the corner
         s.interpolate(3, 1.0, 0.0)
         assert tuple(s.c) == expected
 
@@ -246,6 +248,6 @@ def test_only_an_autonomous_source_may_have_corners():
 def test_the_magnitude_is_the_largest_ever():
     """Errors of a signal that passes through zero are compared with what it was before."""
     s, _, _ = watched((8.0, -4.0, 0.0, 0.0), [1.0, 1.0])
-    assert (s.value_end, s.magnitude(), s.share(2.0)) == (0.0, 8.0, 0.25)
+    assert (s.value_end, s.magnitude(), s.relative(2.0)) == (0.0, 8.0, 0.25)
     still = Input()
-    assert still.share(1.0) == 0.0  # the start: nothing was ever there to compare with
+    assert still.relative(1.0) == 0.0  # the start: nothing was ever there to compare with

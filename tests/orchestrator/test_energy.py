@@ -8,7 +8,7 @@ from orchestrator.base.units import DeclaredUnit
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.engine.result import Card
 from orchestrator.fmi.description import FmuInterface, FmuVariable
-from orchestrator.ssp.power_bonds import find_bonds, named_bond
+from orchestrator.ssp.power_bonds import bond_of, find_bonds
 from orchestrator.ssp.system import Component, Connection, Port
 
 UNITS = {
@@ -146,8 +146,8 @@ def test_a_bond_at_rest_has_no_share():
 
 def test_named_bonds_must_be_opposite_connections(bounce):
     """A bond given by hand is checked and used."""
-    assert named_bond(bounce, "mass.force", "spring.v").name == "mass - spring"
+    assert bond_of(bounce, "mass.force", "spring.v").name == "mass - spring"
     with pytest.raises(Problem, match=r"mass.x is not a connected input"):
-        named_bond(bounce, "mass.x", "spring.v")
+        bond_of(bounce, "mass.x", "spring.v")
     result = run(bounce, step=1e-2, stop=0.1, bonds=[("mass.force", "spring.v")])
     assert len(result.card.bonds) == 1

@@ -16,7 +16,7 @@ class Joined(JoinedSystem):
 
     def join(self):
         self.binding = Binding()
-        self.state = self.made(self.binding)
+        self.state = self.struct(self.binding)
         library().prediction_join(byref(self.state))
 
     @property
@@ -26,17 +26,17 @@ class Joined(JoinedSystem):
     def prepare(self, h):
         library().prediction_prepare(byref(self.state), c_double(h))
 
-    def find_drift(self, last, since):
-        self.state.last, self.state.since = last, since
+    def find_drift(self, last_step, age_seconds):
+        self.state.last_step, self.state.age_seconds = last_step, age_seconds
         library().prediction_find_drift(byref(self.state))
 
-    def solve(self, since):
-        self.state.since = since
+    def solve(self, age_seconds):
+        self.state.age_seconds = age_seconds
         library().prediction_solve(byref(self.state))
 
 
 def inverted(matrix):
-    """The inverse, by the engine, whose rows are filled up; None where there is none."""
+    """The inverse, by the engine, with padded rows; None if the matrix is singular."""
     n = len(matrix)
     wide = -(-n // 8) * 8
     found, rows = np.zeros((n, wide)), np.zeros(n, np.int32)
@@ -48,7 +48,7 @@ def random(n, m, seed, direct=True):
     """A joined system with numbers everywhere; of K C and the rest, the plain matrices."""
     rng = np.random.default_rng(seed)
     joined = Joined(n, m)
-    joined.through = direct
+    joined.has_feedthrough = direct
     a, b, c = rng.normal(size=(n, n)) - 2 * np.eye(n), rng.normal(size=(n, m)), rng.normal(size=(m, n))
     d = 0.3 * rng.normal(size=(m, m)) / m if direct else np.zeros((m, m))
     joined.a[:, :n], joined.b[:, :n], joined.c[:, :m], joined.d[:, :m] = a.T, b.T, c.T, d.T
@@ -92,7 +92,7 @@ def test_the_prediction_converges_with_order_three(n, m, direct):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.3)
 
 
-def test_the_drift_is_what_the_linearisation_missed():
+def test_the_drift_is_the_error_of_the_linearisation():
     """Rates that grow quadratically since the linearisation are continued exactly, but for the method."""
     joined, matrices = random(4, 2, 1)
     missed, last, since, h = np.array([3.0, -1.0, 0.5, 2.0]), 0.01, 0.03, 0.01
@@ -123,7 +123,7 @@ def test_a_stiff_system_comes_to_rest():
 def test_connections_without_a_solution_are_no_system():
     """Outputs that come back as their own inputs, unchanged: any value fits."""
     joined = Joined(1, 2)
-    joined.through = True
+    joined.has_feedthrough = True
     joined.d[0, 1] = joined.d[1, 0] = 1.0
     joined.join()
     assert not joined.usable
@@ -140,5 +140,5 @@ def test_inverse(n):
 
 
 def test_no_inverse():
-    """A matrix without one is told."""
+    """A singular matrix is reported."""
     assert inverted(np.ones((2, 2))) is None

@@ -265,7 +265,7 @@ def test_a_loop_of_whole_numbers_is_refused(each):
 
 
 def test_a_loop_that_nobody_declared_is_solved(each):
-    """Where values carried round do not settle there is a loop, and the note tells that it was solved."""
+    """If copied values do not settle there is a loop, and the note reports that it was solved."""
     files = {name: each.make("gain", f"silent_{name}", undeclared=True) for name in "pq"}
     result = run(
         assemble(files, PAIR, {"p.factor": 3.0, "p.offset": 1.0, "q.factor": -2.0}), step=0.1, stop=1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, RunFailed, assemble, run
-from orchestrator.engine.time_grid import thinned
+from orchestrator.engine.time_grid import record_interval
 
 
 def whole_and_thin(system, record_step, **options):
@@ -118,4 +118,4 @@ def test_not_a_number_between_recorded_points_is_found(fmus):
 def test_default_interval_of_the_command_line(step, interval):
     """5 ms, or the most steps that fit into it; wrong steps are left to others to refuse."""
     # products of the step: rounding only
-    assert thinned(step) == (None if interval is None else pytest.approx(interval, rel=1e-12))
+    assert record_interval(step) == (None if interval is None else pytest.approx(interval, rel=1e-12))

@@ -95,7 +95,7 @@ def test_a_time_that_is_no_multiple_of_the_step_is_told():
     """The run ends at the last whole step."""
     result, _ = mocked(step=0.1, stop=0.25)
     np.testing.assert_array_equal(result.trace["m.y"], [0, 1, 2])
-    assert result.card.notes == ("0.25 s is no multiple of the step: the run ends at 0.2 s",)
+    assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
 
 
 @pytest.mark.parametrize(
@@ -293,7 +293,7 @@ def test_an_estimate_of_nothing_is_told():
     face = FmuInterface({"y": FmuVariable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
     system = System("rest", {"m": Component("m", face)})
     card = run(system, open=Resting, step=0.5, stop=2.0, error_estimate=True).card
-    assert card.notes == ("no error estimate: no output moves",)
+    assert card.notes == ("no error estimate: no output changes",)
 
 
 def test_inputs_of_the_system_are_recorded_though_nothing_feeds_them(fmus):
@@ -320,7 +320,7 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     """Nothing before the patience is over, a bar on stderr after that."""
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert capsys.readouterr().err == ""
-    monkeypatch.setattr(ProgressBar, "shown_after", 0.0)
+    monkeypatch.setattr(ProgressBar, "delay", 0.0)
     monkeypatch.setenv("FORCE_COLOR", "1")
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert "10 s simulated" in capsys.readouterr().err

@@ -179,8 +179,8 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
     files |= {"s": fmus["source"], "k": fmus.make("spring", "third", interpolates=True)}
     system = assemble(files, [*map(str, parts.connections), "b.v -> k.v"])
     results = []
-    for worth in (np.inf, -1.0):
-        monkeypatch.setattr(simulation_loop, "WORTH", worth)
+    for saving in (np.inf, -1.0):
+        monkeypatch.setattr(simulation_loop, "MIN_SAVING", saving)
         results.append(run(system, master=Coupling("jacobi", order), **STEPS))
     for name, values in results[0].trace.signals.items():
         np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
@@ -272,7 +272,7 @@ LONG = (
     START
     + """
 from orchestrator.engine import simulation_loop
-simulation_loop.WORTH = float(sys.argv[5])
+simulation_loop.MIN_SAVING = float(sys.argv[5])
 if len(sys.argv) > 7:
     system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
 main, sent = threading.main_thread().ident, []
@@ -326,10 +326,11 @@ def child(code, *arguments):
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
     """With and without threads, and FMUs that Python calls; the run would go on for hours.
 
-    C looks up every 0.1 s. What counts is the time that the process computes: a machine that is busy with
+    C checks for an interrupt every 0.1 s. What counts is the time that the process computes: a machine that
+    is busy with
     other things may take longer to let it.
     """
-    assert simulation_loop.PATIENCE <= 0.1
+    assert simulation_loop.CHECK_INTERVAL <= 0.1
     files = [part.source.path for part in moving.components.values()]
     late, rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert float(late) < 1.0

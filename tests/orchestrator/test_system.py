@@ -212,9 +212,9 @@ def test_scenarios_drive_all_numeric_types(fmus):
 @pytest.mark.parametrize(
     ("column", "message"),
     [
-        ("a.x3", r"scenario: column 'a.x3' is no input of the system; did you mean a.x2"),
+        ("a.x3", r"scenario: column 'a.x3' is not an input of the system; did you mean a.x2"),
         ("a.force", r"scenario: column 'a.force': expected an input, got a Real output"),
-        ("x3", r"scenario: column 'x3' is no input of the system; did you mean .*; inputs: x2, force$"),
+        ("x3", r"scenario: column 'x3' is not an input of the system; did you mean .*; inputs: x2, force$"),
     ],
 )
 def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):

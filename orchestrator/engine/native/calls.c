@@ -1,4 +1,4 @@
-/* Calls into FMUs and into Python, and the values they work on. */
+/* Programs of calls: FMI functions, copies along connections, algebraic loops, and calls into Python. */
 
 #include "engine.h"
 
@@ -32,22 +32,22 @@ typedef int Step3(void *, double, double, _Bool, void *, void *, void *, void *)
 typedef int GetState(void *, void **);
 typedef int SetState(void *, void *);
 
-/* One value between a bank and an FMU; both directions are exact or refused. */
+/* Converts values between the array of the run and the FMU, exactly; returns 0 if an integer does not fit. */
 #define CONVERT(TYPE)                                                   \
     do {                                                                \
-        TYPE *own = a->own;                                             \
+        TYPE *fmu = a->fmu_values;                                      \
         const int is_unsigned = (TYPE)-1 > (TYPE)0;                     \
-        if (a->bank == REAL) {                                          \
+        if (a->array == REAL) {                                          \
             double *values = a->values;                                 \
             for (int32_t i = 0; i < a->count; i++)                      \
-                if (a->sets) own[i] = (TYPE)values[i];                  \
-                else values[i] = (double)own[i];                        \
+                if (a->sets) fmu[i] = (TYPE)values[i];                  \
+                else values[i] = (double)fmu[i];                        \
         } else {                                                        \
             int32_t *values = a->values;                                \
             for (int32_t i = 0; i < a->count; i++) {                    \
-                if (a->sets) own[i] = (TYPE)values[i];                  \
-                else values[i] = (int32_t)own[i];                       \
-                if ((int64_t)own[i] != (int64_t)values[i]) return 0;    \
+                if (a->sets) fmu[i] = (TYPE)values[i];                  \
+                else values[i] = (int32_t)fmu[i];                       \
+                if ((int64_t)fmu[i] != (int64_t)values[i]) return 0;    \
                 if (is_unsigned && values[i] < 0) return 0;             \
             }                                                           \
         }                                                               \
@@ -65,10 +65,10 @@ static int convert(const Access *a) {
     case U64: CONVERT(uint64_t); break;
     case LOGICAL:
         for (int32_t i = 0; i < a->count; i++) {
-            _Bool *own = a->own;
+            _Bool *fmu = a->fmu_values;
             int32_t *values = a->values;
-            if (a->sets) own[i] = values[i] != 0;
-            else values[i] = own[i];
+            if (a->sets) fmu[i] = values[i] != 0;
+            else values[i] = fmu[i];
         }
         break;
     default: break;
@@ -76,19 +76,19 @@ static int convert(const Access *a) {
     return 1;
 }
 
-static int make(const Access *a) {
+static int call_fmi(const Access *a) {
     const size_t n = (size_t)a->count;
     if (a->orders && a->fmi == 2)
-        return ((Derivatives2 *)a->function)(a->instance, a->references, n, a->orders, a->own);
-    if (a->orders) return ((Derivatives3 *)a->function)(a->instance, a->references, n, a->orders, a->own, n);
-    if (a->fmi == 2) return ((Values2 *)a->function)(a->instance, a->references, n, a->own);
-    return ((Values3 *)a->function)(a->instance, a->references, n, a->own, n);
+        return ((Derivatives2 *)a->function)(a->instance, a->references, n, a->orders, a->fmu_values);
+    if (a->orders) return ((Derivatives3 *)a->function)(a->instance, a->references, n, a->orders, a->fmu_values, n);
+    if (a->fmi == 2) return ((Values2 *)a->function)(a->instance, a->references, n, a->fmu_values);
+    return ((Values3 *)a->function)(a->instance, a->references, n, a->fmu_values, n);
 }
 
 static int access_values(Simulation *sim, const Access *a) {
-    const int same = a->own == a->values;
+    const int same = a->fmu_values == a->values;
     if (!same && a->sets && !convert(a)) return sim->check_status(a, 0, OUT_OF_RANGE);
-    const int status = make(a);
+    const int status = call_fmi(a);
     if (status) {
         const int verdict = sim->check_status(a, 0, status);
         if (verdict) return verdict;
@@ -97,39 +97,39 @@ static int access_values(Simulation *sim, const Access *a) {
     return CONTINUE;
 }
 
-static void carry(Simulation *sim, const Link *link) {
-    for (int32_t i = 0; i < link->count; i++) {
-        const int64_t from = link->source[i], to = link->target[i];
-        if (link->bank == REAL) {
-            const double *factor = link->factor, *offset = link->offset;
-            sim->real[to] = factor ? sim->real[from] * factor[i] + offset[i] : sim->real[from];
+static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
+    for (int32_t i = 0; i < copy->count; i++) {
+        const int64_t from = copy->source[i], to = copy->target[i];
+        if (copy->array == REAL) {
+            const double *factor = copy->factor, *offset = copy->offset;
+            sim->reals[to] = factor ? sim->reals[from] * factor[i] + offset[i] : sim->reals[from];
         } else {
-            const int32_t *factor = link->factor, *offset = link->offset;
-            sim->whole[to] = factor ? sim->whole[from] * factor[i] + offset[i] : sim->whole[from];
+            const int32_t *factor = copy->factor, *offset = copy->offset;
+            sim->integers[to] = factor ? sim->integers[from] * factor[i] + offset[i] : sim->integers[from];
         }
     }
 }
 
-int carry_out(Simulation *sim, const Program *program) {
+int execute(Simulation *sim, const Program *program) {
     for (int32_t i = 0; i < program->count; i++) {
-        const Instruction *one = &program->instructions[i];
+        const Instruction *instruction = &program->instructions[i];
         int verdict = CONTINUE;
-        if (one->kind == LINK) carry(sim, one->what);
-        else if (one->kind == ACCESS) verdict = access_values(sim, one->what);
-        else if (one->kind == LOOP) verdict = loop_solve(sim, one->what);
-        else verdict = sim->call_python(CALL, one->index, 0.0, 0.0);
+        if (instruction->type == COPY) copy_values(sim, instruction->operand);
+        else if (instruction->type == ACCESS) verdict = access_values(sim, instruction->operand);
+        else if (instruction->type == LOOP) verdict = loop_solve(sim, instruction->operand);
+        else verdict = sim->call_python(CALL, instruction->index, 0.0, 0.0);
         if (verdict) return verdict;
     }
     return CONTINUE;
 }
 
 int directional_derivative(Simulation *sim, const Derivative *d) {
-    const size_t m = (size_t)d->outputs, n = (size_t)d->count;
+    const size_t m = (size_t)d->unknown_count, n = (size_t)d->known_count;
     int status;
     if (!d->function) return sim->call_python(CALL, d->index, 0.0, 0.0);
     if (d->fmi == 2)
-        status = ((Derivative2 *)d->function)(d->instance, d->of, m, d->by, n, d->seed, d->into);
-    else status = ((Derivative3 *)d->function)(d->instance, d->of, m, d->by, n, d->seed, n, d->into, m);
+        status = ((Derivative2 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, d->result);
+    else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, n, d->result, m);
     return status ? sim->check_status(d, 0, status) : CONTINUE;
 }
 
@@ -138,9 +138,9 @@ int component_step(Simulation *sim, int k, double t, double h) {
     p->clock[0] = p->clock[1] = t;
     if (!p->do_step) return sim->call_python(STEP, k, t, h);
     int status;
-    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, h, p->final);
+    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, h, p->never_restored);
     else
-        status = ((Step3 *)p->do_step)(p->instance, t, h, p->final != 0, p->event, p->terminate, p->early,
+        status = ((Step3 *)p->do_step)(p->instance, t, h, p->never_restored != 0, p->event, p->terminate, p->early,
                                        p->last);
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;

@@ -1,14 +1,14 @@
-/* An input over one communication step, as a cubic polynomial of the time since its beginning:
+/* One input over a communication step, as a cubic polynomial of the time s since the beginning of the step:
  *
  *     u(s) = c0 + c1 s + c2 s^2 + c3 s^3,   0 <= s <= h                                   s, h in [s]
  *
- * What a source did is known by value and slope at communication points; here is what follows from that for the step
- * to come (extrapolation) and, once the source has been there, for the step itself (interpolation). An FMU that
- * cannot follow a cubic gets the straight line, or the constant, with the same mean (and, the line, the same first
- * moment) over the step: to what is linear in its input it does the same up to the order h^4 (line) or h^2
- * (constant) of the cubic itself. docs/coupling.md has the derivation and measured orders.
+ * The polynomial follows from value and slope of the source at communication points: by extrapolation before the
+ * source has stepped, by interpolation afterwards. An FMU that cannot follow a cubic gets a straight line with the same
+ * mean and the same first moment over the step, or a constant with the same mean. A linear FMU then reaches the same
+ * state as with the cubic, up to the order h^4 (line) or h^2 (constant). docs/coupling.md has the derivation and
+ * measured orders.
  *
- * length: of the step before this one [s], 0 at the start.
+ * length: of the previous step [s], 0 at the start of the run.
  */
 
 #include <math.h>
@@ -16,7 +16,7 @@
 
 #include "engine.h"
 
-static const double CORNER = 1e-6; /* of two slopes: what differs by less is the same */
+static const double SAME_SLOPE = 1e-6; /* largest relative difference of two equal slopes */
 
 static void cubic(double c[], double c0, double c1, double c2, double c3) {
     c[0] = c0, c[1] = c1, c[2] = c2, c[3] = c3;
@@ -24,25 +24,25 @@ static void cubic(double c[], double c0, double c1, double c2, double c3) {
 
 /* ---- polynomials ----------------------------------------------------------------------------- */
 
-/* The polynomial of degree `order`, 0 to 3, that continues a source. */
-static void extrapolated(const CouplingInput *s, int order, double length, double c[]) {
+/* The polynomial of degree `order`, 0 to 3, that continues a source beyond the last communication point. */
+static void extrapolate(const CouplingInput *s, int order, double length, double c[]) {
     const double a = s->slope, b = s->slope_before, chord = s->chord_before;
-    if (order > s->known) order = s->known;
+    if (order > s->history_order) order = s->history_order;
     if (order == 0) cubic(c, s->value, 0.0, 0.0, 0.0);
     else if (order == 1) cubic(c, s->value, a, 0.0, 0.0);
     else if (order == 2) cubic(c, s->value, a, (a - b) / (2.0 * length), 0.0);
     else cubic(c, s->value, a, (2.0 * a + b - 3.0 * chord) / length, (a + b - 2.0 * chord) / (length * length));
 }
 
-/* The polynomial of degree 1, 2 or 3 between values, and slopes, at both ends of the step. */
-static void connected(CouplingInput *s, int degree, double h) {
+/* The polynomial of degree 1, 2 or 3 through the values, and the slopes, at both ends of the step. */
+static void interpolate(CouplingInput *s, int degree, double h) {
     const double chord = (s->value_end - s->value) / h, a = s->slope, b = s->slope_end;
     if (degree == 1) cubic(s->c, s->value, chord, 0.0, 0.0);
     else if (degree == 2) cubic(s->c, s->value, a, (chord - a) / h, 0.0);
     else cubic(s->c, s->value, a, (3.0 * chord - 2.0 * a - b) / h, (a + b - 2.0 * chord) / (h * h));
 }
 
-/* The same polynomial with its time counted from `by`. */
+/* The same polynomial with its time counted from `by` [s]. */
 void polynomial_shift(const double c[], double by, double shifted[]) {
     cubic(shifted, c[0] + by * (c[1] + by * (c[2] + by * c[3])), c[1] + by * (2.0 * c[2] + by * (3.0 * c[3])),
           c[2] + by * (3.0 * c[3]), c[3]);
@@ -52,7 +52,7 @@ double polynomial_mean(const double c[], double h) {
     return c[0] + h * (c[1] / 2.0 + h * (c[2] / 3.0 + h * c[3] / 4.0));
 }
 
-/* The nearest polynomial (least squares over the step) of the degree that an FMU can follow: 0, 1 or 3. */
+/* The nearest polynomial (least squares over the step) of a degree that an FMU can follow: 0, 1 or 3. */
 void polynomial_project(double c[], int32_t degree, double h) {
     if (degree == 3) return;
     if (degree == 0) cubic(c, polynomial_mean(c, h), 0.0, 0.0, 0.0);
@@ -63,27 +63,27 @@ void polynomial_project(double c[], int32_t degree, double h) {
 double polynomial_value(const double c[], double s) { return c[0] + s * (c[1] + s * (c[2] + s * c[3])); }
 double polynomial_slope(const double c[], double s) { return c[1] + s * (2.0 * c[2] + s * (3.0 * c[3])); }
 
-/* ---- before the component steps ---------------------------------------------------------------- */
+/* ---- the polynomial of a step ---------------------------------------------------------------- */
 
-/* Goes straight to the value at the end; what that leaves out shows at the middle. */
+/* An input driven by a scenario: a straight line to the value at the end; the value at the middle gives its error. */
 void input_drive(CouplingInput *s, double middle, double value_end, double h) {
     s->value_end = value_end;
-    connected(s, 1, h);
+    interpolate(s, 1, h);
     s->expected = value_end + (middle - 0.5 * (s->value + value_end));
     s->weight = 1.0;
 }
 
-/* Continues the source over the step. */
+/* Extrapolates the source over the step. */
 void input_extrapolate(CouplingInput *s, double h, double length) {
-    extrapolated(s, s->order, length, s->c);
+    extrapolate(s, s->order, length, s->c);
     s->expected = polynomial_value(s->c, h);
     s->weight = 1.0;
     s->correction = 0.0;
 }
 
-/* Takes the predicted changes up to h/3, 2h/3 and h. What the prediction misses grows with the third power of time
- * or faster: its mean is a quarter of its end. */
-void input_take_prediction(CouplingInput *s, double v1, double v2, double v3, double h) {
+/* The cubic through the predicted changes at h/3, 2h/3 and h. The error of the prediction grows with the third power of
+ * time or faster, so its mean is a quarter of its value at the end. */
+void input_predict(CouplingInput *s, double v1, double v2, double v3, double h) {
     cubic(s->c, s->value, (18.0 * v1 - 9.0 * v2 + 2.0 * v3) / (2.0 * h),
           (-45.0 * v1 + 36.0 * v2 - 9.0 * v3) / (2.0 * h * h),
           (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h));
@@ -92,56 +92,56 @@ void input_take_prediction(CouplingInput *s, double v1, double v2, double v3, do
     s->correction = 0.0;
 }
 
-/* Bends a predicted input to where its source has arrived. */
+/* Moves the end of a predicted input to the value that its source has reached. */
 void input_end_at_source(CouplingInput *s, double h) {
     s->c[3] += (s->value_end - polynomial_value(s->c, h)) / (h * h * h);
 }
 
-/* An autonomous source with the slope of its chord at one end went straight; the other end is a corner. */
-static int went_straight(const CouplingInput *s, double h) {
+/* An autonomous source with the slope of its chord at one end is a straight line; its slope jumps at the other end. */
+static int is_straight(const CouplingInput *s, double h) {
     if (!s->autonomous) return 0;
     const double chord = (s->value_end - s->value) / h;
-    const double room = CORNER * (fabs(chord) + fabs(s->slope) + fabs(s->slope_end));
-    return smaller(fabs(chord - s->slope), fabs(chord - s->slope_end)) <= room;
+    const double tolerance = SAME_SLOPE * (fabs(chord) + fabs(s->slope) + fabs(s->slope_end));
+    return smaller(fabs(chord - s->slope), fabs(chord - s->slope_end)) <= tolerance;
 }
 
-/* Connects both ends of the step. The error of a polynomial through both ends is a small part of that of one that
- * continues the past at the same degree: 1/4, about 1/16 and 1/64 at equal steps, by their remainders; the weight
- * has some safety on top, because the ends of a step have errors too. */
+/* Interpolates between both ends of the step. By the remainders, the error of this polynomial is 1/4, about 1/16 and
+ * 1/64 (degree 1, 2, 3; equal steps) of the error of one that extrapolates at the same degree. The weight is somewhat
+ * larger, because the ends of a step have errors too. */
 void input_interpolate(CouplingInput *s, int32_t degree, double h, double length) {
     double past[DEGREE + 1];
-    const int usable = !s->known || went_straight(s, h) ? 1 : degree;
-    connected(s, usable, h);
-    extrapolated(s, usable, length, past);
+    const int usable = !s->history_order || is_straight(s, h) ? 1 : degree;
+    interpolate(s, usable, h);
+    extrapolate(s, usable, length, past);
     s->expected = polynomial_value(past, h);
     s->weight = 0.25;
     for (int i = 1; i < usable; i++) s->weight *= h / (h + length);
     s->correction = 0.0;
 }
 
-/* Corrects the input by what it lost over the step before. What a source continued at order k loses of its mean goes
- * with the length of the step to the power k + 1. That is a correction of the kind of NEPCE (Sadjina and Pedersen
- * 2020, Eng. Comput. 36, doi 10.1007/s00366-019-00783-4), of each signal by itself: with the means of effort and
- * flow right, so is the energy. */
+/* Corrects the mean of the input by its deficit over the previous step. The deficit of an extrapolation of order k is
+ * proportional to the length of the step to the power k + 1. The correction is related to NEPCE (Sadjina and Pedersen
+ * 2020, Eng. Comput. 36, doi 10.1007/s00366-019-00783-4), but treats each signal separately: if the means of effort and
+ * flow are right, the energy is too. */
 void input_correct(CouplingInput *s, double h, double length) {
     if (length == 0.0) return;
-    double part = h / length;
-    for (int i = 0; i < s->order; i++) part *= h / length;
-    s->correction = part * s->lost;
+    double scaling = h / length;
+    for (int i = 0; i < s->order; i++) scaling *= h / length;
+    s->correction = scaling * s->deficit;
     s->c[0] = s->c[0] + s->correction;
 }
 
-/* ---- after its source has stepped ---------------------------------------------------------------- */
+/* ---- the source at communication points ---------------------------------------------------------------- */
 
-/* Notes the source at the start of the run. */
+/* Sets the value and the slope of the source at the start of the run. */
 void input_begin(CouplingInput *s, double value, double slope) {
     s->value = value, s->slope = slope;
     s->scale = larger(s->scale, fabs(value));
-    s->known = s->slope_index == NO_SLOPE ? 0 : 1;
+    s->history_order = s->slope_index == NO_SLOPE ? 0 : 1;
     cubic(s->c, value, slope, 0.0, 0.0);
 }
 
-/* The slope at the end from the last four values (three, two), by divided differences. */
+/* The slope at the end of the step, by divided differences of the last four values (at the start three or two). */
 static double backward_slope(const CouplingInput *s, double h, double length, double before) {
     const double first = (s->value_end - s->value) / h;
     if (length == 0.0) return first;
@@ -150,8 +150,8 @@ static double backward_slope(const CouplingInput *s, double h, double length, do
     return first + h * (second + (h + length) * (second - s->bend_before) / (h + length + before));
 }
 
-/* Notes the source at the end of the step; `before`: length of the step before the last one [s]. */
-void input_arrive(CouplingInput *s, double value, double slope, double h, double length, double before) {
+/* Sets the source at the end of the step; `before`: length of the step before the previous one [s]. */
+void input_set_end(CouplingInput *s, double value, double slope, double h, double length, double before) {
     s->value_end = value;
     s->slope_end = s->slope_index == NO_SLOPE ? backward_slope(s, h, length, before) : slope;
 }
@@ -162,44 +162,45 @@ static double true_mean(const CouplingInput *s, double h) {
 
 /* The end of this step is the beginning of the next one. */
 void input_accept(CouplingInput *s, double h, double length) {
-    s->lost = true_mean(s, h) - (polynomial_mean(s->c, h) - s->correction);
+    s->deficit = true_mean(s, h) - (polynomial_mean(s->c, h) - s->correction);
     const double first = (s->value_end - s->value) / h;
     s->bend_before = length > 0.0 ? (first - s->chord_before) / (h + length) : 0.0;
     s->chord_before = first;
     s->slope_before = s->slope;
     s->slope = s->slope_end;
     s->value = s->value_end;
-    s->known += s->known == 1 ? 2 : 1;
-    if (s->known > 3) s->known = 3;
+    s->history_order += s->history_order == 1 ? 2 : 1;
+    if (s->history_order > 3) s->history_order = 3;
     s->scale = larger(s->scale, fabs(s->value));
 }
 
-/* ---- how far off the input was ------------------------------------------------------------------- */
+/* ---- the error of the input ------------------------------------------------------------------- */
 
-/* What errors are compared with; 0 only while the signal always was 0. */
+/* The magnitude to which errors are relative; 0 only as long as the signal has always been 0. */
 double input_magnitude(const CouplingInput *s) { return larger(s->scale, fabs(s->value_end)); }
 
-/* A deviation as a share of the magnitude. */
-double input_share(const CouplingInput *s, double deviation) {
-    const double size = input_magnitude(s);
-    return size > 0.0 ? fabs(deviation) / size : 0.0;
+/* A deviation relative to the magnitude. */
+double input_relative(const CouplingInput *s, double deviation) {
+    const double magnitude = input_magnitude(s);
+    return magnitude > 0.0 ? fabs(deviation) / magnitude : 0.0;
 }
 
-/* What another pass could change: how far value and slope of the input end from those of the source. */
+/* The relative change that a further pass could make: from value and slope at the end of the input to those of the
+ * source. */
 double input_mismatch(const CouplingInput *s, double h) {
-    double off = fabs(polynomial_value(s->c, h) - s->value_end);
-    if (!s->autonomous) off = larger(off, h * fabs(polynomial_slope(s->c, h) - s->slope_end));
-    return input_share(s, off);
+    double deviation = fabs(polynomial_value(s->c, h) - s->value_end);
+    if (!s->autonomous) deviation = larger(deviation, h * fabs(polynomial_slope(s->c, h) - s->slope_end));
+    return input_relative(s, deviation);
 }
 
-/* How far the input was from the truth, estimated: what was expected less what came; after several passes also where
- * the input ended off its source. */
+/* Estimated deviation of the input from the truth: expected less actual value at the end; after several passes also the
+ * distance of the end of the input from its source. */
 double input_deviation(const CouplingInput *s, double h, int32_t repeated) {
-    double off = s->weight * (s->expected - s->value_end);
+    double deviation = s->weight * (s->expected - s->value_end);
     const double at_end = polynomial_value(s->c, h) - s->value_end;
-    if (repeated && fabs(at_end) > fabs(off)) off = at_end;
-    return off;
+    if (repeated && fabs(at_end) > fabs(deviation)) deviation = at_end;
+    return deviation;
 }
 
-/* How far the mean of the input was from that of the source. */
+/* The mean of the source less the mean of the input. */
 double input_mean_error(const CouplingInput *s, double h) { return true_mean(s, h) - polynomial_mean(s->c, h); }

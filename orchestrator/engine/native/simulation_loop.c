@@ -1,58 +1,61 @@
-/* From communication point to communication point, a block of recorded points at a time. */
+/* The loop over communication steps: tries, repeats and accepts them, records rows and adds up coupling energies.
+ *
+ * simulation_advance calls next_step until a block of rows is full; try_step calls communication_step.
+ */
 
 #include <math.h>
 #include <string.h>
 
 #include "engine.h"
 
-static const double LEAST = 1e-9; /* of a step: an FMU that gets no further than that gets nowhere */
+static const double LEAST = 1e-9; /* smallest part of a discarded step that is repeated, over its length */
 
 /* ---- communication points */
 
-/* Sets driven inputs to their value at t [s], then brings all outputs and inputs up to date. */
+/* Sets driven inputs to their value at t [s], then exchanges all outputs and inputs. */
 int32_t simulation_exchange(Simulation *sim, double t) {
     for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].clock[0] = t;
-    const int verdict = scenario_set(sim, t);
-    return verdict ? verdict : carry_out(sim, &sim->exchange);
+    const int verdict = scenario_set_inputs(sim, t);
+    return verdict ? verdict : execute(sim, &sim->exchange);
 }
 
 static int read_slopes(Simulation *sim) {
     int verdict = CONTINUE;
     for (int32_t k = 0; k < sim->component_count && !verdict; k++)
-        verdict = carry_out(sim, &sim->components[k].slope_reads);
+        verdict = execute(sim, &sim->components[k].slope_reads);
     return verdict;
 }
 
-/* The end of a step for which all components have stepped. */
-static int arrive(Simulation *sim, double h) {
+/* Exchanges values at the end of a step, after all components have stepped. */
+static int exchange_at_end(Simulation *sim, double h) {
     int verdict = simulation_exchange(sim, sim->t + h);
     if (!verdict) verdict = read_slopes(sim);
-    if (!verdict) inputs_arrive(sim, h, EVERY_COMPONENT);
+    if (!verdict) set_source_ends(sim, h, EVERY_COMPONENT);
     return verdict;
 }
 
 static void record(Simulation *sim) {
     Recorder *r = &sim->recorder;
-    double *reals = r->reals + (size_t)r->filled * (size_t)r->count;
-    int32_t *wholes = r->wholes + (size_t)r->filled * (size_t)r->whole_count;
+    double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
+    int32_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
     r->time[r->filled] = sim->t;
-    if (r->places)
-        for (int32_t i = 0; i < r->count; i++) reals[i] = sim->real[r->places[i]];
-    else memcpy(reals, sim->real, (size_t)r->count * sizeof *reals);
-    for (int32_t i = 0; i < r->whole_count; i++) wholes[i] = sim->whole[r->whole_places[i]];
+    if (r->real_indices)
+        for (int32_t i = 0; i < r->real_count; i++) reals[i] = sim->reals[r->real_indices[i]];
+    else memcpy(reals, sim->reals, (size_t)r->real_count * sizeof *reals);
+    for (int32_t i = 0; i < r->integer_count; i++) integers[i] = sim->integers[r->integer_indices[i]];
     r->filled++;
 }
 
-/* ---- the energy of power bonds, see energy in recorder.py */
+/* ---- coupling energy of power bonds, see recorder.py */
 
-/* Notes what the FMUs worked with, before new inputs are set. */
-static int note_used(Simulation *sim) {
+/* Stores the inputs that the FMUs used, before new inputs are set. */
+static int store_used_inputs(Simulation *sim) {
     EnergyMonitor *m = &sim->energy;
-    const int verdict = m->count ? carry_out(sim, &m->readers) : CONTINUE;
+    const int verdict = m->count ? execute(sim, &m->input_reads) : CONTINUE;
     for (int32_t i = 0; i < m->count && !verdict; i++) {
-        const int64_t place = m->places[i];
-        m->first[i] = m->moved[i] ? sim->used[place] : sim->real[place];
-        m->last[i] = m->moved[i] ? sim->used[sim->reals + place] : m->seen[m->spread[i]];
+        const int64_t k = m->indices[i];
+        m->used_start[i] = m->varied[i] ? sim->input_ends[k] : sim->reals[k];
+        m->used_end[i] = m->varied[i] ? sim->input_ends[sim->real_count + k] : m->read_values[m->read_indices[i]];
     }
     return verdict;
 }
@@ -65,8 +68,8 @@ static void add_energy(Simulation *sim, double h) {
     const int32_t bonds = m->count / 2;
     for (int32_t i = 0; i < bonds; i++) {
         double *start = m->start + 2 * i;
-        const double end[] = {sim->real[m->places[2 * i]], sim->real[m->places[2 * i + 1]]};
-        const double error = 0.5 * h * (residual(start, m->first + 2 * i) + residual(end, m->last + 2 * i));
+        const double end[] = {sim->reals[m->indices[2 * i]], sim->reals[m->indices[2 * i + 1]]};
+        const double error = 0.5 * h * (residual(start, m->used_start + 2 * i) + residual(end, m->used_end + 2 * i));
         m->sums[i] += error;
         m->sums[bonds + i] += fabs(error);
         m->sums[2 * bonds + i] += 0.5 * h * (fabs(start[0] * start[1]) + fabs(end[0] * end[1]));
@@ -76,46 +79,46 @@ static void add_energy(Simulation *sim, double h) {
 
 /* ---- steps */
 
-static int save(Simulation *sim) {
-    memcpy(sim->real_saved, sim->real, (size_t)sim->reals * sizeof *sim->real);
-    memcpy(sim->whole_saved, sim->whole, (size_t)sim->wholes * sizeof *sim->whole);
+static int save_states(Simulation *sim) {
+    memcpy(sim->saved_reals, sim->reals, (size_t)sim->real_count * sizeof *sim->reals);
+    memcpy(sim->saved_integers, sim->integers, (size_t)sim->integer_count * sizeof *sim->integers);
     int verdict = CONTINUE;
     for (int32_t k = 0; k < sim->component_count && !verdict; k++)
         if (sim->components[k].rollback) verdict = component_save(sim, k);
     return verdict;
 }
 
-/* Back to the beginning of the step, as if it had not been tried. */
+/* Goes back to the beginning of the step and withdraws its messages. */
 static int go_back(Simulation *sim) {
     int verdict = sim->check_status(0, 0, WITHDRAWN);
-    memcpy(sim->real, sim->real_saved, (size_t)sim->reals * sizeof *sim->real);
-    memcpy(sim->whole, sim->whole_saved, (size_t)sim->wholes * sizeof *sim->whole);
+    memcpy(sim->reals, sim->saved_reals, (size_t)sim->real_count * sizeof *sim->reals);
+    memcpy(sim->integers, sim->saved_integers, (size_t)sim->integer_count * sizeof *sim->integers);
     for (int32_t k = 0; k < sim->component_count && !verdict; k++)
         if (sim->components[k].rollback) verdict = component_restore(sim, k);
-    return verdict ? verdict : simulation_exchange(sim, sim->t); /* for inputs that are not part of the state */
+    return verdict ? verdict : simulation_exchange(sim, sim->t); /* inputs may not be part of the state of an FMU */
 }
 
-/* An FMU did only the first part of a step. */
-static int discarded(Simulation *sim, double h) {
+/* Goes back after a step of which an FMU did only the first part; the next one is shorter. */
+static int retry_discarded(Simulation *sim, double h) {
     const double reached = sim->reached - sim->t;
-    const double shorter = LEAST * h < smaller(reached, h - reached) ? reached : 0.5 * h; /* no part is noise */
+    const double shorter = LEAST * h < smaller(reached, h - reached) ? reached : 0.5 * h; /* neither part is rounding */
     if (!sim->rollback || shorter <= LEAST * sim->step) return STOP;
     sim->shorter = shorter;
     return go_back(sim);
 }
 
-/* One step of length h; `stands` says whether it was good. */
-static int one_step(Simulation *sim, double h, int *stands) {
+/* Takes a step of length h; goes back if its error is too large. */
+static int try_step(Simulation *sim, double h, int *accepted) {
     int passes = 0;
-    *stands = 0;
-    int verdict = sim->saves ? save(sim) : CONTINUE;
+    *accepted = 0;
+    int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
     verdict = communication_step(sim, h, &passes);
-    if (verdict == DISCARDED) return discarded(sim, h);
+    if (verdict == DISCARDED) return retry_discarded(sim, h);
     if (verdict) return verdict;
     sim->all_passes += passes;
-    verdict = note_used(sim);
-    if (!verdict) verdict = arrive(sim, h);
+    verdict = store_used_inputs(sim);
+    if (!verdict) verdict = exchange_at_end(sim, h);
     if (verdict) return verdict;
     if (sim->step_size) {
         const double e = (sim->by_energy ? power_error(sim, h) : step_error(sim, h)) / sim->error_tolerance;
@@ -127,26 +130,26 @@ static int one_step(Simulation *sim, double h, int *stands) {
     sim->length_before = sim->length;
     sim->length = h;
     add_energy(sim, h);
-    *stands = 1;
+    *accepted = 1;
     return CONTINUE;
 }
 
-/* The next communication step; it may have to be repeated, which is another one. */
-static int next(Simulation *sim) {
+/* Tries the next communication step once, up to the next point or event at most. */
+static int next_step(Simulation *sim) {
     const double point = sim->start + (double)(sim->done + 1) * sim->step;
     while (sim->event < sim->event_count && sim->events[sim->event] <= sim->t) sim->event++;
     const double target = sim->event < sim->event_count ? smaller(point, sim->events[sim->event]) : point;
-    const double room = target - sim->t;
-    double h = sim->step_size ? step_size_next(sim->step_size, room) : room;
-    int stands;
+    const double remaining = target - sim->t;
+    double h = sim->step_size ? step_size_next(sim->step_size, remaining) : remaining;
+    int accepted;
     if (sim->shorter > 0.0) h = smaller(h, sim->shorter);
-    const int verdict = one_step(sim, h, &stands);
+    const int verdict = try_step(sim, h, &accepted);
     if (verdict) return verdict;
-    if (!stands) {
+    if (!accepted) {
         sim->repeated++;
         return CONTINUE;
     }
-    sim->t = h == room ? target : sim->t + h;
+    sim->t = h == remaining ? target : sim->t + h;
     sim->shorter = 0.0;
     sim->steps++;
     sim->shortest = smaller(sim->shortest, h);
@@ -158,53 +161,53 @@ static int next(Simulation *sim) {
 
 /* ---- the run */
 
-/* Slopes of outputs in an algebraic loop depend on each other, and are not used. */
+/* Marks inputs fed from algebraic loops; slopes of their sources depend on each other and are not used. */
 static void mark_loops(Simulation *sim) {
     for (int32_t k = 0; k < sim->loop_count; k++) {
         AlgebraicLoop *loop = sim->loops[k];
         loop->solved_in_passes = loop->declared || loop->flags[CIRCULAR];
-        for (int32_t j = 0; j < loop->outputs && loop->solved_in_passes; j++)
+        for (int32_t j = 0; j < loop->output_count && loop->solved_in_passes; j++)
             for (int32_t i = 0; i < sim->input_count; i++)
-                if (sim->inputs[i].source == loop->sources[j])
+                if (sim->inputs[i].source == loop->output_indices[j])
                     sim->inputs[i].in_loop = 1, sim->inputs[i].slope_index = NO_SLOPE;
     }
 }
 
 static void begin_input(const Simulation *sim, CouplingInput *s) {
     if (s->source_component == DRIVEN) {
-        input_begin(s, sim->real[s->target], 0.0);
+        input_begin(s, sim->reals[s->target], 0.0);
         return;
     }
     const double slope = s->slope_index == NO_SLOPE ? 0.0 : sim->slopes[s->slope_index] * s->factor;
-    input_begin(s, sim->real[s->source] * s->factor + s->offset, slope);
+    input_begin(s, sim->reals[s->source] * s->factor + s->offset, slope);
 }
 
-/* Makes everything known at the start, and records it. The slope of an output may depend on those of the inputs, so
- * they are read until all have passed. */
+/* Exchanges values at the start and records them. The slope of an output may depend on slopes of inputs, so slopes are
+ * read in several rounds. */
 int32_t simulation_begin(Simulation *sim) {
     int verdict = simulation_exchange(sim, sim->t);
     mark_loops(sim);
-    for (int32_t n = 0; n < sim->rounds_at_start && !verdict; n++) {
+    for (int32_t n = 0; n < sim->initial_rounds && !verdict; n++) {
         verdict = read_slopes(sim);
         for (int32_t i = 0; i < sim->input_count; i++) begin_input(sim, &sim->inputs[i]);
         for (int32_t k = 0; k < sim->component_count && !verdict; k++)
-            verdict = component_give(sim, &sim->components[k], 0.0, 0.0, 0);
+            verdict = component_set_inputs(sim, &sim->components[k], 0.0, 0.0, 0);
     }
     if (verdict) return verdict;
-    for (int32_t i = 0; i < sim->energy.count; i++) sim->energy.start[i] = sim->real[sim->energy.places[i]];
+    for (int32_t i = 0; i < sim->energy.count; i++) sim->energy.start[i] = sim->reals[sim->energy.indices[i]];
     record(sim);
     return CONTINUE;
 }
 
-/* Goes on until the recorder's block is full, to the end, or for `patience` [s]. */
+/* Steps until the recorder's block is full, the run ends, or `patience` [s] of wall time have passed. */
 int32_t simulation_advance(Simulation *sim) {
     if (sim->threads > 1 && !sim->pool) sim->pool = pool_start(sim, sim->threads);
     const double until = seconds() + sim->patience;
     sim->diverged = 0;
-    while (sim->done < sim->total && sim->recorder.filled < sim->recorder.room) {
-        const int verdict = next(sim);
+    while (sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
+        const int verdict = next_step(sim);
         if (verdict) return verdict;
-        if (sim->diverged || seconds() > until) break; /* who looks at the record will end a run that diverged */
+        if (sim->diverged || seconds() > until) break; /* Python finds the value that is not finite and ends the run */
     }
     return CONTINUE;
 }
