@@ -89,7 +89,9 @@ class RunningComponent:
         for _, group in groupby(derivatives, key=rate_type):
             names, orders = zip(*group, strict=True)
             values = self.derivatives[first : first + len(names)]
-            write = self.slave.input_derivative_writer(names, values, orders if interface.can_interpolate_inputs else ())
+            write = self.slave.input_derivative_writer(
+                names, values, orders if interface.can_interpolate_inputs else ()
+            )
             self.input_writes.append(write)
             first += len(names)
 

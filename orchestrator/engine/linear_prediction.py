@@ -85,7 +85,9 @@ class Linearisation:
         rows, columns = sorted({i for i, _ in entries}), sorted({j for _, j in entries})
         unknowns, knowns = [self._unknowns[i] for i in rows], [self._knowns[j] for j in columns]
         seed, result = np.ones(len(knowns)), np.zeros(len(rows))
-        return JacobianColumn(slave.directional_derivative(unknowns, knowns, seed, result), seed, result, rows, entries)
+        return JacobianColumn(
+            slave.directional_derivative(unknowns, knowns, seed, result), seed, result, rows, entries
+        )
 
 
 STATE_VECTORS = "f x f0 x0 q"

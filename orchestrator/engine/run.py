@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.files import Location, folder, require_system
+from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.data.trace import Trace, check_suffix, read, write
 from orchestrator.engine.job import Execution, Job, Record, guarded, open_slave, with_error_estimate
 from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata

@@ -13,7 +13,7 @@ from orchestrator.base.units import LinearTransformation
 from orchestrator.data.trace import Trace
 from orchestrator.engine.c_library import Binding
 from orchestrator.fmi.calls import Call
-from orchestrator.fmi.description import Value, FmuVariable
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
 MAX_INTEGER = 2**31 - 1
