@@ -1,6 +1,6 @@
-"""The experiment that an FMU ships (FMI-LS-REF): run it in a child process, compare with the result it ships.
+"""Rule that runs the experiments shipped with an FMU (FMI-LS-REF) and compares with the shipped results.
 
-The error of a signal is the root mean square of its deviation, over the range of the reference (NRMSE).
+The error of a signal is the root mean square of its deviation over the range of the reference (NRMSE).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from orchestrator.check.ls_ref_files import (
     experiments,
     manifest,
     parameter_set,
-    shown,
+    relative,
     table,
 )
 from orchestrator.check.probe_process import run
@@ -39,45 +39,50 @@ SETTABLE = ("parameter", "structuralParameter", "input")
 
 @dataclass
 class ExperimentComparison:
-    """errors   signal -> NRMSE over range
-    problems   what could not be compared or set
-    end        why the run did not come to its end; empty when it did
-    late       its time was over
+    """Errors of one experiment, and problems with its files or its run.
+
+    errors     signal -> NRMSE
+    problems   messages about signals that cannot be compared or set
+    failure    why the run was not completed; empty if it was
+    late       the run was stopped because its time was over
     """
 
     errors: dict[str, float] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
-    end: str = ""
+    failure: str = ""
     late: bool = False
 
 
 def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
-    """Run and compare; raises Problem when a file cannot be read."""
+    """Run an experiment and compare; raises Problem if a file cannot be read."""
     model, kind = subject.model, first_run(subject).kinds[0]
     reference, result = table(case.reference), ExperimentComparison()
     signals = _signals(model, reference, result)
     job = _job(model, case, reference, signals, result)
     if not signals:
-        result.problems.append(f"{case.reference.name} has no column that is a number of the model")
+        result.problems.append(f"{case.reference.name} has no column of a numeric variable of the model")
         return result
     outcome = run(subject.folder, model, kind, "shipped_experiment:run", payload=job)
     result.late = outcome.late
-    result.end = outcome.end or next((text for severity, text in outcome.said if severity == "error"), "")
-    if not result.end:
+    errors = (text for severity, text in outcome.remarks if severity == "error")
+    result.failure = outcome.failure or next(errors, "")
+    if not result.failure:
         result.errors = _errors(model, reference, signals, outcome.result)
     return result
 
 
 def _signals(model: ModelDescription, reference: ResultTable, result: ExperimentComparison) -> list[str]:
-    """Columns that are numeric variables; the others are reported, but texts."""
-    known = model.by_name
-    strange = [n for n in reference.columns if n not in known]
-    if strange:
-        result.problems.append(f"the result has columns {', '.join(strange[:5])}, the model does not")
-    return [n for n in reference.columns if n in known and known[n].is_number]
+    """Columns of numeric variables; columns that are not variables are reported."""
+    variables = model.by_name
+    unknown = [n for n in reference.columns if n not in variables]
+    if unknown:
+        result.problems.append(
+            f"the model has no variables {', '.join(unknown[:5])}, which the result contains"
+        )
+    return [n for n in reference.columns if n in variables and variables[n].is_number]
 
 
-# ---- what the child gets
+# ---- the payload of the task
 
 
 def _job(
@@ -103,10 +108,10 @@ def _job(
 
 
 def _step(model: ModelDescription, reference: ResultTable) -> float:
-    """As declared; what an FMU says nothing about is taken from the rows of the result."""
-    gaps = [b - a for a, b in pairwise(reference.time) if b > a]
+    """The declared step size; without one, the smallest interval between rows of the result."""
+    intervals = [b - a for a, b in pairwise(reference.time) if b > a]
     declared = experiment(model, "stepSize") or inner_step(model)
-    return declared or min(gaps, default=usual_step(model))
+    return declared or min(intervals, default=usual_step(model))
 
 
 def _parameters(
@@ -118,16 +123,16 @@ def _parameters(
     for name, text in parameter_set(case.parameters).items():
         v = model.by_name.get(name)
         if v is None or not _settable(v):
-            why = "which cannot be set" if v else "which the model does not have"
-            result.problems.append(f"{case.parameters.name} sets {name}, {why}")
+            reason = "which cannot be set" if v else "which is not a variable of the model"
+            result.problems.append(f"{case.parameters.name} sets {name}, {reason}")
         else:
             values[name] = text if v.type == "String" else _numbers(text, v, case.parameters.name)
     return values
 
 
 def _settable(v: DeclaredVariable) -> bool:
-    usual = v.variability != "constant" and (v.causality in SETTABLE or v.initial in ("exact", "approx"))
-    return usual and (v.is_number or v.type == "String")
+    settable = v.variability != "constant" and (v.causality in SETTABLE or v.initial in ("exact", "approx"))
+    return settable and (v.is_number or v.type == "String")
 
 
 def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
@@ -136,7 +141,7 @@ def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != v.size:
-        raise Problem(f"{file}: {v.name} is {text!r}, expected {v.size} numbers")
+        raise Problem(f"{file}: {v.name}: expected {v.size} numbers, got {text!r}")
     return values
 
 
@@ -145,53 +150,51 @@ def _stimuli(
 ) -> dict[str, Any]:
     if case.stimuli is None:
         return {"inputs": [], "input_times": [], "input_rows": []}
-    given = table(case.stimuli)
-    names = [n for n in given.columns if n in model.by_name and model.by_name[n].is_number]
-    strange = [n for n in given.columns if n not in model.by_name]
-    if strange:
-        result.problems.append(
-            f"{case.stimuli.name} has columns {', '.join(strange[:5])}, the model does not"
-        )
-    columns = [_column(model.by_name[n], given.columns[n], case.stimuli.name) for n in names]
-    rows = np.hstack(columns).tolist() if columns else [[] for _ in given.time]
-    return {"inputs": names, "input_times": given.time, "input_rows": rows}
+    stimuli, variables = table(case.stimuli), model.by_name
+    names = [n for n in stimuli.columns if n in variables and variables[n].is_number]
+    unknown = [n for n in stimuli.columns if n not in variables]
+    if unknown:
+        text = f"the model has no variables {', '.join(unknown[:5])}, which {case.stimuli.name} contains"
+        result.problems.append(text)
+    columns = [_column(variables[n], stimuli.columns[n], case.stimuli.name) for n in names]
+    rows = np.hstack(columns).tolist() if columns else [[] for _ in stimuli.time]
+    return {"inputs": names, "input_times": stimuli.time, "input_rows": rows}
 
 
-def _column(v: DeclaredVariable, texts: Sequence[str], file: str) -> NDArray[np.float64]:
+def _column(v: DeclaredVariable, cells: Sequence[str], file: str) -> NDArray[np.float64]:
     """Values of one variable over time, shape (n, size)."""
-    return np.array([_numbers(text, v, file) for text in texts])
+    return np.array([_numbers(text, v, file) for text in cells])
 
 
 # ---- the comparison
 
 
 def _errors(
-    model: ModelDescription, reference: ResultTable, signals: Sequence[str], found: Mapping[str, Any]
+    model: ModelDescription, reference: ResultTable, signals: Sequence[str], run: Mapping[str, Any]
 ) -> dict[str, float]:
-    """NRMSE of each signal; of rows before and after the inputs were set those that fit better."""
+    """NRMSE of each signal, the smaller one of the rows before and after the inputs are set."""
     variables = [model.by_name[n] for n in signals]
-    truth = np.hstack([_column(v, reference.columns[v.name], "result") for v in variables])
-    places = np.array([int(np.argmin(np.abs(np.array(reference.time) - t))) for t in found["times"]])
-    owners = flat(variables)
-    expected = truth[places]
+    table_ = np.hstack([_column(v, reference.columns[v.name], "result") for v in variables])
+    indices = np.array([int(np.argmin(np.abs(np.array(reference.time) - t))) for t in run["times"]])
+    expected = table_[indices]
     errors: dict[str, float] = {}
-    tries = [np.array(found[which]) for which in ("before", "after") if found[which]]
-    for i, v in enumerate(owners):
+    results = [np.array(run[key]) for key in ("before", "after") if run[key]]
+    for i, v in enumerate(flat(variables)):
         scale = _scale(expected[:, i], v)
-        values = [float(np.sqrt(np.mean((rows[:, i] - expected[:, i]) ** 2))) / scale for rows in tries]
-        best = min((x for x in values if not math.isnan(x)), default=math.inf)
-        errors[v.name] = max(best, errors.get(v.name, 0.0))
+        values = [float(np.sqrt(np.mean((rows[:, i] - expected[:, i]) ** 2))) / scale for rows in results]
+        smallest = min((x for x in values if not math.isnan(x)), default=math.inf)
+        errors[v.name] = max(smallest, errors.get(v.name, 0.0))
     return errors
 
 
 def _scale(column: NDArray[np.float64], v: DeclaredVariable) -> float:
-    """Range; of a signal that rests its magnitude."""
-    size, spread = float(np.max(np.abs(column))), float(np.ptp(column))
-    return spread if spread > 1e-9 * size else max(size, v.nominal)
+    """The range of a signal; for a constant signal its magnitude."""
+    magnitude, range_ = float(np.max(np.abs(column))), float(np.ptp(column))
+    return range_ if range_ > 1e-9 * magnitude else max(magnitude, v.nominal)
 
 
-WRONG, POOR = 1e-2, 1e-3  # errors from which they are worth an error, a warning
-LISTED = 6  # signals in a text
+ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning
+MAX_LISTED = 6  # signals in a message
 
 
 def _experiment(subject: Subject) -> Iterable[Finding]:
@@ -204,35 +207,35 @@ def _experiment(subject: Subject) -> Iterable[Finding]:
         yield warning(_inside(folder, problem))
         return
     yield from _missing(related)
-    found, texts = cases(folder, related)
-    for text in texts:
+    shipped, problems = cases(folder, related)
+    for text in problems:
         yield warning(text)
-    for case in found:
-        yield from _judged(subject, case)
+    for case in shipped:
+        yield from _case_findings(subject, case)
 
 
 def _inside(folder: Path, problem: Problem) -> str:
-    """The text without the folder for the time of the check."""
+    """The message with paths relative to the FMU instead of the temporary folder."""
     return str(problem).replace(f"{folder}/", "")
 
 
 def _missing(related: list[Related]) -> Iterator[Finding]:
     for r in related:
         if r.path is None:
-            yield note(f'{MANIFEST}: "{r.source}" lies outside of the FMU and was not looked at')
+            yield note(f'{MANIFEST}: "{r.source}" is outside of the FMU and was not read')
         elif not r.path.is_file():
             yield warning(f'{MANIFEST}: "{r.source}" (role {r.role}) is missing in the FMU')
 
 
-# ---- which experiments there are
+# ---- experiments
 
 
 def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment], list[str]]:
-    """Experiments of the files with this role, then results without experiment; and what is left out."""
-    there = [r for r in related if r.path is not None and r.path.is_file()]
+    """The experiments of the manifest, then results without experiment; and messages about the others."""
+    present = [r for r in related if r.path is not None and r.path.is_file()]
     found: list[ShippedExperiment] = []
-    texts: list[str] = []
-    for r in there:
+    problems: list[str] = []
+    for r in present:
         if r.path is None or r.role.partition("/")[0] != "experiment":
             continue
         try:
@@ -240,21 +243,21 @@ def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment]
                 if isinstance(case, ShippedExperiment):
                     found.append(case)
                 else:
-                    texts.append(f"{shown(folder, r.path)}: {case}")
+                    problems.append(f"{relative(folder, r.path)}: {case}")
         except Problem as problem:
-            texts.append(_inside(folder, problem))
+            problems.append(_inside(folder, problem))
     used = {case.reference for case in found}
-    sets = [r.path for r in there if r.role == "parameter" and str(r.path).endswith(".ssv")]
-    for r in there:
+    sets = [r.path for r in present if r.role == "parameter" and str(r.path).endswith(".ssv")]
+    for r in present:
         if r.path is None or r.role != "result" or r.path in used or r.path.suffix.lower() != ".csv":
             continue
-        one = sets[0] if len(sets) == 1 else None  # several are variants: none of them is the default
-        found.append(ShippedExperiment(r.path.stem, r.path, one, _inputs_of(r.path)))
-    return found, texts
+        parameters = sets[0] if len(sets) == 1 else None  # several sets are variants, none is the default
+        found.append(ShippedExperiment(r.path.stem, r.path, parameters, _inputs_of(r.path)))
+    return found, problems
 
 
 def _inputs_of(result: Path) -> Path | None:
-    """The inputs that belong to a result by their name: model_in.csv next to model_out.csv."""
+    """The file with the inputs of a result by its name: model_in.csv for model_out.csv."""
     stem = result.stem
     for ending in ("_out", "_result", "_ref"):
         stem = stem.removesuffix(ending)
@@ -262,12 +265,12 @@ def _inputs_of(result: Path) -> Path | None:
     return next((p for p in names if p.is_file()), None)
 
 
-# ---- how well they are met
+# ---- findings
 
 
-def _judged(subject: Subject, case: ShippedExperiment) -> Iterator[Finding]:
-    if why := first_run(subject).problem:
-        yield note(f'experiment "{case.name}" was not run: {why}')
+def _case_findings(subject: Subject, case: ShippedExperiment) -> Iterator[Finding]:
+    if reason := first_run(subject).problem:
+        yield note(f'experiment "{case.name}" was not run: {reason}')
         return
     try:
         result = compare(subject, case)
@@ -276,9 +279,9 @@ def _judged(subject: Subject, case: ShippedExperiment) -> Iterator[Finding]:
         return
     for text in result.problems:
         yield warning(f'experiment "{case.name}": {text}')
-    if result.end:
-        say = note if result.late else error
-        yield say(f'experiment "{case.name}" does not come to its end: {result.end}')
+    if result.failure:
+        make = note if result.late else error
+        yield make(f'experiment "{case.name}" was not completed: {result.failure}')
     elif result.errors:
         yield _summary(case, result)
 
@@ -287,13 +290,13 @@ def _summary(case: ShippedExperiment, result: ExperimentComparison) -> Finding:
     """The signals, worst first."""
     ranked = sorted(result.errors.items(), key=lambda item: -item[1])
     worst = ranked[0][1]
-    texts = [f"{name} {value:.2g}" for name, value in ranked[:LISTED]]
-    more = f" and {len(ranked) - LISTED} more" if len(ranked) > LISTED else ""
-    word = "differs from" if worst > POOR else "agrees with"
-    text = f'experiment "{case.name}" {word} {case.reference.name}: NRMSE over range {", ".join(texts)}{more}'
-    return (error if worst > WRONG else warning if worst > POOR else note)(text)
+    errors = ", ".join(f"{name} {value:.2g}" for name, value in ranked[:MAX_LISTED])
+    more = f" and {len(ranked) - MAX_LISTED} more" if len(ranked) > MAX_LISTED else ""
+    verb = "differs from" if worst > WARNING_LEVEL else "agrees with"
+    text = f'experiment "{case.name}" {verb} {case.reference.name}: NRMSE {errors}{more}'
+    return (error if worst > ERROR_LEVEL else warning if worst > WARNING_LEVEL else note)(text)
 
 
 EXPERIMENT = CheckRule(
-    "reference.result", "The experiment that the FMU ships gives the result it ships", _experiment
+    "reference.result", "The FMU reproduces the result of the experiment that it ships", _experiment
 )

@@ -1,7 +1,7 @@
-"""The files of FMI-LS-REF in an FMU: manifest, experiments, parameter sets, tables.
+"""Reader of the FMI-LS-REF files in an FMU: manifest, experiments, parameter sets, tables.
 
-Drafts read: FMI-LS-REF 1.0.0-alpha.1, and the experiments format of the Modelica Association in both forms
-seen so far, with the times at the element Experiment or at TransientSimulation in it.
+Supported drafts: FMI-LS-REF 1.0.0-alpha.1, and both forms of the experiments format of the Modelica
+Association, with the times in the element Experiment or in its child TransientSimulation.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.xml import Element, child, children, local_name, parse, read_xml
 
-PLACE = "extra/org.fmi-standard.fmi-ls-ref"
-MANIFEST = f"{PLACE}/fmi-ls-manifest.xml"
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
-TYPES = ("text/csv", "application/x-ssp-parameter-set")  # of files that are read
-ANALYSES = (  # of experiments that are no simulation over time
+TYPES = ("text/csv", "application/x-ssp-parameter-set")  # media types of files that can be read
+ANALYSES = (  # elements of experiments that are not simulations over time
     *("SteadyState", "ParameterOptimization", "SetPointOptimization"),
     *("SensitivityAnalysis", "TrajectoryOptimization", "Linearization"),
 )
@@ -29,7 +29,7 @@ ANALYSES = (  # of experiments that are no simulation over time
 
 @dataclass(frozen=True)
 class Related:
-    """A file that the manifest names; `path` is None when it lies elsewhere."""
+    """A file in the manifest; `path` is None if it is outside of the FMU."""
 
     source: str
     role: str
@@ -39,7 +39,7 @@ class Related:
 
 @dataclass(frozen=True)
 class ShippedExperiment:
-    """One experiment: times [s] that are None are those of the default experiment."""
+    """One experiment; times [s] that are None are those of the default experiment."""
 
     name: str
     reference: Path
@@ -53,21 +53,20 @@ class ShippedExperiment:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Columns over time, as text."""
+    """Columns over time; cells are text, because they may contain arrays, booleans or strings."""
 
     time: list[float]
     columns: dict[str, list[str]]
 
 
-def shown(folder: Path, path: Path) -> str:
-    """A path as it stands in the FMU."""
-    return (
-        path.relative_to(folder.resolve()).as_posix() if path.is_relative_to(folder.resolve()) else path.name
-    )
+def relative(folder: Path, path: Path) -> str:
+    """A path relative to the FMU."""
+    root = folder.resolve()
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
 
 
 def resolve(folder: Path, base: Path, source: str) -> Path | None:
-    """The file that a relative URI in a file of folder `base` names; None when it leads out of the FMU."""
+    """The file of a URI that is relative to the folder `base`; None if it is outside of the FMU."""
     parts = urlsplit(source)
     if parts.scheme or parts.netloc or not parts.path or parts.path.startswith("/"):
         return None
@@ -76,38 +75,38 @@ def resolve(folder: Path, base: Path, source: str) -> Path | None:
 
 
 def manifest(folder: Path) -> list[Related]:
-    """What the manifest names; raises Problem when it cannot be read."""
+    """The files in the manifest; raises Problem if the manifest cannot be read."""
     file = folder / MANIFEST
     root = parse(Location(file), "fmiReferences")
     name = root.get(f"{{{NAMESPACE}}}fmi-ls-name")
     if name != "org.fmi-standard.fmi-ls-ref":
-        raise Problem(f"{MANIFEST}: fmi-ls-name is {name!r}, expected 'org.fmi-standard.fmi-ls-ref'")
+        raise Problem(f"{MANIFEST}: fmi-ls-name: expected 'org.fmi-standard.fmi-ls-ref', got {name!r}")
     return [_related(folder, file.parent, e) for e in children(root, "Related")]
 
 
 def _related(folder: Path, base: Path, element: Element) -> Related:
     source, role = element.get("source", ""), element.get("role", "")
-    kind = element.get("type", "application/octet-stream")
-    return Related(source, role, kind, resolve(folder, base, source))
+    media_type = element.get("type", "application/octet-stream")
+    return Related(source, role, media_type, resolve(folder, base, source))
 
 
 # ---- experiments
 
 
 def experiments(folder: Path, file: Path) -> Iterator[ShippedExperiment | str]:
-    """The experiments of a file; a text where one is left out."""
+    """The experiments of a file; instead of one that cannot be run, a message."""
     root = parse(Location(file), "Experiments")
     for e in children(root, "Experiment"):
         name = e.get("name", file.stem)
-        other = [local_name(x) for x in e if local_name(x) in ANALYSES]
+        analyses = [local_name(x) for x in e if local_name(x) in ANALYSES]
         reference = _source(folder, file, e, "References")
-        strange = [
+        unknown = [
             f"{local_name(x)} of type {x.get('type')}" for x in e if x.get("type", TYPES[0]) not in TYPES
         ]
-        if strange:
-            yield f'experiment "{name}" has {strange[0]}, expected {" or ".join(TYPES)}'
-        elif other:
-            yield f'experiment "{name}" is a {other[0]}, expected a TransientSimulation'
+        if unknown:
+            yield f'experiment "{name}": expected files of type {" or ".join(TYPES)}, got {unknown[0]}'
+        elif analyses:
+            yield f'experiment "{name}": expected a TransientSimulation, got a {analyses[0]}'
         elif reference is None:
             yield f'experiment "{name}" has no reference result'
         else:
@@ -123,7 +122,7 @@ def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> S
             return None if text is None else float(text)
         except ValueError:
             raise Problem(
-                f"{shown(folder, file)}: {name}: expected a number for {key}, got {text!r}"
+                f"{relative(folder, file)}: {name}: {key}: expected a number, got {text!r}"
             ) from None
 
     return ShippedExperiment(
@@ -139,12 +138,13 @@ def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> S
 
 
 def _source(folder: Path, file: Path, e: Element, tag: str) -> Path | None:
-    found = child(e, tag)
-    if found is None:
+    element = child(e, tag)
+    if element is None:
         return None
-    path = resolve(folder, file.parent, found.get("source", ""))
+    path = resolve(folder, file.parent, element.get("source", ""))
     if path is None or not path.is_file():
-        raise Problem(f"{shown(folder, file)}: {found.get('source')!r} of {tag} is missing in the FMU")
+        source = element.get("source")
+        raise Problem(f"{relative(folder, file)}: {tag}: {source!r} is missing in the FMU")
     return path
 
 
@@ -160,22 +160,22 @@ def parameter_set(path: Path) -> dict[str, str]:
 
 
 def table(path: Path) -> ResultTable:
-    """A CSV file whose first column is the time."""
+    """A CSV file with the time in the first column."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise Problem(f"{path.name}: is not a CSV file: {error}") from None
+        raise Problem(f"{path.name}: expected a CSV file in UTF-8, got {error}") from None
     head = text.partition("\n")[0]
     delimiter = ";" if ";" in head and "," not in head else ","
     rows = [r for r in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if r]
     if len(rows) < 2:
         raise Problem(f"{path.name}: expected a header and rows of numbers, got {len(rows)} lines")
     names = [n.strip() for n in rows[0]]
-    wrong = next((n for n, row in enumerate(rows, 1) if len(row) != len(names)), None)
-    if wrong is not None:
-        raise Problem(f"{path.name}: line {wrong} has {len(rows[wrong - 1])} columns, expected {len(names)}")
+    for n, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            raise Problem(f"{path.name}: line {n}: expected {len(names)} columns, got {len(row)}")
     try:
         time = [float(row[0]) for row in rows[1:]]
     except ValueError as error:
-        raise Problem(f"{path.name}: the first column is not the time: {error}") from None
+        raise Problem(f"{path.name}: expected times in the first column: {error}") from None
     return ResultTable(time, {name: [row[i] for row in rows[1:]] for i, name in enumerate(names) if i})

@@ -1,4 +1,4 @@
-"""A task in a child process: its limits, and what it said, handed over and how it ended."""
+"""Runs a task on an FMU in a child process with limits of time and memory, and returns its outcome."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import Any
 from orchestrator.fmi.raw_description import ModelDescription
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
-ATTEMPTS = 6  # children for one task, each of which goes on after the crash of the one before
+MAX_ATTEMPTS = 6  # child processes for one task; each continues after the case that crashed the one before
 
 
 @dataclass(frozen=True)
 class ProbeLimits(WorkerLimits):
-    """What a probe may take; `work`: wall time [s] that it fills with steps and instances."""
+    """Limits of one probe; `work_time`: wall time [s] that the probe fills with steps and instances."""
 
     call_time: float = 10.0
     total_time: float = 60.0
@@ -27,17 +27,17 @@ class ProbeLimits(WorkerLimits):
 
 
 _limits = [ProbeLimits()]
-_halt = threading.Event()  # set by an interrupt: children are to be stopped
+_halt = threading.Event()  # set by an interrupt; all child processes are stopped then
 
 
 @contextmanager
-def use_probe_limits(changed: ProbeLimits) -> Iterator[None]:
-    """Other limits for the time of a block."""
-    _limits.append(changed)
+def use_probe_limits(limits_: ProbeLimits) -> Iterator[None]:
+    """Use other limits inside of a with block."""
+    _limits.append(limits_)
     try:
         yield
     finally:
-        _limits.remove(changed)
+        _limits.remove(limits_)
 
 
 def probe_limits() -> ProbeLimits:
@@ -47,23 +47,27 @@ def probe_limits() -> ProbeLimits:
 
 @dataclass
 class Outcome:
-    """What a child said, how it ended ("" when as it should), and what it hands over.
+    """Remarks and result of a task, and how its child process failed.
 
-    crashes   ends in stages that were left out after it
-    late      it was stopped because its time was over, which may only mean that the FMU is slow
+    remarks   (severity, text) of each finding
+    crashes   messages about cases that crashed a child process and were skipped
+    failure   message about the end of the process before the end of the task; empty if the task is complete
+    late      the process was stopped because its time was over; the FMU may only be slow
+    result    data for a later task
+    case      number of the last case that began; -1 if the task has no cases
     """
 
-    said: list[tuple[str, str]] = field(default_factory=list)
+    remarks: list[tuple[str, str]] = field(default_factory=list)
     crashes: list[str] = field(default_factory=list)
-    end: str = ""
+    failure: str = ""
     late: bool = False
     result: Any = None
-    stage: int = -1
+    case: int = -1
 
     @property
     def failed(self) -> bool:
-        """Did it not end as it should, or find an error?"""
-        return bool(self.end) or any(severity == "error" for severity, _ in self.said)
+        """The task is incomplete, or it found an error."""
+        return bool(self.failure) or any(severity == "error" for severity, _ in self.remarks)
 
 
 def run(
@@ -71,57 +75,54 @@ def run(
     description: ModelDescription,
     kind: str,
     task: str,
-    habits: Mapping[str, bool] | None = None,
+    options: Mapping[str, bool] | None = None,
     payload: Any = None,
 ) -> Outcome:
-    """One task for one interface; after a crash in one of its stages a new child does the rest.
+    """Run a task on one interface; after a crash in one of its cases a new process runs the other cases.
 
-    habits    what is known of the FMU, see `Trial`
-    payload   what the task needs
+    options   `perturbable` and `summed` of `Trial`
+    payload   data for the task
     """
     trial = {"folder": folder, "description": description, "kind": kind, "seconds": probe_limits().work_time}
-    trial |= {**(habits or {}), "payload": payload, "first": 0}
-    whole = Outcome()
-    for _ in range(ATTEMPTS):
-        part = _attempt({"task": task, "trial": trial})
-        whole.said += part.said
-        whole.result, whole.stage = part.result, part.stage
-        if not part.end or part.late or part.stage < 0:
-            whole.end, whole.late = part.end, part.late
-            return whole
-        whole.crashes.append(part.end)
-        trial["first"] = part.stage + 1
-    return whole
+    trial |= {**(options or {}), "payload": payload, "first_case": 0}
+    outcome = Outcome()
+    for _ in range(MAX_ATTEMPTS):
+        attempt = _attempt({"task": task, "trial": trial})
+        outcome.remarks += attempt.remarks
+        outcome.result, outcome.case = attempt.result, attempt.case
+        if not attempt.failure or attempt.late or attempt.case < 0:
+            outcome.failure, outcome.late = attempt.failure, attempt.late
+            break
+        outcome.crashes.append(attempt.failure)
+        trial["first_case"] = attempt.case + 1
+    return outcome
 
 
 def _attempt(job: Mapping[str, Any]) -> Outcome:
-    """Start, watch and read one child."""
-    child, outcome, done = (
-        Worker("orchestrator.check.tasks.runner:main", "probe", inside=True),
-        Outcome(),
-        False,
-    )
+    """Run the task in one child process."""
+    worker = Worker("orchestrator.check.tasks.runner:main", "probe", inside=True)
+    outcome, done = Outcome(), False
     try:
-        child.put(job)
+        worker.put(job)
         try:
-            for message in child.messages(probe_limits(), _halt):
+            for message in worker.messages(probe_limits(), _halt):
                 if "severity" in message:
-                    outcome.said.append((message["severity"], message["text"]))
-                outcome.stage = message.get("stage", outcome.stage)
-                outcome.end = message.get("crash", outcome.end)
-                if "done" in message and not outcome.end:
+                    outcome.remarks.append((message["severity"], message["text"]))
+                outcome.case = message.get("case", outcome.case)
+                outcome.failure = message.get("crash", outcome.failure)
+                if "done" in message and not outcome.failure:
                     done, outcome.result = True, message["result"]
         except LimitExceeded as limit:
-            outcome.end, outcome.late = str(limit), limit.timed_out
-        if not done and not outcome.end:
-            outcome.end = child.report
+            outcome.failure, outcome.late = str(limit), limit.timed_out
+        if not done and not outcome.failure:
+            outcome.failure = worker.report
         return outcome
     finally:
-        child.close()
+        worker.close()
 
 
 def in_parallel(work: Callable[[str], Outcome], kinds: Sequence[str]) -> list[Outcome]:
-    """Some work for several interfaces at the same time; an interrupt stops the children at once."""
+    """Work for several interfaces at the same time; an interrupt stops the child processes at once."""
     try:
         with ThreadPoolExecutor() as pool:
             try:

@@ -1,7 +1,7 @@
-"""Rules that load and run the FMU, in child processes: a crash, a hang or an exit is a finding, too.
+"""Rules that load and run the FMU in child processes: a crash, a hang or an exit is a finding, too.
 
-First the FMU is loaded and its default experiment is run. What comes to its end there is probed further, by
-the tasks in probes.toml.
+First the FMU is loaded and its default experiment is run. If that is completed, the tasks in probes.toml
+follow.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ KINDS = ("CoSimulation", "ModelExchange")
 
 @dataclass(frozen=True)
 class FirstRun:
-    """How the FMU did before the other probes: by interface, how it was loaded, and how it ran by default.
+    """Outcomes of loading the FMU and of its default experiment, by interface.
 
-    problem   why it cannot be run at all
+    problem   why the FMU cannot be run at all
     """
 
     loaded: dict[str, Outcome] = field(default_factory=dict)
@@ -33,24 +33,23 @@ class FirstRun:
 
     @property
     def kinds(self) -> Sequence[str]:
-        """The interfaces for which there is a binary."""
+        """The interfaces with a binary for this machine."""
         return tuple(self.loaded)
 
-    def sound(self, kind: str) -> bool:
-        """Did the default experiment come to its end?"""
+    def completed(self, kind: str) -> bool:
+        """The default experiment was completed."""
         return kind in self.ran and self.ran[kind].result is not None
 
 
-_known: dict[Path, FirstRun] = {}  # of the FMU under check; one entry
+_cache: dict[Path, FirstRun] = {}  # by folder of the FMU; only the latest FMU
 
 
 def first_run(subject: Subject) -> FirstRun:
-    """Load and run the FMU once; remembered while the same FMU is checked."""
-    if subject.folder not in _known:
-        found = _first_run(subject)
-        _known.clear()
-        _known[subject.folder] = found
-    return _known[subject.folder]
+    """Load and run the FMU; the result is cached while the same FMU is checked."""
+    if subject.folder not in _cache:
+        _cache.clear()
+        _cache[subject.folder] = _first_run(subject)
+    return _cache[subject.folder]
 
 
 def _first_run(subject: Subject) -> FirstRun:
@@ -59,35 +58,35 @@ def _first_run(subject: Subject) -> FirstRun:
         return FirstRun(problem=f"modelDescription.xml cannot be read: {problem}")
     offered = [k for k in KINDS if k in model.interfaces]
     if not offered:
-        return FirstRun(problem="neither co-simulation nor model exchange is offered")
+        return FirstRun(problem="the FMU offers neither co-simulation nor model exchange")
     kinds = [k for k in offered if _has_binary(folder, model, k)]
     if not kinds:
         files = [p.relative_to(folder / "binaries") for p in (folder / "binaries").rglob("*") if p.is_file()]
-        there = sorted({p.parts[0] for p in files if len(p.parts) > 1})
-        wanted = " or ".join(_certain(model.major))
-        text = f"no binary for this platform, expected {wanted}, found {', '.join(there) or 'none'}"
+        present = sorted({p.parts[0] for p in files if len(p.parts) > 1})
+        expected = " or ".join(_platform_folders(model.major))
+        text = f"no binary for this platform, expected {expected}, got {', '.join(present) or 'none'}"
         return FirstRun(problem=text)
 
-    def each(kinds: Sequence[str], task: str) -> dict[str, Outcome]:
-        outcomes = in_parallel(lambda kind: run(folder, model, kind, task), kinds)
-        return dict(zip(kinds, outcomes, strict=True))
+    def outcomes(kinds: Sequence[str], task: str) -> dict[str, Outcome]:
+        results = in_parallel(lambda kind: run(folder, model, kind, task), kinds)
+        return dict(zip(kinds, results, strict=True))
 
-    loaded = each(kinds, "loading:load")
-    return FirstRun(loaded, each([k for k in kinds if not loaded[k].failed], "values:default"))
+    loaded = outcomes(kinds, "loading:load")
+    return FirstRun(loaded, outcomes([k for k in kinds if not loaded[k].failed], "values:default"))
 
 
-def _certain(fmi: int) -> list[str]:
-    """Folders that are for this processor without doubt: linux64 does not tell it, darwin64 is for both."""
+def _platform_folders(fmi: int) -> list[str]:
+    """Folders with binaries for this processor; on ARM not linux64, which may be for x86_64."""
     return platform_folders(fmi)[:1] if ARM and SYSTEM != "darwin" else platform_folders(fmi)
 
 
 def _has_binary(folder: Path, model: ModelDescription, kind: str) -> bool:
     path = find_library(folder, model.interfaces[kind].get("modelIdentifier"), model.major)
-    return path is not None and path.parent.name in _certain(model.major)
+    return path is not None and path.parent.name in _platform_folders(model.major)
 
 
 def _unreadable(model: ModelDescription) -> str:
-    """What in the description is missing or no number, though running the FMU needs it."""
+    """The first entry of the description that is missing or not a number, although a run needs it."""
     if not model.major:
         return f"fmiVersion is {model.attributes.get('fmiVersion')!r}, expected 2.0 or 3.0"
     try:
@@ -97,9 +96,8 @@ def _unreadable(model: ModelDescription) -> str:
             _ = v.size, v.start, v.minimum, v.maximum, v.nominal
         for unknown in (*model.structure.get("outputs", ()), *model.structure.get("derivatives", ())):
             if unknown.variable is None:
-                return f"{unknown}: expected a variable, found none with number {unknown.key}"
-        entries = [model.experiment.attributes] if model.experiment else []
-        numbers = [value for entry in entries for value in entry.values()]
+                return f"{unknown}: expected a variable, got none with index or reference {unknown.key}"
+        numbers = list(model.experiment.attributes.values()) if model.experiment else []
         numbers += [e.get("fixedInternalStepSize", "0") for e in model.interfaces.values()]
         for text in numbers:
             float(text)
@@ -109,91 +107,94 @@ def _unreadable(model: ModelDescription) -> str:
     return ""
 
 
-def _findings(found: FirstRun, outcomes: dict[str, Outcome], crash: str = "error") -> Iterator[Finding]:
-    """What was said; what both interfaces say is said once."""
-    said: dict[tuple[str, str], list[str]] = {}
+def _findings(first: FirstRun, outcomes: dict[str, Outcome], crash: str = "error") -> Iterator[Finding]:
+    """Remarks, crashes and failures as findings; what both interfaces have in common is one finding.
+
+    crash   severity of a crash
+    """
+    kinds_of: dict[tuple[str, str], list[str]] = {}
     for kind, outcome in outcomes.items():
-        ends = [(crash, text) for text in outcome.crashes]
-        ends += [("note" if outcome.late else crash, outcome.end)] if outcome.end else []
-        for line in [*outcome.said, *ends]:
-            said.setdefault(line, []).append(kind)
-    for (severity, text), by in said.items():
-        where = f"{INTERFACES[by[0]]}: " if len(found.kinds) > 1 and len(by) == 1 else ""
-        yield MAKE[severity](where + text)
+        failures = [(crash, text) for text in outcome.crashes]
+        failures += [("note" if outcome.late else crash, outcome.failure)] if outcome.failure else []
+        for remark in [*outcome.remarks, *failures]:
+            kinds_of.setdefault(remark, []).append(kind)
+    for (severity, text), kinds in kinds_of.items():
+        prefix = f"{INTERFACES[kinds[0]]}: " if len(first.kinds) > 1 and len(kinds) == 1 else ""
+        yield MAKE[severity](prefix + text)
 
 
 # ---- rules
 
 
 def _possible(subject: Subject) -> Iterator[Finding]:
-    """Why nothing is run; what is no FMU at all is the business of other rules."""
-    found = first_run(subject)
-    if found.problem and (subject.folder / DESCRIPTION).is_file():
-        yield note(f"{found.problem}: the FMU was not run")
+    """Why nothing is run; other rules report a file that is not an FMU at all."""
+    first = first_run(subject)
+    if first.problem and (subject.folder / DESCRIPTION).is_file():
+        yield note(f"{first.problem}: the FMU was not run")
 
 
 def _loads(subject: Subject) -> Iterator[Finding]:
-    """The first probe."""
-    found = first_run(subject)
-    yield from _findings(found, found.loaded)
+    first = first_run(subject)
+    yield from _findings(first, first.loaded)
 
 
 def _runs(subject: Subject) -> Iterator[Finding]:
-    """The default experiment."""
-    found = first_run(subject)
-    yield from _findings(found, found.ran)
-    for kind in (k for k in found.ran if not found.sound(k)):
-        text = "the other probes did not run, because this one did not come to its end"
+    first = first_run(subject)
+    yield from _findings(first, first.ran)
+    for kind in (k for k in first.ran if not first.completed(k)):
+        text = "the other probes were skipped, because the default experiment was not completed"
         yield note(f"{INTERFACES[kind]}: {text}")
 
 
 def _probe(
     tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi: int = 0, crash: str = "error"
 ) -> Check:
-    """A check made of tasks, see probes.toml."""
+    """A check that runs tasks one after the other; the arguments are those of probes.toml."""
 
     def check(subject: Subject) -> Iterable[Finding]:
-        found, model = first_run(subject), subject.model
-        kinds = [k for k in found.kinds if found.sound(k) and kind in ("", k)]
-        able = [
+        first, model = first_run(subject), subject.model
+        kinds = [
             k
-            for k in kinds
-            if fmi in (0, model.major) and (not needs or model.interfaces[k].declares(*needs))
+            for k in first.kinds
+            if first.completed(k)
+            and kind in ("", k)
+            and fmi in (0, model.major)
+            and (not needs or model.interfaces[k].declares(*needs))
         ]
 
         def work(kind: str) -> Outcome:
-            whole = Outcome()
+            outcome = Outcome()
             for task in tasks:
-                habits, handed = found.ran[kind].result, whole.result
-                part = run(subject.folder, model, kind, task, habits, handed)
-                part.said = [*whole.said, *part.said]
-                whole = part
-                if whole.end or whole.crashes:
+                remarks, payload = outcome.remarks, outcome.result
+                outcome = run(subject.folder, model, kind, task, first.ran[kind].result, payload)
+                outcome.remarks = [*remarks, *outcome.remarks]
+                if outcome.failure or outcome.crashes:
                     break
-            return whole
+            return outcome
 
-        yield from _findings(found, dict(zip(able, in_parallel(work, able), strict=True)), crash)
+        yield from _findings(first, dict(zip(kinds, in_parallel(work, kinds), strict=True)), crash)
 
     return check
 
 
 def _from_file() -> Iterator[CheckRule]:
+    """The rules in probes.toml."""
     for name, entry in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")).items():
         text, threads = entry.pop("text"), tuple(entry.pop("threads", "").split())
         yield CheckRule(f"run.{name}", text, _probe(**entry), threads)
 
 
 PROBES: tuple[CheckRule, ...] = (
-    CheckRule("run.possible", "The FMU can be run on this machine, so that it can be tried", _possible),
+    CheckRule("run.possible", "The FMU can be run on this machine", _possible),
     CheckRule(
         "run.load",
-        "The binary for this machine loads and has the functions of its interfaces",
+        "The binary for this machine loads and exports the functions of its interfaces",
         _loads,
         ("PythonFMU#110", "FMPy#545", "FMPy#642"),
     ),
     CheckRule(
         "run.default",
-        "The default experiment runs to its end with finite values",
+        "The default experiment is completed with finite values",
         _runs,
         ("FMIKit#225", "OpenModelica#11229", "rumoca#347"),
     ),

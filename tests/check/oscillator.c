@@ -124,6 +124,7 @@ static int announce(Model *m, double begin, int stop_given, double stop) {
 }
 
 static int move(Model *m, int from, int to) {
+    if (is("again") && to == INITIALIZING && m->s.mode == to) return *(volatile int *)8;
     if (m->s.mode != from) return no(m, "not allowed now");
     m->s.mode = to;
     return GOOD;
@@ -156,6 +157,7 @@ static int set(Model *m, const unsigned *vr, size_t n, const double *value) {
     for (size_t i = 0; i < n; i++) {
         if (vr[i] < U || vr[i] > V) return no(m, "cannot be set");
         const int late = m->s.side == 0 && !(is("parameters") && vr[i] < X); /* importers do that before they step */
+        if (m->s.mode == RUNNING && vr[i] != U && is("fixed")) return *(volatile int *)8;
         if (m->s.mode == RUNNING && vr[i] != U && !late) return no(m, "fixed");
         if (m->s.mode == RUNNING && vr[i] == STIFFNESS && is("deaf")) continue;
         if (is("input") && isnan(value[i])) return *(volatile int *)8;

@@ -118,8 +118,8 @@ def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
     outcome = probe_process.run(
         subject.folder, subject.model, "CoSimulation", "shipped_experiment:run", payload={}
     )
-    assert outcome.said == [("warning", "could not be tried (a defect of this check): KeyError('start')")]
-    assert outcome.end == ""
+    assert outcome.remarks == [("warning", "the probe failed (a defect of this check): KeyError('start')")]
+    assert outcome.failure == ""
 
 
 def _usual_signals() -> None:

@@ -12,7 +12,7 @@ import pytest
 from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
 from orchestrator.check.ls_ref_comparison import EXPERIMENT
-from orchestrator.check.ls_ref_files import PLACE
+from orchestrator.check.ls_ref_files import FOLDER
 from orchestrator.check.subject import Subject, unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"
@@ -44,7 +44,7 @@ def related(*rows: tuple[str, str, str]) -> str:
 def said(oscillators: Oscillators, folder: Path, files: Mapping[str, str], major: int = 2) -> list[Finding]:
     """What is said of the oscillator with these files; the manifest is "manifest"."""
     names = {"manifest": "fmi-ls-manifest.xml"}
-    extra = {f"{PLACE}/{names.get(n, n)}": text for n, text in files.items()}
+    extra = {f"{FOLDER}/{names.get(n, n)}": text for n, text in files.items()}
     return list(EXPERIMENT(opened(oscillators.make(major, extra=extra), folder)))
 
 
@@ -75,7 +75,7 @@ def test_a_result_alone_is_that_of_the_default_experiment(oscillators, tmp_path,
     (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": result}, major)
     assert finding.severity == "note"
     # the same calls give the same bits
-    assert 'experiment "lag_out" agrees with lag_out.csv: NRMSE over range position 0' in finding.text
+    assert 'experiment "lag_out" agrees with lag_out.csv: NRMSE position 0' in finding.text
 
 
 def test_a_result_that_the_fmu_does_not_give_is_an_error(oscillators, tmp_path, result):
@@ -84,7 +84,7 @@ def test_a_result_that_the_fmu_does_not_give_is_an_error(oscillators, tmp_path, 
     half = "time,position\n" + "".join(f"{t},{float(x) / 2!r}\n" for t, x in rows)
     (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": half})
     assert finding.severity == "error"
-    assert "differs from lag_out.csv: NRMSE over range position 0." in finding.text
+    assert "differs from lag_out.csv: NRMSE position 0." in finding.text
 
 
 @pytest.mark.parametrize("form", [OLD, NEW], ids=["times at Experiment", "TransientSimulation"])
@@ -114,25 +114,37 @@ def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
     ("files", "text"),
     [
         ({"manifest": RESULT_ONLY}, '"lag_out.csv" (role result) is missing in the FMU'),
-        ({"manifest": related((CSV, "../../../out.csv", "result"))}, "lies outside of the FMU"),
-        ({"manifest": related((CSV, "https://example.org/a.csv", "result"))}, "lies outside of the FMU"),
+        ({"manifest": related((CSV, "../../../out.csv", "result"))}, "is outside of the FMU"),
+        ({"manifest": related((CSV, "https://example.org/a.csv", "result"))}, "is outside of the FMU"),
         ({"manifest": "<fmiReferences"}, "fmi-ls-manifest.xml: is not XML"),
-        ({"manifest": "<fmiReferences/>"}, "fmi-ls-name is None, expected 'org.fmi-standard.fmi-ls-ref'"),
+        ({"manifest": "<fmiReferences/>"}, "fmi-ls-name: expected 'org.fmi-standard.fmi-ls-ref', got None"),
         (
             {"manifest": WITH_EXPERIMENT, "a.exp": NEW.format(REFERENCES)},
-            "a.exp: 'r.csv' of References is missing in the FMU",
+            "a.exp: References: 'r.csv' is missing in the FMU",
         ),
         ({"manifest": WITH_EXPERIMENT, "a.exp": NEW.format("")}, 'experiment "b" has no reference result'),
-        ({"manifest": WITH_EXPERIMENT, "a.exp": STEADY, "r.csv": ""}, 'experiment "b" is a SteadyState'),
+        (
+            {"manifest": WITH_EXPERIMENT, "a.exp": STEADY, "r.csv": ""},
+            "expected a TransientSimulation, got a SteadyState",
+        ),
         ({"manifest": WITH_EXPERIMENT, "a.exp": OTHER, "r.csv": ""}, "References of type application/hdf5"),
         (
             {"manifest": WITH_EXPERIMENT, "a.exp": OFTEN, "r.csv": ""},
-            "expected a number for stepSize, got 'often'",
+            "stepSize: expected a number, got 'often'",
         ),
-        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,h\n0,1\n1,2\n"}, "has columns h, the model does not"),
-        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,1,2\n"}, "line 2 has 3 columns"),
-        ({"manifest": RESULT_ONLY, "lag_out.csv": "a,position\nx,1\n"}, "first column is not the time"),
-        ({"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,a\n"}, "position is 'a', expected 1"),
+        (
+            {"manifest": RESULT_ONLY, "lag_out.csv": "time,h\n0,1\n1,2\n"},
+            "the model has no variables h, which the result contains",
+        ),
+        (
+            {"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,1,2\n"},
+            "line 2: expected 2 columns, got 3",
+        ),
+        ({"manifest": RESULT_ONLY, "lag_out.csv": "a,position\nx,1\n"}, "expected times in the first column"),
+        (
+            {"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,a\n"},
+            "position: expected 1 numbers, got 'a'",
+        ),
     ],
 )
 def test_files_that_do_not_fit_are_told(oscillators, tmp_path, files, text):
@@ -151,17 +163,17 @@ def test_a_parameter_set_that_names_strangers_is_told(oscillators, tmp_path, res
         "p.ssv": PARAMETERS.replace("stiffness", "mass"),
     }
     texts = [f.text for f in said(oscillators, tmp_path, files)]
-    assert 'experiment "r_out": p.ssv sets mass, which the model does not have' in texts
+    assert 'experiment "r_out": p.ssv sets mass, which is not a variable of the model' in texts
 
 
 def test_an_experiment_that_fails_is_an_error(oscillators, tmp_path, result):
     """The text names the call and the time, and the check goes on."""
-    extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
+    extra = {f"{FOLDER}/fmi-ls-manifest.xml": RESULT_ONLY, f"{FOLDER}/lag_out.csv": result}
     subject = opened(oscillators.make(fault="error", extra=extra), tmp_path)
     (finding,) = EXPERIMENT(subject)
     assert finding.severity == "error"
     reason = "fmi2DoStep failed at t = 0.31 s with status error; it says: no more"
-    assert f"does not come to its end: {reason}" in finding.text
+    assert f"was not completed: {reason}" in finding.text
 
 
 def test_inputs_belong_to_a_result_by_their_name(oscillators, tmp_path, result):
@@ -178,7 +190,7 @@ def test_an_fmu_without_manifest_has_no_experiment(oscillators, tmp_path):
 
 def test_model_exchange_alone_is_run_with_a_good_solver(oscillators, tmp_path, result):
     """An FMU for model exchange only: CVODE comes near to what the FMU's own Heun steps gave."""
-    extra = {f"{PLACE}/fmi-ls-manifest.xml": RESULT_ONLY, f"{PLACE}/lag_out.csv": result}
+    extra = {f"{FOLDER}/fmi-ls-manifest.xml": RESULT_ONLY, f"{FOLDER}/lag_out.csv": result}
     path = oscillators.make(extra=extra, change=("<CoSimulation", "<!-- <CoSimulation"))
     folder = tmp_path / "fmu"
     subject = opened(path, folder)

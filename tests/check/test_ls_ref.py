@@ -67,7 +67,7 @@ def test_each_fmu_meets_the_experiment_it_carries(request, tmp_path, name, major
     folder = request.getfixturevalue({2: "fmu_dir", 3: "fmi3_dir"}[major])
     result = compared(built(folder, name), tmp_path)
     assert result.problems == []
-    assert result.end == ""
+    assert result.failure == ""
     # a thousand times the tolerance of the experiment: errors over 8 s and in second derivatives
     assert max(result.errors.values()) < BOUND, result.errors
 

@@ -1,4 +1,5 @@
-"""What the probes do, in the child process: each task yields findings as (severity, text).
+"""Tasks that load and run the FMU in a child process; each task yields findings as (severity, text).
 
-Needs the standard library only and so starts within a tenth of a second; a check starts some forty processes.
+They need only the standard library, so a child process starts within a tenth of a second. A check starts
+about forty child processes.
 """

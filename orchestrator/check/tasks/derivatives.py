@@ -1,4 +1,4 @@
-"""Derivatives and dependencies, against small changes of inputs and states."""
+"""Tasks that compare derivatives and dependencies of an FMU with finite differences."""
 
 from __future__ import annotations
 
@@ -9,88 +9,88 @@ from orchestrator.check.tasks.trial_run import Simulation, numeric, usual_step
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.raw_description import DeclaredVariable
 
-SHIFT = 1e-4  # of the magnitude of a variable
-KNOWNS = 60  # columns that are looked at
+SHIFT = 1e-4  # relative to the magnitude of a variable
+MAX_KNOWNS = 60  # inputs and states that are shifted
 Row = list[float]
 
 
 class ShiftedPoint:
-    """An instance that rests in time, whose inputs and states are shifted one by one."""
+    """An instance at a fixed time, whose inputs and states are shifted one by one."""
 
     def __init__(self, trial: Trial, simulation: Simulation) -> None:
         self.simulation, description = simulation, trial.description
-        exchange = trial.kind == "ModelExchange"
+        model_exchange = trial.kind == "ModelExchange"
         unknowns = [v for v in numeric(description, "output") if smooth(v)]
-        unknowns += [v for v in description.derivatives if v.size == 1] if exchange else []
+        unknowns += [v for v in description.derivatives if v.size == 1] if model_exchange else []
         self.unknowns = list(dict.fromkeys(unknowns))
         self.values = simulation.values(self.unknowns)
         self.inputs = [v for v in simulation.inputs.variables if v.size == 1]
         scalar = all(v.size == 1 for v in description.states)
-        self.states = list(description.states) if exchange and scalar else []
+        self.states = list(description.states) if model_exchange and scalar else []
         self.u = dict(zip(simulation.inputs.names, simulation.inputs.get(), strict=True))
-        self.x = simulation.exchange.states() if simulation.exchange else []
+        self.x = simulation.integrator.states() if simulation.integrator else []
 
     @property
     def knowns(self) -> list[DeclaredVariable]:
         """The inputs and states that are shifted."""
-        return [*self.inputs, *self.states][:KNOWNS]
+        return [*self.inputs, *self.states][:MAX_KNOWNS]
 
     def shifted(self, known: DeclaredVariable, shift: float) -> Row:
-        """Unknowns with one known shifted; everything else as it is."""
-        exchange, time = self.simulation.exchange, self.simulation.time
-        if exchange is not None and known in self.states:
+        """The unknowns with one known shifted and all others unchanged."""
+        integrator, time = self.simulation.integrator, self.simulation.time
+        if integrator is not None and known in self.states:
             x = list(self.x)
             x[self.states.index(known)] += shift
-            exchange.put(time, x)
+            integrator.set_time_and_states(time, x)
             row = self.values.get()
-            exchange.put(time, self.x)
+            integrator.set_time_and_states(time, self.x)
             return row
-        one = self.simulation.values([known])
-        one.set([self.u[known.name] + shift])
+        value = self.simulation.values([known])
+        value.set([self.u[known.name] + shift])
         row = self.values.get()
-        one.set([self.u[known.name]])
+        value.set([self.u[known.name]])
         return row
 
     def allowed(self, known: DeclaredVariable, shift: float) -> bool:
-        """Is the shifted value within its bounds?"""
+        """The shifted value is within its bounds."""
         return known in self.states or known.minimum <= self.u[known.name] + shift <= known.maximum
 
 
 def _points(trial: Trial) -> Iterator[ShiftedPoint]:
-    """After initialisation, and after a few steps with moving inputs."""
-    for steps in (0, 5) if trial.pokes else (0,):
+    """The point after initialisation, and the point after a few steps with perturbed inputs."""
+    for steps in (0, 5) if trial.perturbable else (0,):
         simulation = Simulation(trial).begin()
-        simulation.run(steps, poke=True)
+        simulation.run(steps, perturb=True)
         yield ShiftedPoint(trial, simulation)
 
 
 def dependencies(trial: Trial) -> Iterator[Remark]:
-    """What changes with an input or state lists it among its dependencies."""
+    """An output or derivative that changes with an input or state declares this dependency."""
     entries = (u for section in ("outputs", "derivatives") for u in trial.description.structure[section])
-    listed = {u.variable: u.dependencies for u in entries if u.variable and u.dependencies is not None}
+    declared = {u.variable: u.dependencies for u in entries if u.variable and u.dependencies is not None}
     by_key, reported = trial.description.by_key, set[DeclaredVariable]()
     for point in _points(trial):
         for known in point.knowns:
             for size in (SHIFT, 1e-2):
                 for v in _changed(point, known, size * known.scale):
-                    given = {by_key[k].name for k in listed.get(v, ()) if k is not None and k in by_key}
-                    if v not in listed or known.name in given or v in reported:
+                    names = {by_key[k].name for k in declared.get(v, ()) if k is not None and k in by_key}
+                    if v not in declared or known.name in names or v in reported:
                         continue
                     reported.add(v)
-                    text = f"{v.name} changes with {known.name}, its dependencies list"
-                    more = " and more" if len(given) > 5 else ""
-                    yield "error", f"{text} {', '.join(sorted(given)[:5]) or 'none'}{more}"
+                    text = f"{v.name} changes with {known.name}, its declared dependencies are"
+                    more = " and more" if len(names) > 5 else ""
+                    yield "error", f"{text} {', '.join(sorted(names)[:5]) or 'none'}{more}"
 
 
 def _changed(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> list[DeclaredVariable]:
-    """What changes; nothing when the FMU refuses the value."""
+    """The unknowns that change; none if the FMU rejects the value."""
     try:
         if not point.allowed(known, shift):
             return []
-        base, moved = point.shifted(known, 0.0), point.shifted(known, shift)
+        base, shifted = point.shifted(known, 0.0), point.shifted(known, shift)
     except CallFailed:
         return []
-    rows = zip(point.unknowns, base, moved, strict=True)
+    rows = zip(point.unknowns, base, shifted, strict=True)
     return [
         v for v, a, b in rows if v is not known and abs(a - b) > 1e-9 * max(abs(a), abs(b), 1e-9 * v.nominal)
     ]
@@ -118,14 +118,14 @@ def _against_differences(
         return
     if coarse is None or fine is None:
         return
-    if point.simulation.exchange is None and not any(fine):
-        return  # an FMU may wait with its outputs until the next step
+    if point.simulation.integrator is None and not any(fine):
+        return  # an FMU may compute its outputs only in the next step
     for unknown, d, a, b in zip(point.unknowns, exact, coarse, fine, strict=True):
-        # the two differences tell how exact they are; the rest is rounding of the larger terms
-        slack = 10 * abs(a - b) + 1e-3 * abs(b) + 1e-7 * unknown.nominal / known.scale
-        if unknown is not known and not abs(d - b) <= slack:
+        # the two differences show their truncation error; the last term is rounding
+        tolerance = 10 * abs(a - b) + 1e-3 * abs(b) + 1e-7 * unknown.nominal / known.scale
+        if unknown is not known and not abs(d - b) <= tolerance:
             text = f"the derivative of {unknown.name} with respect to {known.name} is {d:.6g}"
-            yield f"{text}, by differences {b:.6g}"
+            yield f"{text}, by finite differences {b:.6g}"
 
 
 def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Row | None:
@@ -136,7 +136,7 @@ def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Row 
 
 
 def adjoint(trial: Trial) -> Iterator[Remark]:
-    """Adjoint derivatives are the directional ones, row by row."""
+    """Adjoint derivatives equal directional derivatives, row by row of the Jacobian."""
     for point in _points(trial):
         knowns = point.knowns
         references = [k.reference or 0 for k in knowns]
@@ -155,34 +155,36 @@ def adjoint(trial: Trial) -> Iterator[Remark]:
 
 
 def output_derivatives(trial: Trial) -> Iterator[Remark]:
-    """Output derivatives are about the slope of the outputs along the run, inputs held."""
-    fine = trial.able.declares("canHandleVariableCommunicationStepSize")
-    simulation = Simulation(trial, step=usual_step(trial.description) * (0.1 if fine else 1.0)).begin()
-    if trial.pokes:
-        simulation.poke()
-    held = simulation.inputs.get()
+    """Output derivatives are near the difference quotients of a run with constant inputs."""
+    variable_step = trial.interface.declares("canHandleVariableCommunicationStepSize")
+    simulation = Simulation(
+        trial, step=usual_step(trial.description) * (0.1 if variable_step else 1.0)
+    ).begin()
+    if trial.perturbable:
+        simulation.perturb()
+    inputs = simulation.inputs.get()
     simulation.run(10)
     outputs = [v for v in simulation.outputs.variables if smooth(v)]
     if not outputs:
         return
     values = simulation.values(outputs)
-    along: list[Row] = []
-    given: list[Row] = []
+    quotients: list[Row] = []
+    derivatives: list[Row] = []
     for _ in range(3):
-        simulation.inputs.set(held)  # inputs may move within a step by their rates
+        simulation.inputs.set(inputs)  # inputs may change within a step by their rates
         before = values.get()
         simulation.advance()
-        along.append([(b - a) / simulation.step for a, b in zip(before, values.get(), strict=True)])
-        given.append(simulation.instance.output_derivatives([v.reference or 0 for v in outputs]))
-    for v, d, left, right in zip(outputs, given[1], along[1], along[2], strict=True):
-        # a solver's tolerance off the slow motion, a stiff model has quite another derivative: no fault
-        slack = 3 * abs(right - left) + 0.2 * abs(right) + 1e-5 * v.nominal / simulation.step
-        if not abs(d - (left + right) / 2) <= slack:
+        quotients.append([(b - a) / simulation.step for a, b in zip(before, values.get(), strict=True)])
+        derivatives.append(simulation.instance.output_derivatives([v.reference or 0 for v in outputs]))
+    for v, d, left, right in zip(outputs, derivatives[1], quotients[1], quotients[2], strict=True):
+        # the derivative of a stiff model differs a lot at states that are off by the solver's tolerance
+        tolerance = 3 * abs(right - left) + 0.2 * abs(right) + 1e-5 * v.nominal / simulation.step
+        if not abs(d - (left + right) / 2) <= tolerance:
             text = f"the derivative of {v.name} is {d:.6g} at t = {simulation.time - simulation.step:.6g} s"
-            yield "error", f"{text}, its slope along the run {(left + right) / 2:.6g}"
+            yield "error", f"{text}, the difference quotient of the run {(left + right) / 2:.6g}"
             return
 
 
 def smooth(v: DeclaredVariable) -> bool:
-    """A scalar with derivatives."""
+    """A continuous real scalar."""
     return v.is_float and v.variability == "continuous" and v.size == 1

@@ -1,4 +1,4 @@
-"""Instances one after the other, two thousand times: what do they leave behind?"""
+"""Tasks that look for leaks of memory, file handles and threads over two thousand instances."""
 
 from __future__ import annotations
 
@@ -14,86 +14,86 @@ from typing import Any
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Simulation
 
-ROUNDS = 2000  # instances
-WARM = 200  # before the memory is measured: caches fill once
-WINDOW = 50  # between two looks at the clock
-LOADS = 40
-LEAK = 16.0  # bytes per instance: the smallest block that an allocator hands out takes more
-NOISE = 8e3  # bytes by which the interpreter's own memory goes up and down
-PAGES = 1e6  # the same where only the pages of the process are known
-FULL = 64e6  # bytes: enough to be sure
+INSTANCES = 2000  # created one after the other
+WARM_UP = 200  # instances before the first measurement, while caches fill
+WINDOW = 50  # instances between two measurements
+LOADS = 40  # times that the library is loaded and unloaded
+LEAK = 16.0  # bytes per instance; the smallest block of an allocator is larger
+NOISE = 8e3  # bytes by which the memory of the interpreter varies
+PAGE_NOISE = 1e6  # bytes; the same if only the pages of the process can be counted
+ENOUGH = 64e6  # bytes of growth after which the measurement ends
 
 
 def leak(trial: Trial) -> Iterator[Remark]:
-    """Two thousand instances leave no memory, no file handle and no thread behind."""
-    if not _warmed(trial):
-        yield "note", f"an instance takes too long for a look at {ROUNDS} of them"
+    """Two thousand instances leak no memory, no file handle and no thread."""
+    if not _warmed_up(trial):
+        yield "note", f"an instance takes too long for a test with {INSTANCES} instances"
         return
     measures: dict[str, tuple[Callable[[], float], float, float]] = {
-        "bytes of memory": (memory, LEAK, NOISE if _counter() else PAGES),
+        "bytes of memory": (memory, LEAK, NOISE if _memory_counter() else PAGE_NOISE),
         "file handles": (handles, 0.01, 2),
         "threads": (running, 0.01, 2),
     }
-    looks = {name: [measure()] for name, (measure, _, _) in measures.items()}
-    for _ in _windows(trial, looks["bytes of memory"]):
+    samples = {name: [measure()] for name, (measure, _, _) in measures.items()}
+    for _ in _windows(trial, samples["bytes of memory"]):
         for name, (measure, _, _) in measures.items():
-            looks[name].append(measure())
+            samples[name].append(measure())
     for name, (_, limit, noise) in measures.items():
-        growth, done = _growth(looks[name], noise), WINDOW * (len(looks[name]) - 1)
+        growth, count = _growth(samples[name], noise), WINDOW * (len(samples[name]) - 1)
         if growth > limit:
-            yield "error", f"each instance leaves {growth:.3g} {name} behind (of {done} instances)"
+            yield "error", f"each instance leaks {growth:.3g} {name} (of {count} instances)"
 
 
-def _windows(trial: Trial, sizes: Sequence[float]) -> Iterator[None]:
-    """Instances, with a pause after each window, until time is over or the memory is full."""
+def _windows(trial: Trial, memory_samples: Sequence[float]) -> Iterator[None]:
+    """Create instances; yields after each window, until the time is over or the memory has grown enough."""
     deadline = time.monotonic() + 4 * trial.seconds
-    for n in range(ROUNDS // WINDOW):
-        if n > 1 and (time.monotonic() > deadline or sizes[-1] - sizes[0] > FULL):
+    for n in range(INSTANCES // WINDOW):
+        if n > 1 and (time.monotonic() > deadline or memory_samples[-1] - memory_samples[0] > ENOUGH):
             return
         for _ in range(WINDOW):
-            _life(trial)
+            _create_and_free(trial)
         yield
 
 
-def _growth(looks: Sequence[float], noise: float) -> float:
-    """Growth per instance, of the half in which it is less: a leak goes on, a table that doubles does not."""
-    half = (len(looks) - 1) // 2
+def _growth(samples: Sequence[float], noise: float) -> float:
+    """Growth per instance, the smaller one of both halves: a table that doubles is not a leak."""
+    half = (len(samples) - 1) // 2
     return min(
         (b - a - noise / 2) / (WINDOW * windows)
         for a, b, windows in (
-            (looks[0], looks[half], half),
-            (looks[half], looks[-1], len(looks) - 1 - half),
+            (samples[0], samples[half], half),
+            (samples[half], samples[-1], len(samples) - 1 - half),
         )
     )
 
 
-def _warmed(trial: Trial) -> bool:
-    """Make the first instances; False when that takes too long."""
+def _warmed_up(trial: Trial) -> bool:
+    """Create the first instances; False if that takes too long."""
     deadline = time.monotonic() + 20 * trial.seconds
-    for _ in range(WARM):
+    for _ in range(WARM_UP):
         if time.monotonic() > deadline:
             return False
-        _life(trial)
+        _create_and_free(trial)
     return True
 
 
-def _life(trial: Trial) -> None:
+def _create_and_free(trial: Trial) -> None:
     Simulation(trial).begin().close()
 
 
 def memory() -> float:
-    """Bytes in use: exactly, from the C library, where it tells; else pages of the process."""
+    """Bytes in use: exact if the C library counts them, else the pages of the process."""
     gc.collect()
-    function = _counter()
+    function = _memory_counter()
     if function is None:
-        return _pages()
+        return _process_memory()
     function.restype = _Mallinfo
     info = function()
     return float(info.uordblks + info.hblkhd)
 
 
-def _counter() -> Any:
-    """The function of the C library that counts memory; None where it has none."""
+def _memory_counter() -> Any:
+    """The function of the C library that counts allocated memory; None if there is none."""
     try:
         return ctypes.CDLL(None).mallinfo2
     except (AttributeError, OSError, TypeError):
@@ -101,6 +101,8 @@ def _counter() -> Any:
 
 
 class _Mallinfo(ctypes.Structure):
+    """struct mallinfo2 of glibc."""
+
     _fields_ = [
         (n, ctypes.c_size_t)
         for n in (
@@ -110,7 +112,7 @@ class _Mallinfo(ctypes.Structure):
     ]
 
 
-def _pages() -> float:
+def _process_memory() -> float:
     if sys.platform == "linux":
         pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
         return float(pages) * os.sysconf("SC_PAGE_SIZE")
@@ -132,19 +134,19 @@ def handles() -> float:
 
 
 def running() -> float:
-    """Threads of this process, where it is known."""
+    """Threads of this process; 0 on systems other than Linux."""
     folder = Path("/proc/self/task")
     return float(len(os.listdir(folder))) if folder.is_dir() else 0.0
 
 
 def reload(trial: Trial) -> Iterator[Remark]:
-    """Loading, making an instance, freeing and unloading, again and again."""
+    """Loading, instantiating, freeing and unloading many times leaks no file handle."""
     before = handles()
     for n in range(LOADS):
-        trial.beacon.inputs(f"(loaded for the {n + 1}. time)")
+        trial.activity.inputs(f"(load number {n + 1})")
         library = trial.load(trial.folder)
         trial.instance(library=library).free()
-        trial.beacon.call("unloading the binary")
+        trial.activity.call("unloading the binary")
         library.close()
     if handles() - before > LOADS / 2:
-        yield "error", f"each unloading leaves {(handles() - before) / LOADS:.3g} file handles behind"
+        yield "error", f"each load and unload leaks {(handles() - before) / LOADS:.3g} file handles"

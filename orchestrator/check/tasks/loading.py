@@ -1,4 +1,4 @@
-"""The first things: load, refuse the token of another build, log; other folders; more than one instance."""
+"""Tasks on loading and instances: functions, token, log, resource location, several instances, threads."""
 
 from __future__ import annotations
 
@@ -15,50 +15,50 @@ from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, differenc
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 
-NEEDED = (
-    *("GetVersion", "SetDebugLogging", "FreeInstance", "EnterInitializationMode"),
-    *("ExitInitializationMode", "Terminate", "Reset"),
-)
+REQUIRED = """GetVersion SetDebugLogging FreeInstance EnterInitializationMode ExitInitializationMode Terminate
+    Reset"""  # functions that every FMU must export
 
 
 def load(trial: Trial) -> Iterator[Remark]:
-    """The library loads, has the functions of its interface, returns its version, and leaves again."""
+    """The library loads, exports the functions of its interface, returns its version, and can be unloaded."""
     library, fmi, kind = trial.library, trial.description.major, trial.kind
-    make = "Instantiate" if fmi == 2 else f"Instantiate{kind}"
-    for name in (*NEEDED, make, "DoStep" if kind == "CoSimulation" else "SetTime"):
+    instantiate = "Instantiate" if fmi == 2 else f"Instantiate{kind}"
+    for name in (*REQUIRED.split(), instantiate, "DoStep" if kind == "CoSimulation" else "SetTime"):
         if not library.has(name):
             yield "error", f"fmi{fmi}{name} is missing in the binary"
-    trial.beacon.call(f"fmi{fmi}GetVersion")
+    trial.activity.call(f"fmi{fmi}GetVersion")
     version = library.function("GetVersion", ctypes.c_char_p)()
     expected = f"{fmi}.0".encode()
     if not version or not version.startswith(expected):
         yield "error", f"fmi{fmi}GetVersion returns {version!r}, expected {expected!r}"
-    trial.beacon.call("unloading the binary")
+    trial.activity.call("unloading the binary")
     library.close()
 
 
 def token(trial: Trial) -> Iterator[Remark]:
-    """A binary of another build is noticed."""
+    """Instantiation with the GUID or token of another build fails."""
     for wrong in ("{00000000-0000-0000-0000-000000000000}", trial.description.token[:-1] + "?", ""):
         try:
             trial.instance(token=wrong).free()
         except CallFailed:
             continue
         name = "GUID" if trial.description.major == 2 else "instantiation token"
-        yield "warning", f'an instance is made with the {name} "{wrong}", expected a refusal'
+        yield "warning", f'instantiation succeeds with the {name} "{wrong}", expected it to fail'
         return
 
 
 def log(trial: Trial) -> Iterator[Remark]:
-    """With logging on: only declared categories and known statuses."""
+    """With logging on, messages have declared categories and valid statuses."""
     simulation = Simulation(trial, verbose=True)
-    instance, listed = simulation.instance, trial.description.categories
-    array = (ctypes.c_char_p * max(len(listed), 1))(*(c.encode() for c in listed))
+    instance, categories = simulation.instance, trial.description.categories
+    array = (ctypes.c_char_p * max(len(categories), 1))(*(c.encode() for c in categories))
     try:
-        instance.call("SetDebugLogging", instance.flag(True), ctypes.c_size_t(len(listed)), array)
+        instance.call("SetDebugLogging", instance.flag(True), ctypes.c_size_t(len(categories)), array)
     except Problem as problem:
-        given = "the log categories of modelDescription.xml" if listed else "no log category, which means all"
-        yield "warning", f"{problem}, with {given}"
+        argument = (
+            "the log categories of modelDescription.xml" if categories else "no category, which means all"
+        )
+        yield "warning", f"{problem}, with {argument}"
     simulation.begin().run(3)
     simulation.close()
     for status, category in dict.fromkeys((m.status, m.category) for m in instance.log.messages):
@@ -66,29 +66,28 @@ def log(trial: Trial) -> Iterator[Remark]:
             yield "warning", f"a message is logged with status {status}, expected 0 to {len(STATUS) - 1}"
         if category is None:
             yield "warning", "a message is logged without a category (NULL)"
-        elif listed and category not in listed:
+        elif categories and category not in categories:
             text = f'a message is logged in category "{category}"'
-            yield "warning", f"{text}, modelDescription.xml lists {', '.join(listed)}"
+            yield "warning", f"{text}, modelDescription.xml declares {', '.join(categories)}"
 
 
 FOLDER = "mit Leerzeichen # äß 林"
-LARGE = 100e6  # bytes: a copy would take long
+LARGE = 100e6  # bytes; larger FMUs are not copied, because that takes long
 
 
 def resources(trial: Trial) -> Iterator[Remark]:
-    """The first values do not depend on the folder, nor on how its location is written."""
+    """The initial outputs depend neither on the folder of the FMU nor on how its location is written."""
     if sum(p.stat().st_size for p in trial.folder.rglob("*") if p.is_file()) > LARGE:
         return
-    plain = Simulation(trial).begin()
-    expected = [plain.row()]
-    folder = Path.cwd() / FOLDER  # in the folder of the job, which the parent removes whatever happens here
+    expected = [Simulation(trial).begin().row()]
+    folder = Path.cwd() / FOLDER  # below the folder of the worker process, which the parent process removes
     shutil.copytree(trial.folder, folder)
     (folder / "resources").mkdir(exist_ok=True)
     trial.folder = folder
     library = trial.load(folder)
-    for location, severity in _forms(trial.description.major, folder / "resources"):
+    for location, severity in _locations(trial.description.major, folder / "resources"):
         case = f'with the resources at "{_shown(location, folder)}" in a folder "{FOLDER}"'
-        trial.beacon.inputs(f"({case})")
+        trial.activity.inputs(f"({case})")
         try:
             simulation = Simulation(trial, library=library, resources=location).begin()
             row = [simulation.row()]
@@ -101,17 +100,17 @@ def resources(trial: Trial) -> Iterator[Remark]:
 
 
 def _shown(location: str, folder: Path) -> str:
-    """A location without the path of the temporary folder."""
+    """A location, with FOLDER instead of the path of the temporary folder."""
     uri = folder.as_uri()
     location = location.replace(uri, "file:///FOLDER")
     return location.replace(uri.replace("file:///", "file:/"), "file:/FOLDER").replace(str(folder), "FOLDER")
 
 
-def _forms(major: int, there: Path) -> list[tuple[str, str]]:
-    """Ways to write the location, the usual one first, and how bad it is when it does not work."""
-    if major == 3:  # the standard wants a separator at the end
-        return [(f"{there}/", "error"), (str(there), "note")]
-    uri = there.as_uri()
+def _locations(major: int, resources_folder: Path) -> list[tuple[str, str]]:
+    """Spellings of the location, the usual one first, each with the severity of a failure."""
+    if major == 3:  # the standard requires a separator at the end
+        return [(f"{resources_folder}/", "error"), (str(resources_folder), "note")]
+    uri = resources_folder.as_uri()
     return [(uri, "error"), (f"{uri}/", "warning"), (uri.replace("file:///", "file:/"), "warning")]
 
 
@@ -120,56 +119,55 @@ THREADS = 4
 
 
 def instances(trial: Trial) -> Iterator[Remark]:
-    """Runs one after the other and side by side give the same bits as a run alone."""
-    alone = _alone(trial, 0)
-    other = _alone(trial, 5)
-    again = _alone(trial, 0)
-    if bits(alone) != bits(again):
-        yield "error", f"a second run in the same process differs: {difference(trial, alone, again)}"
+    """Consecutive and interleaved runs are bit-identical to a single run."""
+    expected, shifted, repeated = _single_run(trial, 0), _single_run(trial, 5), _single_run(trial, 0)
+    if bits(expected) != bits(repeated):
+        yield "error", f"a second run in the same process differs: {difference(trial, expected, repeated)}"
         return
     try:
         first, second = Simulation(trial).begin(), Simulation(trial, name="second").begin()
     except CallFailed as failure:
-        yield "error", f"a second instance cannot be made: {failure}"
+        yield "error", f"a second instance cannot be created: {failure}"
         return
     rows: tuple[Rows, Rows] = ([first.row()], [second.row()])
-    for n in range(STEPS):  # the second one is a step behind
-        rows[0].append(_one(trial, first, n))
-        rows[1].append(_one(trial, second, n + 5))
-    for found, expected, which in ((rows[0], alone, "first"), (rows[1], other, "second")):
-        if bits(found) != bits(expected):
-            text = difference(trial, expected, found)
+    for n in range(STEPS):
+        rows[0].append(_step(trial, first, n))
+        rows[1].append(_step(trial, second, n + 5))
+    for interleaved, single, which in ((rows[0], expected, "first"), (rows[1], shifted, "second")):
+        if bits(interleaved) != bits(single):
+            text = difference(trial, single, interleaved)
             yield "error", f"two instances disturb each other: in the {which} {text}"
             return
 
 
-def _one(trial: Trial, simulation: Simulation, shift: int) -> list[float]:
-    if trial.pokes:
-        simulation.poke(shift)
+def _step(trial: Trial, simulation: Simulation, number: int) -> list[float]:
+    """The outputs after a step with the input perturbation of this number."""
+    if trial.perturbable:
+        simulation.perturb(number)
     simulation.advance()
     return simulation.row()
 
 
-def _alone(trial: Trial, shift: int, count: int = STEPS) -> Rows:
+def _single_run(trial: Trial, shift: int, count: int = STEPS) -> Rows:
     simulation = Simulation(trial).begin()
     rows = [simulation.row()]
     for n in range(count):
         if simulation.ended:
             break
-        rows.append(_one(trial, simulation, n + shift))
+        rows.append(_step(trial, simulation, n + shift))
     simulation.close()
     return rows
 
 
 def threads(trial: Trial) -> Iterator[Remark]:
-    """Instances in threads of their own give the serial bits."""
+    """Runs in parallel threads are bit-identical to serial runs."""
     count = 60
-    serial = [_alone(trial, n, count) for n in range(THREADS)]
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)  # change threads between almost all calls
+    serial = [_single_run(trial, n, count) for n in range(THREADS)]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # the interpreter changes threads between almost all calls
     with ThreadPoolExecutor(THREADS) as pool:
-        parallel = list(pool.map(lambda n: _alone(trial, n, count), range(THREADS)))
-    sys.setswitchinterval(before)
+        parallel = list(pool.map(lambda n: _single_run(trial, n, count), range(THREADS)))
+    sys.setswitchinterval(interval)
     for n in range(THREADS):
         if bits(serial[n]) != bits(parallel[n]):
             text = difference(trial, serial[n], parallel[n])

@@ -1,4 +1,4 @@
-"""What nobody should do and somebody does: values without sense, calls in a wrong state."""
+"""Robustness checks of an FMU: invalid input values, and calls that FMI forbids or rarely sees."""
 
 from __future__ import annotations
 
@@ -7,82 +7,79 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Simulation, movable, not_finite, numeric
+from orchestrator.check.tasks.trial_run import Simulation, continuous_inputs, not_finite, numeric
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.raw_description import DeclaredVariable
 
-INPUTS = 20  # looked at
-STEPS = 3
-BAD = (("nan", math.nan), ("inf", math.inf), ("1e120", 1e120), ("-1e120", -1e120))
+MAX_INPUTS = 20  # inputs tested per FMU
+MAX_PARAMETERS = 5  # parameters set per case
+STEPS_AFTER = 3  # steps after an input was set
+INVALID_VALUES = (("nan", math.nan), ("inf", math.inf), ("1e120", 1e120), ("-1e120", -1e120))
+Call = Callable[[Simulation], object]
 
 
-def values(trial: Trial) -> Iterator[Remark]:
-    """A value without sense is refused, or at least does no lasting harm under the status OK."""
-    found: dict[str, list[str]] = {}
-    stage = 0
-    for v in [v for v in movable(trial.description) if v.size == 1][:INPUTS]:
-        for word, value in BAD:
-            if stage >= trial.first and not (v.type == "Float32" and abs(value) > 1e38):
-                trial.at(stage)
-                harm = _harm(trial, v, value)
-                if harm:
-                    found.setdefault("nan" if word == "nan" else "huge", []).append(
-                        f"{v.name} = {word}: {harm}"
-                    )
-            stage += 1
-    for texts in found.values():
-        more = f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
-        yield "warning", f"a senseless input comes back as OK: {texts[0]}{more}"
+def invalid_values(trial: Trial) -> Iterator[Remark]:
+    """The FMU rejects an input that is NaN, infinite or huge, or it computes finite outputs again.
+
+    If the FMU accepts the value: after NaN the outputs must be finite once the input is valid again. With
+    +-1e120 they must stay finite. An infinite input may give infinite outputs; only a crash is a finding.
+    """
+    inputs = islice((v for v in continuous_inputs(trial.description) if v.size == 1), MAX_INPUTS)
+    cases = ((v, label, value) for v in inputs for label, value in INVALID_VALUES)
+    messages: dict[str, list[str]] = {}
+    for number, (v, label, value) in enumerate(cases):
+        too_large = v.type == "Float32" and abs(value) > 1e38
+        if number < trial.first_case or too_large:
+            continue
+        trial.begin_case(number)
+        if symptom := _symptom(trial, v, value):
+            group = "nan" if math.isnan(value) else "huge"
+            messages.setdefault(group, []).append(f"{v.name} = {label}: {symptom}")
+    for first, *others in messages.values():
+        more = f" (and {len(others)} more)" if others else ""
+        yield "warning", f"status OK although an input is invalid: {first}{more}"
 
 
-def _harm(trial: Trial, v: DeclaredVariable, value: float) -> str:
-    """What a value does; empty when it is refused or harmless."""
+def _symptom(trial: Trial, v: DeclaredVariable, value: float) -> str:
+    """The damage that a value does; empty if the FMU rejects the value or survives it."""
     simulation = Simulation(trial, inputs=[v])
+    names = simulation.outputs.names
     try:
         simulation.begin()
         simulation.inputs.set([value])
-        rows = simulation.run(STEPS)
-        names = simulation.outputs.names
-        bad = not_finite(names, rows)
-        if bad and math.isnan(value):
-            simulation.inputs.set(simulation.rest)
-            bad = not_finite(names, simulation.run(STEPS))
-            bad = f"{bad} even after the input is valid again" if bad else ""
-        elif bad and math.isinf(value):
-            bad = ""  # what goes in infinite may come out infinite
+        symptom = not_finite(names, simulation.run(STEPS_AFTER))
+        if symptom and math.isnan(value):
+            simulation.inputs.set(simulation.initial_inputs)
+            symptom = not_finite(names, simulation.run(STEPS_AFTER))
+            return f"{symptom} even after the input is valid again" if symptom else ""
     except CallFailed:
         return ""
-    return bad
+    return "" if math.isinf(value) else symptom
 
 
-# ---- calls in a wrong state
+# ---- calls
 
 
-def order(trial: Trial) -> Iterator[Remark]:
-    """No call in a wrong state ends the process."""
-    for stage, (name, case) in enumerate(CASES.items()):
-        if stage < trial.first:
-            continue
-        trial.at(stage)
-        trial.beacon.inputs(f"({name})")
-        simulation = Simulation(trial)
-        with suppress(Problem):
-            case(simulation)
-    return
-    yield
+def unexpected_calls(trial: Trial) -> Iterator[Remark]:
+    """No illegal or unusual call may crash the process; the status that is returned does not matter."""
+    cases = [("illegal", case) for case in ILLEGAL_CALLS.items()]
+    cases += [("legal", case) for case in UNUSUAL_CALLS.items()]
+    for number, (legality, (name, case)) in enumerate(cases):
+        if number >= trial.first_case:
+            trial.begin_case(number)
+            trial.activity.inputs(f"({name}, {legality})")
+            simulation = Simulation(trial)
+            with suppress(Problem):
+                case(simulation)
+    yield from ()  # a generator without findings: the parent process reports a crash
 
 
-def _enter_twice(simulation: Simulation) -> None:
-    for _ in range(2):
-        simulation.instance.setup(0.0)
-        simulation.instance.enter()
-
-
-def _begun(*calls: Callable[[Simulation], object]) -> Callable[[Simulation], None]:
-    """A case that starts with an initialised instance."""
+def _after_initialisation(*calls: Call) -> Call:
+    """A case that begins with an initialised instance."""
 
     def case(simulation: Simulation) -> None:
         simulation.begin()
@@ -92,7 +89,22 @@ def _begun(*calls: Callable[[Simulation], object]) -> Callable[[Simulation], Non
     return case
 
 
-def _move(simulation: Simulation) -> None:
+def _in_initialisation_mode(call: Call) -> Call:
+    """A case that begins in initialisation mode."""
+
+    def case(simulation: Simulation) -> None:
+        simulation.instance.setup(simulation.start)
+        simulation.instance.enter()
+        call(simulation)
+
+    return case
+
+
+def _call(function: str) -> Call:
+    return lambda s: s.instance.call(function)
+
+
+def _step_or_set_time(simulation: Simulation) -> None:
     time, length = simulation.time, simulation.step
     if simulation.kind == "CoSimulation":
         simulation.do_step(time, length)
@@ -100,7 +112,7 @@ def _move(simulation: Simulation) -> None:
         simulation.instance.status("SetTime", ctypes.c_double(time + length))
 
 
-def _length(length: float) -> Callable[[Simulation], None]:
+def _do_step_of(length: float) -> Call:
     def case(simulation: Simulation) -> None:
         if simulation.kind == "CoSimulation":
             simulation.do_step(simulation.time, length)
@@ -108,67 +120,72 @@ def _length(length: float) -> Callable[[Simulation], None]:
     return case
 
 
-def _unknown(simulation: Simulation) -> None:
-    """Read a variable that does not exist."""
-    outside = replace(simulation.trial.description.variables[0], type=_real(simulation), reference=0x7FFFFFF0)
-    simulation.values([replace(outside, shape=())]).get()
-
-
-def _nothing(simulation: Simulation) -> None:
-    """Read no variables: null pointers are allowed."""
-    instance = simulation.instance
-    instance.call(f"Get{_real(simulation)}", None, ctypes.c_size_t(0), *instance.values(None, 0))
-
-
 def _real(simulation: Simulation) -> str:
     return "Real" if simulation.instance.fmi == 2 else "Float64"
 
 
-def _fixed(simulation: Simulation) -> None:
-    """Set parameters after the initialisation."""
-    parameters = numeric(simulation.trial.description, "parameter")
-    for v in [v for v in parameters if v.start][:5]:
-        simulation.values([v]).set((v.start * v.size)[: v.size])
+def _get_unknown_reference(simulation: Simulation) -> None:
+    variable = simulation.trial.description.variables[0]
+    unknown = replace(variable, type=_real(simulation), reference=0x7FFFFFF0, shape=())
+    simulation.values([unknown]).get()
 
 
-def _no_state(simulation: Simulation) -> None:
-    """Free no state: to be ignored."""
-    able = simulation.trial.description.interfaces[simulation.kind]
-    if able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"):
+def _get_no_variables(simulation: Simulation) -> None:
+    """Get zero variables with null pointers."""
+    instance = simulation.instance
+    instance.call(f"Get{_real(simulation)}", None, ctypes.c_size_t(0), *instance.values(None, 0))
+
+
+def _set_parameters(legal: bool) -> Call:
+    """Set parameters to their start values, which is legal between steps if they are tunable."""
+
+    def case(simulation: Simulation) -> None:
+        between_steps = simulation.kind == "CoSimulation"
+        parameters = [
+            v
+            for v in numeric(simulation.trial.description, "parameter")
+            if v.start and (between_steps and v.variability == "tunable") == legal
+        ]
+        for v in parameters[:MAX_PARAMETERS]:
+            simulation.values([v]).set((v.start * v.size)[: v.size])
+
+    return case
+
+
+def _free_null_state(simulation: Simulation) -> None:
+    if simulation.trial.interface.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"):
         simulation.instance.free_state(ctypes.c_void_p())
 
 
-def _terminate(simulation: Simulation) -> None:
-    simulation.instance.call("Terminate")
-
-
-def _free(simulation: Simulation) -> None:
-    simulation.instance.free()
-
-
-def _free_nothing(simulation: Simulation) -> None:
+def _free_null_instance(simulation: Simulation) -> None:
     library = simulation.instance.library
-    simulation.trial.beacon.call(f"{library.prefix}FreeInstance")
+    simulation.trial.activity.call(f"{library.prefix}FreeInstance")
     library.function("FreeInstance", None)(ctypes.c_void_p())
 
 
-CASES: dict[str, Callable[[Simulation], object]] = {
-    "a step before the initialisation": _move,
+ILLEGAL_CALLS: dict[str, Call] = {
+    "a step before the initialisation": _step_or_set_time,
     "outputs before the initialisation": lambda s: s.row(),
-    "terminated before the initialisation": _terminate,
-    "freed right after instantiation": _free,
-    "no initialisation mode to leave": lambda s: s.instance.leave(),
-    "initialisation mode entered twice": _enter_twice,
-    "initialised twice": _begun(lambda s: s.begin()),
-    "an unknown value reference": _begun(_unknown),
-    "no variables, null pointers": _begun(_nothing),
-    "parameters set while running": _begun(_fixed),
-    "a step of no length": _begun(_length(0.0)),
-    "a step backwards": _begun(_length(-1e-3)),
-    "a step after the end": _begun(_terminate, _move),
-    "terminated twice": _begun(_terminate, _terminate),
-    "freed without an end": _begun(_free),
-    "a reset after the end": _begun(_terminate, lambda s: s.instance.call("Reset"), lambda s: s.begin()),
-    "no state freed": _begun(_no_state),
-    "no instance freed": _free_nothing,
+    "Terminate before the initialisation": _call("Terminate"),
+    "initialisation mode left before it was entered": lambda s: s.instance.leave(),
+    "initialisation mode entered twice": _in_initialisation_mode(lambda s: s.instance.enter()),
+    "the experiment set up in initialisation mode": _in_initialisation_mode(
+        lambda s: s.instance.setup(s.start)
+    ),
+    "initialised twice": _after_initialisation(lambda s: s.begin()),
+    "an unknown value reference": _after_initialisation(_get_unknown_reference),
+    "parameters set while running": _after_initialisation(_set_parameters(legal=False)),
+    "a step of length zero": _after_initialisation(_do_step_of(0.0)),
+    "a step backwards": _after_initialisation(_do_step_of(-1e-3)),
+    "a step after Terminate": _after_initialisation(_call("Terminate"), _step_or_set_time),
+    "Terminate twice": _after_initialisation(_call("Terminate"), _call("Terminate")),
+}
+UNUSUAL_CALLS: dict[str, Call] = {  # FMI allows these
+    "freed right after instantiation": lambda s: s.instance.free(),
+    "no variables, null pointers": _after_initialisation(_get_no_variables),
+    "tunable parameters set between steps": _after_initialisation(_set_parameters(legal=True)),
+    "freed without Terminate": _after_initialisation(lambda s: s.instance.free()),
+    "a reset after Terminate": _after_initialisation(_call("Terminate"), _call("Reset"), lambda s: s.begin()),
+    "a null state freed": _after_initialisation(_free_null_state),
+    "a null instance freed": _free_null_instance,
 }

@@ -1,4 +1,4 @@
-"""The FMU that a task tries out in the child process, and how a task is run there."""
+"""The FMU on which a probe works in a child process, and the function that runs one task there."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from orchestrator.fmi.raw_description import Entry, ModelDescription
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.main import Channel
 
-MESSAGES = 10_000  # of an instance that are kept
+MAX_MESSAGES = 10_000  # log messages that are kept per instance
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
 
 
 class OnlyOnce(Exception):
-    """This process has had its one instance of an FMU that declares that it can be made only once."""
+    """The FMU can be instantiated only once per process, and this process has done so already."""
 
 
 @dataclass
 class Trial:
-    """One FMU in one of its interfaces, under trial by one task.
+    """One FMU with one of its interfaces, on which one task works.
 
-    kind      CoSimulation or ModelExchange
-    seconds   wall time that the task may fill with work
-    pokes     the FMU takes small changes of its inputs
-    summed    it takes communication points that are summed only, not those that are counted
-    payload   what an earlier task handed over
-    result    what this task hands over
-    first     number of the stage to begin with: those before it were done by a child that crashed
-    at        tells the parent which stage begins
+    kind         CoSimulation or ModelExchange
+    seconds      wall time that the task may fill with simulation
+    perturbable  the FMU accepts small changes of its inputs
+    summed       the FMU accepts communication points only if they are the sum of the steps before
+    payload      data from an earlier task
+    result       data for a later task
+    first_case   number of the first case to run: a child process that crashed has done those before it
+    begin_case   reports to the parent process which case begins
     """
 
     folder: Path
     description: ModelDescription
     kind: str
-    beacon: ActivityRecord
+    activity: ActivityRecord
     seconds: float = 1.0
-    pokes: bool = False
+    perturbable: bool = False
     summed: bool = False
     payload: Any = None
     result: Any = None
-    first: int = 0
-    at: Callable[[int], None] = lambda _: None
+    first_case: int = 0
+    begin_case: Callable[[int], None] = lambda _: None
     _library: list[Library] = field(default_factory=list)
-    _made: int = 0
+    _instances: int = 0
 
     @property
-    def able(self) -> Entry:
-        """What the FMU declares of this interface."""
+    def interface(self) -> Entry:
+        """The element of modelDescription.xml with the capabilities of this interface."""
         return self.description.interfaces[self.kind]
 
     @property
@@ -66,34 +66,41 @@ class Trial:
         return self._library[0]
 
     def load(self, folder: Path, identifier: str = "") -> Library:
-        """The library of an unpacked FMU; raises OSError where it cannot be loaded."""
-        path = find_library(folder, identifier or self.able.get("modelIdentifier"), self.description.major)
+        """The library of an unpacked FMU; raises OSError if it cannot be loaded."""
+        path = find_library(
+            folder, identifier or self.interface.get("modelIdentifier"), self.description.major
+        )
         if path is None:
             raise FileNotFoundError("no binary for this platform")
-        self.beacon.call(f"loading {path.name}")
+        self.activity.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
     def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
-        """A new instance; raises OnlyOnce where none is left, CallFailed where the FMU gives none."""
+        """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails."""
         kind, library = kind or self.kind, library or self.library
-        if self._made and self.description.interfaces[kind].declares("canBeInstantiatedOnlyOncePerProcess"):
+        if self._instances and self.description.interfaces[kind].declares(
+            "canBeInstantiatedOnlyOncePerProcess"
+        ):
             raise OnlyOnce
-        log = Log(limit=MESSAGES)
-        instance = FmuInstance(library, log, kind == "ModelExchange", self.beacon.call)
-        usual = {"token": self.description.token, "name": "probe"}
-        place = {"resources": resources_location(self.folder, self.description.major)}
-        if not instance.instantiate(**{**usual, **place, **options}):
+        log = Log(limit=MAX_MESSAGES)
+        instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
+        defaults = {
+            "token": self.description.token,
+            "name": "probe",
+            "resources": resources_location(self.folder, self.description.major),
+        }
+        if not instance.instantiate(**{**defaults, **options}):
             raise CallFailed(
-                f"{instance.describe_call('Instantiate')} gives no instance{log.quoted_messages()}", ERROR
+                f"{instance.describe_call('Instantiate')} returns no instance{log.quoted_messages()}", ERROR
             )
-        self._made += 1
+        self._instances += 1
         return instance
 
 
 def main(channel: Channel) -> None:
-    """Do the job that the parent sends, and send each finding at once."""
+    """Run the task that the parent process sends, and send each finding at once."""
     job = channel.get()
-    trial = Trial(**job["trial"], beacon=channel.activity, at=lambda stage: channel.put({"stage": stage}))
+    trial = Trial(**job["trial"], activity=channel.activity, begin_case=lambda n: channel.put({"case": n}))
     module, _, name = job["task"].partition(":")
     task: Task = getattr(import_module(f"orchestrator.check.tasks.{module}"), name)
     try:
@@ -106,10 +113,10 @@ def main(channel: Channel) -> None:
     except Crashed as problem:
         channel.put({"crash": str(problem)})
     except OSError as problem:
-        place, _, why = str(problem).partition(": ")  # without the path of the temporary folder
-        reason = why if why and "/" in place else problem
-        channel.put({"severity": "error", "text": f"the binary cannot be loaded: {reason}"})
-    except Exception as problem:  # ours, not the FMU's: said as such, and the other probes go on
-        text = f"could not be tried (a defect of this check): {problem!r}"
+        path, _, reason = str(problem).partition(": ")  # the message omits the path of the temporary folder
+        message = reason if reason and "/" in path else problem
+        channel.put({"severity": "error", "text": f"the binary cannot be loaded: {message}"})
+    except Exception as problem:  # a defect of the check, not of the FMU: the other probes continue
+        text = f"the probe failed (a defect of this check): {problem!r}"
         channel.put({"severity": "warning", "text": text})
     channel.put({"done": True, "result": trial.result})

@@ -1,4 +1,4 @@
-"""Runs an experiment that an FMU ships: parameters, inputs at each communication point, outputs at times."""
+"""Task that simulates an experiment shipped with an FMU: parameters, inputs over time, recorded outputs."""
 
 from __future__ import annotations
 
@@ -13,73 +13,78 @@ from orchestrator.check.tasks.trial_run import Rows, Simulation
 
 
 def run(trial: Trial) -> Iterator[Remark]:
-    """Hands over the rows before and after the inputs of a point were set: nobody says which are meant."""
+    """Simulate; the result has times, and rows of outputs `before` and `after` the inputs of a point are set.
+
+    FMI-LS-REF does not define which of the two a result file contains.
+    """
     job = trial.payload
     if trial.kind == "ModelExchange":
-        trial.result = {"times": job["times"], "before": _by_importer(trial, job), "after": []}
+        trial.result = {"times": job["times"], "before": _by_cvode(trial, job), "after": []}
         return
     simulation = Simulation(trial, start=job["start"], stop=job["stop"], step=job["step"])
     instance, variables = simulation.instance, trial.description.by_name
-    _parameters(simulation, job["parameters"])
+    _set_parameters(simulation, job["parameters"])
     inputs = simulation.values([variables[name] for name in job["inputs"]])
     outputs = simulation.values([variables[name] for name in job["signals"]])
     instance.setup(job["start"], job["stop"], job["tolerance"])
     instance.enter()
     if inputs.names:
-        inputs.set(_at(job, job["start"]))
+        inputs.set(_inputs_at(job, job["start"]))
     instance.leave()
-    points, wanted = _points(trial, job)
-    before, after = ([outputs.get()], [outputs.get()]) if 0 in wanted else ([], [])
+    points, recorded = _points(trial, job)
+    before, after = ([outputs.get()], [outputs.get()]) if 0 in recorded else ([], [])
     times = points[: len(before)]
     for n, (begin, end) in enumerate(pairwise(points), 1):
         simulation.do_step(begin, end - begin)
-        if n in wanted:
+        if n in recorded:
             times.append(end)
             before.append(outputs.get())
         if inputs.names:
-            inputs.set(_at(job, end))
-        if n in wanted:
+            inputs.set(_inputs_at(job, end))
+        if n in recorded:
             after.append(outputs.get())
         if simulation.ended:
             break
     simulation.close()
     trial.result = {"times": times, "before": before, "after": after}
-    return
-    yield
+    yield from ()  # a task without findings of its own
 
 
 def _points(trial: Trial, job: Any) -> tuple[list[float], set[int]]:
-    """Communication points, and the numbers of those that are recorded."""
+    """Communication points, and the indices of those that are recorded."""
     start, stop, step, times = job["start"], job["stop"], job["step"], job["times"]
-    close = 1e-6 * step
+    tolerance = 1e-6 * step
     grid = [start + n * step for n in range(int((stop - start) / step + 1 + 1e-9))]
-    if trial.able.declares("canHandleVariableCommunicationStepSize"):
-        off = [t for t in times if start < t <= stop and all(abs(t - g) >= close for _, g in _near(grid, t))]
-        grid = sorted([*grid, *off])
-    wanted = {n for t in times for n, g in _near(grid, t) if abs(t - g) < close}
-    return grid, wanted
+    if trial.interface.declares("canHandleVariableCommunicationStepSize"):
+        off_grid = [
+            t
+            for t in times
+            if start < t <= stop and all(abs(t - g) >= tolerance for _, g in _neighbours(grid, t))
+        ]
+        grid = sorted([*grid, *off_grid])
+    return grid, {n for t in times for n, g in _neighbours(grid, t) if abs(t - g) < tolerance}
 
 
-def _near(grid: Sequence[float], t: float) -> list[tuple[int, float]]:
-    """The points before and after a time, with their numbers."""
+def _neighbours(grid: Sequence[float], t: float) -> list[tuple[int, float]]:
+    """The points before and after a time, with their indices."""
     i = bisect_right(grid, t)
     return [(n, grid[n]) for n in range(max(i - 1, 0), min(i + 1, len(grid)))]
 
 
-def _at(job: Any, t: float) -> list[float]:
-    """Inputs at a time, linear between the rows; of two rows at one time the later."""
+def _inputs_at(job: Any, t: float) -> list[float]:
+    """Inputs at a time, by linear interpolation; the later one of two rows with the same time."""
     time, rows = job["input_times"], job["input_rows"]
     i = bisect_right(time, t + 1e-9 * job["step"])
     if i == 0 or i == len(time):
         return list(rows[max(i - 1, 0)])
-    share = (t - time[i - 1]) / (time[i] - time[i - 1])
-    if share < 1e-6:
+    fraction = (t - time[i - 1]) / (time[i] - time[i - 1])
+    if fraction < 1e-6:
         return list(rows[i - 1])
-    return [a + share * (b - a) for a, b in zip(rows[i - 1], rows[i], strict=True)]
+    return [a + fraction * (b - a) for a, b in zip(rows[i - 1], rows[i], strict=True)]
 
 
-def _parameters(simulation: Simulation, values: dict[str, Any]) -> None:
-    """Set numbers, and texts."""
+def _set_parameters(simulation: Simulation, values: dict[str, Any]) -> None:
+    """Set numeric parameters and strings."""
     instance = simulation.instance
     for name, value in values.items():
         v = simulation.trial.description.by_name[name]
@@ -90,22 +95,22 @@ def _parameters(simulation: Simulation, values: dict[str, Any]) -> None:
             simulation.values([v]).set(value)
 
 
-def _by_importer(trial: Trial, job: Any) -> Rows:
-    """Model exchange needs a good solver: FMPy's CVODE."""
+def _by_cvode(trial: Trial, job: Any) -> Rows:
+    """Outputs in Model Exchange, which needs an accurate solver: CVODE of FMPy."""
     import fmpy
     import numpy as np
 
-    def alive(*_: Any) -> bool:
-        trial.beacon.call("a simulation with CVODE")
+    def report_progress(*_: Any) -> bool:
+        trial.activity.call("a simulation with CVODE")
         return True
 
-    table = None
+    stimuli = None
     if job["inputs"]:
-        table = np.zeros(len(job["input_times"]), [("time", float), *((n, float) for n in job["inputs"])])
-        table["time"] = job["input_times"]
+        stimuli = np.zeros(len(job["input_times"]), [("time", float), *((n, float) for n in job["inputs"])])
+        stimuli["time"] = job["input_times"]
         for i, name in enumerate(job["inputs"]):
-            table[name] = [row[i] for row in job["input_rows"]]
-    found = fmpy.simulate_fmu(
+            stimuli[name] = [row[i] for row in job["input_rows"]]
+    result = fmpy.simulate_fmu(
         str(trial.folder),
         validate=False,
         fmi_type="ModelExchange",
@@ -114,9 +119,9 @@ def _by_importer(trial: Trial, job: Any) -> Rows:
         output_interval=job["step"],
         relative_tolerance=min(job["tolerance"] or 1e-6, 1e-6),
         start_values={n: v if isinstance(v, str) else v[0] for n, v in job["parameters"].items()},
-        input=table,
+        input=stimuli,
         output=job["signals"],
-        step_finished=alive,
+        step_finished=report_progress,
     )
-    columns = [np.interp(job["times"], found["time"], found[name]) for name in job["signals"]]
+    columns = [np.interp(job["times"], result["time"], result[name]) for name in job["signals"]]
     return [[float(x) for x in row] for row in np.column_stack(columns)]

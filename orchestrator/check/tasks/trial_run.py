@@ -1,7 +1,7 @@
-"""One run of an FMU under trial, Co-Simulation and Model Exchange alike.
+"""One simulation run of the FMU that a probe works on, the same for Co-Simulation and Model Exchange.
 
-In Model Exchange an explicit integrator with step control moves the model: Bogacki and Shampine, order 3(2),
-of four stages, the last of which is the first of the next step.
+Model Exchange is integrated with the explicit Runge-Kutta method of Bogacki and Shampine, order 3(2) with
+step-size control and four stages. The last stage of a step is the first stage of the next one.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from orchestrator.fmi.messages import DISCARD, ERROR
 from orchestrator.fmi.raw_description import FLOATS, DeclaredVariable, ModelDescription
 
 Rows = list[list[float]]
-INNER = 12  # inner steps of model exchange per advance: enough to move, whatever the stiffness
-TOLERANCE = 1e-4  # of the inner steps
-EVENTS = 100  # rounds of one event iteration
-PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # inputs move like this, step by step
-PUSH = 1e-3  # of the magnitude of an input: small, because nobody knows what is allowed
-ROUNDING = 1e-13  # of the nominal value: less is zero
-LOCALS = 100  # variables that are watched where there is no output
-SHOWN = 5  # inputs in a message
+MAX_INNER_STEPS = 12  # integrator steps per communication step: enough to change the states of a stiff model
+TOLERANCE = 1e-4  # relative tolerance of the integrator
+MAX_ITERATIONS = 100  # event iterations at one event
+PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # perturbation of the inputs, step by step
+PERTURBATION = 1e-3  # relative to the magnitude of an input: small, because the valid range is unknown
+ROUNDING = 1e-13  # relative to nominal; smaller outputs are read as zero
+MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
+MAX_LISTED = 5  # inputs listed in a message
 
 
-# ---- what an FMU declares, as far as running it needs
+# ---- variables and default experiment
 
 
 def numeric(description: ModelDescription, *causalities: str) -> list[DeclaredVariable]:
@@ -37,28 +37,28 @@ def numeric(description: ModelDescription, *causalities: str) -> list[DeclaredVa
     return [v for v in description.of(*causalities) if v.is_number]
 
 
-def watched(description: ModelDescription) -> list[DeclaredVariable]:
-    """The outputs; without any, the local variables that change."""
+def observed(description: ModelDescription) -> list[DeclaredVariable]:
+    """The outputs; if there are none, local variables that change during a run."""
     local = [v for v in numeric(description, "local") if v.variability in ("continuous", "discrete")]
-    return numeric(description, "output") or local[:LOCALS]
+    return numeric(description, "output") or local[:MAX_LOCALS]
 
 
-def movable(description: ModelDescription) -> list[DeclaredVariable]:
-    """Inputs that may be set at any time."""
+def continuous_inputs(description: ModelDescription) -> list[DeclaredVariable]:
+    """Real inputs that may be set at any time."""
     inputs = numeric(description, "input")
     return [v for v in inputs if v.is_float and v.variability == "continuous"]
 
 
 def experiment(description: ModelDescription, name: str) -> float | None:
-    """A number of the default experiment."""
-    found = description.experiment
-    return float(found.get(name)) if found and name in found.attributes else None
+    """An attribute of the default experiment; None if it is not declared."""
+    entry = description.experiment
+    return float(entry.get(name)) if entry and name in entry.attributes else None
 
 
 def inner_step(description: ModelDescription) -> float:
-    """The fixed step [s] inside, by which the FMU's time may be late; 0 when unknown."""
-    found = description.interfaces.get("CoSimulation")
-    return float(found.get("fixedInternalStepSize", "0")) if found else 0.0
+    """The fixed internal step [s], by which the time inside the FMU may lag; 0 if unknown."""
+    entry = description.interfaces.get("CoSimulation")
+    return float(entry.get("fixedInternalStepSize", "0")) if entry else 0.0
 
 
 def usual_step(description: ModelDescription) -> float:
@@ -68,111 +68,119 @@ def usual_step(description: ModelDescription) -> float:
     return experiment(description, "stepSize") or inner_step(description) or length
 
 
-# ---- rows of values
+# ---- values of variables
 
 
-class VariableRow:
-    """Some numeric variables of an instance, read and set together; arrays lie flat."""
+class VariableValues:
+    """Values of some numeric variables of an instance, read and set together; arrays are flattened."""
 
     def __init__(self, trial: Trial, instance: FmuInstance, variables: Sequence[DeclaredVariable]) -> None:
         self.trial, self.instance, self.variables = trial, instance, list(variables)
         self.names = scalars(variables)
-        groups: dict[str, tuple[list[int], list[int]]] = {}  # type -> value references, places of scalars
-        place = 0
+        groups: dict[str, tuple[list[int], list[int]]] = {}  # type -> value references, indices of scalars
+        first = 0
         for v in variables:
-            whole = "Integer" if instance.fmi == 2 else "Int64"  # what enumerations are read as
-            references, places = groups.setdefault(whole if v.type == "Enumeration" else v.type, ([], []))
+            enumeration = "Integer" if instance.fmi == 2 else "Int64"  # how enumerations are read
+            type_ = enumeration if v.type == "Enumeration" else v.type
+            references, indices = groups.setdefault(type_, ([], []))
             references.append(v.reference or 0)
-            places += range(place, place + v.size)
-            place += v.size
+            indices += range(first, first + v.size)
+            first += v.size
         self._groups = [self._group(type_, *group) for type_, group in groups.items()]
 
-    def _group(self, type_: str, references: list[int], places: list[int]) -> tuple[str, list[int], Any, Any]:
-        """Type, places, buffer, and the arguments of a call."""
-        buffer = (self.instance.types[type_] * len(places))()
-        given = *self.instance.references(references), *self.instance.values(buffer, len(places))
-        return type_, places, buffer, given
+    def _group(
+        self, type_: str, references: list[int], indices: list[int]
+    ) -> tuple[str, list[int], Any, Any]:
+        """Type, indices, buffer, and the arguments of a call."""
+        buffer = (self.instance.types[type_] * len(indices))()
+        arguments = *self.instance.references(references), *self.instance.values(buffer, len(indices))
+        return type_, indices, buffer, arguments
 
     def get(self) -> list[float]:
         """Values in the order of the variables."""
         result = [0.0] * len(self.names)
-        for type_, places, buffer, given in self._groups:
-            self.instance.call(f"Get{type_}", *given)
-            for place, value in zip(places, buffer, strict=True):
-                result[place] = float(value)
+        for type_, indices, buffer, arguments in self._groups:
+            self.instance.call(f"Get{type_}", *arguments)
+            for i, value in zip(indices, buffer, strict=True):
+                result[i] = float(value)
         return result
 
     def set(self, values: Sequence[float]) -> None:
-        """Set all; whole numbers and booleans are rounded."""
+        """Set all values; those of integers and booleans are truncated."""
         if not self.names:
             return
-        shown = zip(self.names, values, strict=True)
-        self.trial.beacon.inputs(", ".join(f"{n} = {x:.6g}" for n, x in shown))
-        for type_, places, buffer, given in self._groups:
-            for i, place in enumerate(places):
-                buffer[i] = values[place] if type_ in FLOATS else int(values[place])
-            self.instance.call(f"Set{type_}", *given)
+        pairs = zip(self.names, values, strict=True)
+        self.trial.activity.inputs(", ".join(f"{name} = {x:.6g}" for name, x in pairs))
+        for type_, indices, buffer, arguments in self._groups:
+            for k, i in enumerate(indices):
+                buffer[k] = values[i] if type_ in FLOATS else int(values[i])
+            self.instance.call(f"Set{type_}", *arguments)
 
 
 def scalars(variables: Sequence[DeclaredVariable]) -> list[str]:
-    """Names of the scalars of some variables."""
+    """Names of the scalar elements of some variables."""
     return [v.name if v.size == 1 else f"{v.name}[{i}]" for v in variables for i in range(v.size)]
 
 
 def flat(variables: Sequence[DeclaredVariable]) -> list[DeclaredVariable]:
-    """For each scalar its variable."""
+    """For each scalar element its variable."""
     return [v for v in variables for _ in range(v.size)]
 
 
 def bits(rows: Sequence[Sequence[float]]) -> bytes:
-    """All bits of some rows, to compare: NaN equals NaN."""
+    """The bytes of some rows, for an exact comparison in which NaN equals NaN."""
     return b"".join(struct.pack(f"<{len(r)}d", *r) for r in rows)
 
 
 def not_finite(names: Sequence[str], rows: Sequence[Sequence[float]]) -> str:
-    """The first value that is not finite, in words; empty when there is none."""
-    found = (f"{n} is {x:g}" for row in rows for n, x in zip(names, row, strict=True) if not math.isfinite(x))
-    return next(found, "")
+    """Message about the first value that is not finite; empty if all are."""
+    values = ((n, x) for row in rows for n, x in zip(names, row, strict=True))
+    return next((f"{n} is {x:g}" for n, x in values if not math.isfinite(x)), "")
 
 
-def difference(trial: Trial, first: Rows, second: Rows) -> str:
-    """In words: where two runs differ first, and which inputs were moved; empty when they do not."""
-    names = scalars(watched(trial.description))
-    moved = scalars(movable(trial.description)) if trial.pokes else []
-    more = f" and {len(moved) - SHOWN} more" if len(moved) > SHOWN else ""
-    moving = f", while {', '.join(moved[:SHOWN])}{more} moved" if moved else ""
-    for n, (a, b) in enumerate(zip(first, second, strict=False), 1):
+def difference(trial: Trial, expected: Rows, rows: Rows) -> str:
+    """Message about the first difference between two runs; empty if there is none."""
+    names = scalars(observed(trial.description))
+    inputs = scalars(continuous_inputs(trial.description)) if trial.perturbable else []
+    more = f" and {len(inputs) - MAX_LISTED} more" if len(inputs) > MAX_LISTED else ""
+    changing = f", while {', '.join(inputs[:MAX_LISTED])}{more} changed" if inputs else ""
+    for n, (a, b) in enumerate(zip(expected, rows, strict=False), 1):
         for name, x, y in zip(names, a, b, strict=True):
             if bits([[x]]) != bits([[y]]):
-                return f"{name} is {y:.17g} in place of {x:.17g} after step {n}{moving}"
-    return f"{len(second)} steps in place of {len(first)}{moving}" if len(first) != len(second) else ""
+                return f"{name} is {y:.17g} instead of {x:.17g} after step {n}{changing}"
+    return f"{len(rows)} steps instead of {len(expected)}{changing}" if len(expected) != len(rows) else ""
 
 
 # ---- model exchange
 
 
-class ContinuousStates:
-    """The continuous states of an instance for model exchange: events, and steps of an integrator."""
+class Integrator:
+    """Model Exchange: the continuous states of an instance, its events, and explicit integration steps.
+
+    ended        the FMU asked to end the simulation
+    next_event   time of the next time event [s]
+    step_size    of the next integrator step [s]; 0 before the first one
+    """
 
     def __init__(self, instance: FmuInstance, description: ModelDescription) -> None:
         self.instance, self.ended = instance, False
         self.count = len(description.structure["derivatives"])
         self.indicators = int(description.attributes.get("numberOfEventIndicators", "0"))
         if instance.fmi == 3:
-            self.count = self._number("GetNumberOfContinuousStates")
-            self.indicators = self._number("GetNumberOfEventIndicators")
+            self.count = self._size("GetNumberOfContinuousStates")
+            self.indicators = self._size("GetNumberOfEventIndicators")
         self._x, self._dx = (ctypes.c_double * self.count)(), (ctypes.c_double * self.count)()
         self._z = (ctypes.c_double * self.indicators)()
-        self.time, self.next, self.trial = 0.0, math.inf, 0.0
+        self.time, self.next_event, self.step_size = 0.0, math.inf, 0.0
         self.nominal = [1.0] * self.count
 
-    def _number(self, function: str) -> int:
+    def _size(self, function: str) -> int:
         value = ctypes.c_size_t(0)
         self.instance.call(function, ctypes.byref(value))
         return value.value
 
     def begin(self, time: float) -> None:
-        """From event mode, where the initialisation ends, to continuous time."""
+        """Leave the event mode after initialisation and enter continuous-time mode."""
         self.time = time
         self._iterate()
         self.nominal = [abs(n) or 1.0 for n in self.nominals()]
@@ -183,73 +191,76 @@ class ContinuousStates:
         return list(self._x)
 
     def _iterate(self) -> None:
-        """Update discrete states until they rest, and go to continuous time."""
-        for _ in range(EVENTS):
-            needed, terminate, self.next = self.instance.update_discrete_states()
+        """Update discrete states until none changes, and enter continuous-time mode."""
+        for _ in range(MAX_ITERATIONS):
+            needed, terminate, self.next_event = self.instance.update_discrete_states()
             self.ended = self.ended or terminate
             if not needed or terminate:
                 self.instance.call("EnterContinuousTimeMode")
                 return
-        text = f"the event iteration, {EVENTS} calls: new discrete states are needed for ever"
+        text = (
+            f"the event iteration does not end: new discrete states are needed after {MAX_ITERATIONS} calls"
+        )
         raise CallFailed(text, ERROR)
 
     # ---- the state vector
 
     def states(self) -> list[float]:
-        """Continuous states."""
+        """The continuous states."""
         self.instance.vector("GetContinuousStates", self._x, self.count)
         return list(self._x)
 
-    def put(self, time: float, x: Sequence[float]) -> None:
+    def set_time_and_states(self, time: float, x: Sequence[float]) -> None:
         """Set time and continuous states."""
         self.instance.set_time(time)
-        self.put_states(x)
+        self.set_states(x)
 
-    def put_states(self, x: Sequence[float]) -> None:
+    def set_states(self, x: Sequence[float]) -> None:
         """Set the continuous states."""
         self._x[:] = list(x)
         self.instance.vector("SetContinuousStates", self._x, self.count)
 
     def derivatives(self) -> list[float]:
-        """Derivatives of the continuous states, as they are set."""
+        """Derivatives of the continuous states at the time and the states that are set."""
         self.instance.vector("GetContinuousStateDerivatives", self._dx, self.count)
         return list(self._dx)
 
     def derivatives_at(self, time: float, x: Sequence[float]) -> list[float]:
-        """Derivatives at a time and at states."""
-        self.put(time, x)
+        """Derivatives of the continuous states at a time and at states."""
+        self.set_time_and_states(time, x)
         return self.derivatives()
 
     def _signs(self) -> list[bool]:
+        """Signs of the event indicators."""
         self.instance.vector("GetEventIndicators", self._z, self.indicators)
         return [z > 0 for z in self._z]
 
     # ---- steps
 
-    def advance(self, length: float, most: int) -> None:
-        """Over `length`, or `most` inner steps, whatever ends first."""
+    def advance(self, length: float, max_steps: int) -> None:
+        """Integrate over `length` [s], but at most `max_steps` integrator steps."""
         end = self.time + length
-        for _ in range(most):
+        for _ in range(max_steps):
             if self.ended or self.time >= end:
                 return
             signs = self._signs()
-            self._inner(max(min(end, self.next) - self.time, 0.0))
+            self._step(max(min(end, self.next_event) - self.time, 0.0))
             event, terminate = self.instance.flag(), self.instance.flag()
-            answers = ctypes.byref(event), ctypes.byref(terminate)
-            self.instance.call("CompletedIntegratorStep", self.instance.flag(True), *answers)
+            results = ctypes.byref(event), ctypes.byref(terminate)
+            self.instance.call("CompletedIntegratorStep", self.instance.flag(True), *results)
             self.ended = bool(terminate.value)
-            if event.value or self.time >= self.next or signs != self._signs():
+            if event.value or self.time >= self.next_event or signs != self._signs():
                 self.instance.call("EnterEventMode")
                 self._iterate()
 
-    def _inner(self, limit: float) -> None:
-        """One accepted step of at most `limit`."""
+    def _step(self, limit: float) -> None:
+        """One accepted step of at most `limit` [s]."""
         x = self.states()
         if not self.count or limit == 0.0:
             self.time += limit
-            self.put(self.time, x)
+            self.set_time_and_states(self.time, x)
             return
-        h = min(limit, self.trial or 1e-3 * limit)
+        h = min(limit, self.step_size or 1e-3 * limit)
         while True:
             new, error = self._try(x, h)
             growth = 0.9 * error ** (-1 / 3) if error > 0 else 5.0
@@ -257,21 +268,21 @@ class ContinuousStates:
                 break
             h *= max(0.1, min(growth, 0.5))
             if h < 1e-14 * max(limit, abs(self.time)):
-                raise CallFailed("the integration with explicit steps: no step is short enough", ERROR)
-        self.trial = h * min(5.0, growth)
+                raise CallFailed("the integration with explicit steps fails: no step is short enough", ERROR)
+        self.step_size = h * min(5.0, growth)
         self.time = limit + self.time if h == limit else self.time + h
-        self.put(self.time, new)
+        self.set_time_and_states(self.time, new)
 
     def _try(self, x: Sequence[float], h: float) -> tuple[list[float], float]:
-        """States after h, and error over tolerance: infinite when something is not finite or refused."""
+        """States after h, and error over tolerance: infinite if not finite or if the FMU discards a call."""
 
-        def slope(c: float, k: Sequence[float]) -> list[float]:
+        def stage(c: float, k: Sequence[float]) -> list[float]:
             return self.derivatives_at(self.time + c * h, [a + c * h * b for a, b in zip(x, k, strict=True)])
 
         try:
             k1 = self.derivatives_at(self.time, x)
-            k2 = slope(1 / 2, k1)
-            k3 = slope(3 / 4, k2)
+            k2 = stage(1 / 2, k1)
+            k3 = stage(3 / 4, k2)
             new = [a + h / 9 * (2 * b + 3 * c + 4 * d) for a, b, c, d in zip(x, k1, k2, k3, strict=True)]
             k4 = self.derivatives_at(self.time + h, new)
         except CallFailed as failure:
@@ -289,14 +300,13 @@ class ContinuousStates:
 
 
 class Simulation:
-    """One run of one instance: begin, move its inputs, advance, read.
+    """One run of one instance: initialise, change inputs, advance, read outputs.
 
-    summed      communication points are summed, which drifts, in place of counted
-    reached     the time that the FMU says it reached [s]
-    ended       the FMU asked to end the simulation
-    early       it returned early from the last step
-    rest        inputs after initialisation
-    exchange    its continuous states, in model exchange
+    summed           communication points are the sum of the steps, with rounding, instead of start + n h
+    reached          the time that the FMU reports after a step [s]
+    early            the FMU returned early from the last step
+    initial_inputs   values of the inputs after initialisation
+    integrator       in Model Exchange, after initialisation
     """
 
     def __init__(
@@ -316,24 +326,25 @@ class Simulation:
         self.start = experiment(description, "startTime") or 0.0 if start is None else start
         self.stop, self.step = stop, step or usual_step(description)
         self.summed = trial.summed if summed is None else summed
-        self.time, self.number, self.reached = self.start, 0, self.start
-        self.inputs = self.values(movable(description) if inputs is None else inputs)
-        self.outputs = self.values(watched(description))
-        self._floors = [ROUNDING * v.nominal for v in flat(self.outputs.variables)]
-        self.exchange: ContinuousStates | None = None
+        self.time, self.step_count, self.reached = self.start, 0, self.start
+        self.inputs = self.values(continuous_inputs(description) if inputs is None else inputs)
+        self.outputs = self.values(observed(description))
+        self._rounding = [ROUNDING * v.nominal for v in flat(self.outputs.variables)]
+        self.integrator: Integrator | None = None
         self._ended = self.early = False
-        self.rest: list[float] = []
+        self.initial_inputs: list[float] = []
 
-    def values(self, variables: Sequence[DeclaredVariable]) -> VariableRow:
-        """Some variables of this instance."""
-        return VariableRow(self.trial, self.instance, variables)
+    def values(self, variables: Sequence[DeclaredVariable]) -> VariableValues:
+        """Access to the values of some variables of this instance."""
+        return VariableValues(self.trial, self.instance, variables)
 
     @property
     def ended(self) -> bool:
-        return self._ended or (self.exchange is not None and self.exchange.ended)
+        """The FMU asked to end the simulation."""
+        return self._ended or (self.integrator is not None and self.integrator.ended)
 
     def initialise(self) -> Simulation:
-        """To where initialisation mode ends, in model exchange: event mode."""
+        """Enter and leave initialisation mode; Model Exchange is in event mode afterwards."""
         self.instance.setup(self.start, self.stop)
         self.instance.enter()
         self.instance.leave()
@@ -341,29 +352,30 @@ class Simulation:
 
     def begin(self) -> Simulation:
         """Initialise, and be ready for steps."""
-        self.initialise().settle()
+        self.initialise().begin_steps()
         return self
 
-    def settle(self) -> None:
-        """After initialisation mode: to where steps are possible."""
-        self.time, self.number = self.start, 0
+    def begin_steps(self) -> None:
+        """After initialisation mode, be ready for steps."""
+        self.time, self.step_count = self.start, 0
         self.instance.log.time = self.start
         if self.kind == "ModelExchange":
-            self.exchange = ContinuousStates(self.instance, self.trial.description)
-            self.exchange.begin(self.start)
-        self.rest = self.inputs.get()
+            self.integrator = Integrator(self.instance, self.trial.description)
+            self.integrator.begin(self.start)
+        self.initial_inputs = self.inputs.get()
 
-    def poke(self, number: int | None = None, push: float = PUSH) -> None:
-        """Move all inputs a little, by a fixed pattern."""
-        n = self.number if number is None else number
-        wanted = [
-            min(max(x + push * v.scale * PATTERN[(n + 3 * i) % len(PATTERN)], v.minimum), v.maximum)
-            for i, (x, v) in enumerate(zip(self.rest, flat(self.inputs.variables), strict=True))
+    def perturb(self, step: int | None = None) -> None:
+        """Change all inputs a little, by a fixed pattern over the steps."""
+        n = self.step_count if step is None else step
+        inputs = zip(self.initial_inputs, flat(self.inputs.variables), strict=True)
+        perturbed = [
+            min(max(x + PERTURBATION * v.scale * PATTERN[(n + 3 * i) % len(PATTERN)], v.minimum), v.maximum)
+            for i, (x, v) in enumerate(inputs)
         ]
-        self.inputs.set(wanted)
+        self.inputs.set(perturbed)
 
     def do_step(self, time: float, length: float) -> None:
-        """One communication step; raises CallFailed unless it was done, or was the last."""
+        """One communication step; raises CallFailed unless the FMU completes it or ends the simulation."""
         self.early, status = False, self.instance.step(time, length)
         if self.instance.fmi == 3 or status == DISCARD:
             end = self.instance.step_end(status)
@@ -375,44 +387,45 @@ class Simulation:
             self.instance.check_status(status, self.instance.describe_call("DoStep"))
 
     def advance(self) -> None:
-        """One communication step; in model exchange up to INNER inner steps."""
-        self.number += 1
-        if self.exchange is not None:
-            self.exchange.advance(self.step, INNER)
-            self.time = self.exchange.time
+        """One communication step; in Model Exchange at most MAX_INNER_STEPS integrator steps."""
+        self.step_count += 1
+        if self.integrator is not None:
+            self.integrator.advance(self.step, MAX_INNER_STEPS)
+            self.time = self.integrator.time
             return
         self.do_step(self.time, self.step)
-        self.time = self.time + self.step if self.summed else self.start + self.number * self.step
+        self.time = self.time + self.step if self.summed else self.start + self.step_count * self.step
 
     def row(self) -> list[float]:
-        """Outputs; what is rounding next to their magnitude is 0, and so is -0."""
-        values = zip(self.outputs.get(), self._floors, strict=True)
-        return [0.0 if abs(x) <= floor else x for x, floor in values]
+        """Outputs; values below rounding error relative to nominal are read as 0, and -0 as 0."""
+        values = zip(self.outputs.get(), self._rounding, strict=True)
+        return [0.0 if abs(x) <= rounding else x for x, rounding in values]
 
-    def run(self, count: int, poke: bool = False, seconds: float = math.inf) -> Rows:
-        """Rows after each of `count` steps, or of as many as fit into some wall time."""
+    def run(self, count: int, perturb: bool = False, seconds: float = math.inf) -> Rows:
+        """Rows after each of `count` steps, or of as many steps as fit into `seconds` of wall time."""
         rows: Rows = []
         deadline = time.monotonic() + seconds
         while len(rows) < count and not self.ended and (time.monotonic() < deadline or not rows):
-            if poke:
-                self.poke()
+            if perturb:
+                self.perturb()
             self.advance()
             rows.append(self.row())
         return rows
 
-    def mark(self) -> tuple[Any, ...]:
-        """Where the run is, apart from the FMU: to go on from a saved state."""
-        e = self.exchange
-        return self.number, self.time, (e.time, e.next, e.trial, e.nominal) if e else None
+    def bookmark(self) -> tuple[Any, ...]:
+        """The state of the run outside of the FMU, to continue from a saved FMU state."""
+        e = self.integrator
+        inner = (e.time, e.next_event, e.step_size, e.nominal) if e else None
+        return self.step_count, self.time, inner
 
-    def back(self, mark: Sequence[Any]) -> None:
-        """Go on from a mark."""
-        self.number, self.time, inner = mark
-        if self.exchange is not None and inner is not None:
-            e = self.exchange
-            e.time, e.next, e.trial, e.nominal = inner
+    def return_to(self, bookmark: Sequence[Any]) -> None:
+        """Continue from a bookmark."""
+        self.step_count, self.time, inner = bookmark
+        if self.integrator is not None and inner is not None:
+            e = self.integrator
+            e.time, e.next_event, e.step_size, e.nominal = inner
 
     def close(self) -> None:
-        """Terminate and free."""
+        """Terminate and free the instance."""
         self.instance.call("Terminate")
         self.instance.free()

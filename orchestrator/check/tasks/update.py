@@ -1,4 +1,4 @@
-"""FMI 3: the intermediate update inside a step, and its early return."""
+"""Tasks on intermediate updates and early return of a communication step (FMI 3)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Simulation, VariableRow, bits, difference, inner_step, numeric
+from orchestrator.check.tasks.trial_run import (
+    Simulation,
+    VariableValues,
+    bits,
+    difference,
+    inner_step,
+    numeric,
+)
 from orchestrator.fmi.instance import CallFailed
 
 _B = ctypes.c_bool
@@ -20,61 +27,73 @@ STEPS = 6
 
 
 @dataclass
-class Witness:
-    """The callback: keeps the times, reads the outputs where it may, asks for a return where it shall."""
+class UpdateCallback:
+    """The callback of intermediate updates: records their times, reads outputs, requests an early return.
 
-    ask: bool = False
+    request_return   in each update in which the FMU offers it
+    outputs          are read in each update in which the FMU allows it
+    """
+
+    request_return: bool = False
     times: list[float] = field(default_factory=list)
-    values: VariableRow | None = None
+    outputs: VariableValues | None = None
     problem: str = ""
 
     def __post_init__(self) -> None:
-        self.callback = CALLBACK(self._call)  # the C function
+        self.function = CALLBACK(self._call)
 
     def _call(
-        self, _: Any, time: float, __: bool, get: bool, ___: bool, can: bool, asked: Any, at: Any
+        self,
+        _environment: Any,
+        time: float,
+        _set_requested: bool,
+        get_allowed: bool,
+        _step_finished: bool,
+        can_return_early: bool,
+        early_return_requested: Any,
+        early_return_time: Any,
     ) -> None:
         self.times.append(time)
-        if get and self.values is not None and not self.problem:
+        if get_allowed and self.outputs is not None and not self.problem:
             try:
-                self.values.get()
+                self.outputs.get()
             except CallFailed as failure:
                 self.problem = str(failure)
-        if asked:
-            asked[0] = bool(self.ask and can)
-        if at:
-            at[0] = time
+        if early_return_requested:
+            early_return_requested[0] = bool(self.request_return and can_return_early)
+        if early_return_time:
+            early_return_time[0] = time
 
 
-def _witnessed(trial: Trial, witness: Witness, **options: Any) -> Simulation:
+def _simulation(trial: Trial, callback: UpdateCallback, **options: Any) -> Simulation:
     """A run with this callback, which may read all real outputs."""
     outputs = [v for v in numeric(trial.description, "output") if v.is_float]
     required = [v.reference or 0 for v in outputs]
-    simulation = Simulation(trial, update=witness.callback, required=required, **options).begin()
-    witness.values = simulation.values(outputs)
+    simulation = Simulation(trial, update=callback.function, required=required, **options).begin()
+    callback.outputs = simulation.values(outputs)
     return simulation
 
 
 def intermediate(trial: Trial) -> Iterator[Remark]:
-    """Updates lie within the step, outputs can be read there, and the results stay the same bits."""
-    expected = Simulation(trial).begin().run(STEPS, trial.pokes)
-    witness = Witness()
-    simulation = _witnessed(trial, witness)
+    """Updates are within the step, outputs can be read in them, and the results stay bit-identical."""
+    expected = Simulation(trial).begin().run(STEPS, trial.perturbable)
+    callback = UpdateCallback()
+    simulation = _simulation(trial, callback)
     rows = []
     for n in range(STEPS):
-        witness.times.clear()
-        rows += simulation.run(1, trial.pokes)
+        callback.times.clear()
+        rows += simulation.run(1, trial.perturbable)
         begin, end = simulation.start + n * simulation.step, simulation.time
-        slack = 1e-9 * max(simulation.step, abs(end))
-        wrong = [t for t in witness.times if not begin - slack <= t <= end + slack]
-        if wrong:
-            yield "error", f"an update at {wrong[0]:.9g} s in the step from {begin:.9g} to {end:.9g} s"
+        rounding = 1e-9 * max(simulation.step, abs(end))
+        outside = [t for t in callback.times if not begin - rounding <= t <= end + rounding]
+        if outside:
+            yield "error", f"an update at {outside[0]:.9g} s in the step from {begin:.9g} to {end:.9g} s"
             return
-        if witness.times != sorted(witness.times):
+        if callback.times != sorted(callback.times):
             yield "error", f"the updates of the step from {begin:.9g} s go back in time"
             return
-    if witness.problem:
-        yield "error", f"in the intermediate update {witness.problem}"
+    if callback.problem:
+        yield "error", f"in the intermediate update {callback.problem}"
     elif bits(rows) != bits(expected):
         text = difference(trial, expected, rows)
         yield "error", f"results change when outputs are read in the intermediate update: {text}"
@@ -82,10 +101,10 @@ def intermediate(trial: Trial) -> Iterator[Remark]:
 
 
 def early_return(trial: Trial) -> Iterator[Remark]:
-    """A step that is asked to return early does, says where, and the next one goes on from there."""
-    witness = Witness(ask=True)
-    simulation = _witnessed(trial, witness, early=True)
-    witness.values = None  # nothing is read
+    """After a request to return early the FMU reports the time it reached, and the next step begins there."""
+    callback = UpdateCallback(request_return=True)
+    simulation = _simulation(trial, callback, early=True)
+    callback.outputs = None
     time = simulation.start
     for _ in range(STEPS):
         simulation.do_step(time, simulation.step)
@@ -93,7 +112,7 @@ def early_return(trial: Trial) -> Iterator[Remark]:
         step = f"a step from {time:.9g} to {end:.9g} s"
         if not simulation.early:
             if not abs(reached - end) <= 1e-9 * end + inner_step(trial.description):
-                yield "error", f"{step} ends at {reached:.9g} s and does not say that it returned early"
+                yield "error", f"{step} ends at {reached:.9g} s without reporting an early return"
                 return
             reached = end
         elif not time <= reached <= end * (1 + 1e-12):

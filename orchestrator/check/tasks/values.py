@@ -1,4 +1,4 @@
-"""The first values, right at once, before any step; and the default experiment."""
+"""Tasks on the outputs after initialisation and on the default experiment."""
 
 from __future__ import annotations
 
@@ -22,142 +22,149 @@ from orchestrator.fmi.messages import FATAL
 
 
 def first_output(trial: Trial) -> Iterator[Remark]:
-    """Values are right at once after initialisation, those that depend on inputs, too."""
+    """Outputs are correct right after initialisation, also those that depend on inputs."""
     simulation = Simulation(trial).begin()
-    yield from _starts(simulation)
+    yield from _start_values(simulation)
     before = simulation.row()
     if simulation.inputs.names:
-        simulation.inputs.set(simulation.rest)
-        yield from _settled(simulation, before, "inputs keep their start values")
-    if trial.pokes:
-        yield from _set_before(trial)
-    if trial.kind == "CoSimulation" and trial.able.declares("canHandleVariableCommunicationStepSize"):
+        simulation.inputs.set(simulation.initial_inputs)
+        yield from _reevaluated(simulation, before, "inputs keep their start values")
+    if trial.perturbable:
+        yield from _inputs_in_initialisation(trial)
+    if trial.kind == "CoSimulation" and trial.interface.declares("canHandleVariableCommunicationStepSize"):
         yield from _tiny_step(trial, before)
 
 
-def _settled(simulation: Simulation, before: Sequence[float], case: str) -> Iterator[Remark]:
+def _reevaluated(simulation: Simulation, before: Sequence[float], case: str) -> Iterator[Remark]:
+    """Outputs do not change after the inputs were set to the values that they have."""
     after = simulation.row()
     scales = [v.scale for v in flat(simulation.outputs.variables)]
     for name, a, b, scale in zip(simulation.outputs.names, before, after, scales, strict=True):
         if abs(a - b) > 1e-9 * max(abs(a), abs(b), 1e-6 * scale):
-            text = f"{name} is {a:.9g} after initialisation and {b:.9g} when the inputs are set again to"
-            yield "error", f"{text} the same values ({case}): it is not evaluated at initialisation"
+            text = f"{name} is {a:.9g} after initialisation and {b:.9g} after the inputs are set again to the"
+            yield "error", f"{text} same values ({case}): the output is not evaluated at initialisation"
             return
 
 
-def _set_before(trial: Trial) -> Iterator[Remark]:
+def _inputs_in_initialisation(trial: Trial) -> Iterator[Remark]:
+    """Outputs are correct after inputs were set in initialisation mode."""
     simulation = Simulation(trial)
     simulation.instance.setup(simulation.start)
     simulation.instance.enter()
-    simulation.rest = simulation.inputs.get()
-    simulation.poke(0)
-    moved = simulation.inputs.get()
+    simulation.initial_inputs = simulation.inputs.get()
+    simulation.perturb(0)
+    inputs = simulation.inputs.get()
     simulation.instance.leave()
-    simulation.settle()
+    simulation.begin_steps()
     before = simulation.row()
     if simulation.inputs.names:
-        simulation.inputs.set(moved)
-        yield from _settled(simulation, before, "inputs were set in initialisation mode")
+        simulation.inputs.set(inputs)
+        yield from _reevaluated(simulation, before, "inputs were set in initialisation mode")
 
 
 def _tiny_step(trial: Trial, first: Sequence[float]) -> Iterator[Remark]:
-    """An output of exactly 0 that jumps within no time and then hardly moves was not evaluated."""
+    """An output that is exactly 0, jumps in a tiny step and then hardly changes was not evaluated."""
     simulation = Simulation(trial, step=1e-6 * usual_step(trial.description)).begin()
     rows = simulation.run(2)
     if len(rows) < 2:
         return
     variables = flat(simulation.outputs.variables)
     for v, name, a, b, c in zip(variables, simulation.outputs.names, first, *rows, strict=True):
-        steady = v.is_float and v.variability == "continuous"
-        if steady and a == 0.0 and abs(b) > 1e-3 * v.nominal and abs(c - b) < 0.1 * abs(b):
+        continuous = v.is_float and v.variability == "continuous"
+        if continuous and a == 0.0 and abs(b) > 1e-3 * v.nominal and abs(c - b) < 0.1 * abs(b):
             text = f"{name} is 0 after initialisation and {b:.6g} after a step of {simulation.step:.3g} s"
-            yield "warning", f"{text}: it is not evaluated at initialisation"
+            yield "warning", f"{text}: the output is not evaluated at initialisation"
 
 
-def _starts(simulation: Simulation) -> Iterator[Remark]:
-    """Parameters and inputs read what modelDescription.xml says."""
-    known = [v for v in numeric(simulation.trial.description, "parameter", "input") if v.start]
-    values = simulation.values(known)
-    wanted = [s for v in known for s in (v.start if len(v.start) == v.size else v.start[:1] * v.size)]
-    for name, x, start in zip(values.names, values.get(), wanted, strict=True):
-        # single precision holds seven digits
+def _start_values(simulation: Simulation) -> Iterator[Remark]:
+    """Parameters and inputs have the start values of modelDescription.xml."""
+    variables = [v for v in numeric(simulation.trial.description, "parameter", "input") if v.start]
+    values = simulation.values(variables)
+    starts = [s for v in variables for s in (v.start if len(v.start) == v.size else v.start[:1] * v.size)]
+    for name, x, start in zip(values.names, values.get(), starts, strict=True):
+        # single precision has seven digits
         if abs(x - start) > 1e-6 * max(abs(x), abs(start)) or math.isnan(x) != math.isnan(start):
             text = f"{name} starts at {start:.9g} in modelDescription.xml and at {x:.9g} in the binary"
             yield "error", text
             return
 
 
-HUGE = 1e30  # times the nominal value: a model that runs away
-MOST = 20_000  # steps
+HUGE = 1e30  # relative to nominal; a larger output means that the model diverges
+MAX_STEPS = 20_000  # if the default experiment has no stop time
 
 
 def default(trial: Trial) -> Iterator[Remark]:
-    """Default values: everything finite, no error; hands over whether small changes of inputs are taken."""
+    """The default experiment runs with finite values; the result has the options for the other tasks."""
     start = experiment(trial.description, "startTime") or 0.0
     stop = experiment(trial.description, "stopTime")
     endless = stop is None or math.isinf(stop)
-    most = MOST if stop is None or endless else int((stop - start) / usual_step(trial.description) + 1e-9)
-    simulation, first, rows = _run(trial, stop if most else None, max(most, 1))
-    if bad := not_finite(simulation.outputs.names, [first]):
-        yield "error", f"after initialisation {bad}"
-    yield from _unsound(simulation, rows)
-    yield from _reached(simulation)
+    steps = (
+        MAX_STEPS if stop is None or endless else int((stop - start) / usual_step(trial.description) + 1e-9)
+    )
+    simulation, initial, rows = _run(trial, stop if steps else None, max(steps, 1))
+    if problem := not_finite(simulation.outputs.names, [initial]):
+        yield "error", f"after initialisation {problem}"
+    yield from _invalid_outputs(simulation, rows)
+    yield from _last_time(simulation)
     simulation.close()
     trial.summed = simulation.summed
-    trial.result = {"pokes": _pokes(trial), "summed": simulation.summed}
+    trial.result = {"perturbable": _perturbable(trial), "summed": simulation.summed}
 
 
-def _run(trial: Trial, stop: float | None, most: int) -> tuple[Simulation, list[float], Rows]:
-    """Row after initialisation, and rows of the steps; with the points as the FMU takes them."""
+def _run(trial: Trial, stop: float | None, steps: int) -> tuple[Simulation, list[float], Rows]:
+    """The run, its row after initialisation, and its rows after the steps.
+
+    If the FMU rejects communication points start + n h, the run is repeated with summed points.
+    """
     simulation = Simulation(trial, stop=stop).begin()
-    first = simulation.row()
+    initial = simulation.row()
     try:
-        return simulation, first, simulation.run(most, seconds=trial.seconds)
+        return simulation, initial, simulation.run(steps, seconds=trial.seconds)
     except CallFailed as failure:
         if failure.status == FATAL or trial.kind == "ModelExchange":
             raise
         try:
-            other = Simulation(trial, stop=stop, summed=True).begin()
-            return other, first, other.run(most, seconds=trial.seconds)
+            summed = Simulation(trial, stop=stop, summed=True).begin()
+            return summed, initial, summed.run(steps, seconds=trial.seconds)
         except (CallFailed, OnlyOnce):
             raise failure from None
 
 
-def _unsound(simulation: Simulation, rows: Rows) -> Iterator[Remark]:
-    """The first step whose outputs are not numbers, or beyond all bounds."""
+def _invalid_outputs(simulation: Simulation, rows: Rows) -> Iterator[Remark]:
+    """The first step after which an output is not finite, or huge."""
     names, limits = simulation.outputs.names, [HUGE * v.nominal for v in flat(simulation.outputs.variables)]
     for n, row in enumerate(rows, 1):
         time = simulation.start + n * simulation.step
-        when = f"at t = {time:.9g} s with default values, and the status is OK"
-        if bad := not_finite(names, [row]):
-            yield "error", f"{bad} {when}"
+        when = f"at t = {time:.9g} s with default values, although the status is OK"
+        if problem := not_finite(names, [row]):
+            yield "error", f"{problem} {when}"
             return
-        grown = [i for i, (x, limit) in enumerate(zip(row, limits, strict=True)) if abs(x) > limit]
-        if grown:
-            yield "error", f"{names[grown[0]]} has grown to {row[grown[0]]:.3g} {when}"
+        huge = [i for i, (x, limit) in enumerate(zip(row, limits, strict=True)) if abs(x) > limit]
+        if huge:
+            yield "error", f"{names[huge[0]]} has grown to {row[huge[0]]:.3g} {when}"
             return
 
 
-def _reached(simulation: Simulation) -> Iterator[Remark]:
-    """The FMU's own idea of the time, where it has one."""
+def _last_time(simulation: Simulation) -> Iterator[Remark]:
+    """The last successful time that the FMU reports is the end of the last step."""
     instance, expected = simulation.instance, simulation.time
-    if simulation.exchange is not None or simulation.ended:
+    if simulation.integrator is not None or simulation.ended:
         return
     reached = simulation.reached
     if instance.fmi == 2 and instance.library.has("GetRealStatus"):
         value = ctypes.c_double(math.nan)
         if instance.status("GetRealStatus", LAST_TIME, ctypes.byref(value)) == 0:
             reached = value.value
-    inner = max(simulation.step, inner_step(simulation.trial.description))  # by which it may be late
-    if not -inner * 1.001 <= reached - expected <= 1e-6 * max(simulation.step, abs(expected)):
+    lag = max(simulation.step, inner_step(simulation.trial.description))
+    if not -lag * 1.001 <= reached - expected <= 1e-6 * max(simulation.step, abs(expected)):
         yield "error", f"the last successful time is {reached:.9g} s, expected {expected:.9g} s"
 
 
-def _pokes(trial: Trial) -> bool:
-    """Are small changes of the inputs taken?"""
+def _perturbable(trial: Trial) -> bool:
+    """The FMU accepts small changes of its inputs, and its outputs stay finite."""
     try:
         simulation = Simulation(trial).begin()
-        rows = simulation.run(10, poke=True)
+        rows = simulation.run(10, perturb=True)
         simulation.close()
     except (CallFailed, OnlyOnce):
         return False
